@@ -1,0 +1,69 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+# `make demo` and `make test` need nothing done before; `make help` lists the rest.
+#   PYTHON=python3.11   interpreter of the environment (default: the first suitable one)
+#   ARGS='-k mill'      further arguments of pytest, or of `fuzzycnc demo`
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-print-directory
+
+VENV := $(CURDIR)/.venv
+FLOOR := $(CURDIR)/.venv-floor
+BIN := $(VENV)/bin
+PYTHON ?=
+ARGS ?=
+FLOOR_TESTS := test/core test/papers test/contract fuzzycnc_ros/core
+
+# What a sourced ROS installation or another environment left behind would be mixed with ours.
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
+unexport LD_LIBRARY_PATH PYTHONHOME PYTHONPATH VIRTUAL_ENV RMW_IMPLEMENTATION
+
+# The environment is a whole ROS prefix; one thread a process, as two cores hold many processes.
+ROS := AMENT_PREFIX_PATH='$(VENV)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+
+.PHONY: help
+help: ## List the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
+
+.PHONY: setup
+setup: ## Build .venv: locked dependencies, messages, package (done once, as needed)
+	@python=$$(tools/find_python.sh $(PYTHON)) && "$$python" tools/setup_env.py full
+
+.PHONY: demo
+demo: setup ## A thermal shift on the simulated mill: train, compensate live, report
+	@$(ROS) '$(BIN)/fuzzycnc' demo $(ARGS)
+
+.PHONY: test
+test: lint ## All checks and all tests
+	@$(ROS) '$(BIN)/python' -m pytest --timeout=300 $(ARGS)
+
+.PHONY: lint
+lint: setup ## Style, format, spelling, types
+	@echo 'ruff check' && '$(BIN)/ruff' check --quiet .
+	@echo 'ruff format' && '$(BIN)/ruff' format --quiet --check . || { '$(BIN)/ruff' format --check .; exit 1; }
+	@echo 'codespell' && '$(BIN)/codespell'
+	@echo 'mypy' && '$(BIN)/mypy'
+
+.PHONY: format
+format: setup ## Rewrite the sources in the project's format
+	@'$(BIN)/ruff' check --quiet --fix . ; '$(BIN)/ruff' format .
+
+.PHONY: tables
+tables: setup ## Write the generated tables of the docs and params/*.yaml anew
+	@'$(BIN)/python' tools/make_tables.py
+
+.PHONY: test-floor
+test-floor: ## Core and components without ROS on Ubuntu 24.04's versions (Python 3.12)
+	@python=$$(tools/find_python.sh $(or $(PYTHON),python3.12)) && \
+	  "$$python" -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if v == (3, 12) else f"test-floor: expected Python 3.12 but found {v[0]}.{v[1]}")' && \
+	  "$$python" tools/setup_env.py floor
+	@PYTHONPATH='$(CURDIR)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 '$(FLOOR)/bin/python' -m pytest \
+	  --timeout=300 -m 'not ros and not slow' -p no:cacheprovider $(FLOOR_TESTS) $(ARGS)
+
+.PHONY: lock
+lock: ## Resolve requirements/*.in anew (needs uv on the PATH)
+	@tools/lock.sh
+
+.PHONY: clean
+clean: ## Remove the environments and everything built
+	@rm -rf .venv .venv-floor build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	@find . -name __pycache__ -not -path './.git/*' -type d -prune -exec rm -rf {} +

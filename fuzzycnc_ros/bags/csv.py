@@ -1,0 +1,359 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Importing a CSV recording of a real machine into a bag."""
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.bags.csv_mapping import (
+    LENGTH_UNITS,
+    SPEED_UNITS,
+    TEMPERATURE_UNITS,
+    Channel,
+    CsvMapping,
+    parse_channel,
+)
+from fuzzycnc_ros.bags.csv_messages import Messages
+from fuzzycnc_ros.bags.csv_table import Table, read_table
+from fuzzycnc_ros.bags.errors import CsvError
+from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
+from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.core.thermal.run import (
+    DISPLACEMENT_MAX,
+    REFERENCE_SAMPLES,
+    SAMPLES_MIN,
+    TEMPERATURE_MAX,
+    TEMPERATURE_MIN,
+)
+
+__all__ = ['Channel', 'CsvMapping', 'ImportReport', 'import_csv', 'parse_channel']
+
+REFERENCE_INTERVAL = 60.0
+"""Faster readings are averaged to samples of this interval for the reference [s]."""
+
+DISPLACEMENT_MIN = 0.5e-6
+"""A machine that warms by `WARM` moves by more than this on some channel [m]."""
+
+WARM = 5.0
+"""Rise that is bound to move a machine [K]."""
+
+GAP_MAX = 3.0
+"""Longest gap that resampling bridges, in intervals; further apart nothing was measured."""
+
+
+@dataclass(frozen=True)
+class ImportReport:
+    """What was imported.
+
+    Parameters
+    ----------
+    path : Path
+        The bag.
+    samples : int
+        Samples on each topic.
+    interval : float
+        Time between samples [s].
+    start : float
+        Stamp of the first sample [s].
+    sensors, channels : tuple of str
+        Names in the bag.
+    missing : int
+        Temperature readings that the file lacks.
+    """
+
+    path: Path
+    samples: int
+    interval: float
+    start: float
+    sensors: tuple[str, ...]
+    channels: tuple[str, ...]
+    missing: int
+
+
+@dataclass(frozen=True)
+class _Recording:
+    """The columns in SI units; `speed` has no columns where none is mapped."""
+
+    time: NDArray[np.float64]
+    temperature: NDArray[np.float64]
+    displacement: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    readings: int = 0
+
+
+def import_csv(
+    file: str | os.PathLike[str], out: str | os.PathLike[str], mapping: CsvMapping
+) -> ImportReport:
+    """Write a CSV recording into a new bag.
+
+    Parameters
+    ----------
+    file : path
+        The recording: a header line, then one row per sample.
+    out : path
+        Directory of the new bag, which must not exist.
+    mapping : CsvMapping
+        What the columns mean.
+
+    Returns
+    -------
+    ImportReport
+        What was imported.
+
+    Raises
+    ------
+    CsvError
+        If the file cannot be used; the message names line and column.  No bag is written then.
+    BagExistsError
+        If `out` exists.
+
+    Notes
+    -----
+    Topics, below the name of the machine: `temperatures`, `displacement` if columns are mapped,
+    `machine_state` if the spindle speed is, and latched `thermal_reference`: the mean of the
+    first three samples, readings faster than one a minute counting as samples of one minute
+    (as `ThermalRun.rise` takes it), stamped with the last of them.
+    The stamps are the time since the first imported row plus the epoch; log times equal them.
+    """
+    path = Path(file)
+    table = read_table(path, mapping)
+    sensors = _sensor_columns(table, mapping)
+    table.require([mapping.time, *(c.column for c in mapping.channels)])
+    if mapping.spindle_speed is not None:
+        table.require([mapping.spindle_speed])
+    names = _names(table, mapping, sensors)
+    channels = _names(table, mapping, [channel.column for channel in mapping.channels])
+    time, date = table.time(mapping.time, mapping.time_unit)
+    recording = _read(table, mapping, sensors, time)
+    _check_temperatures(table, mapping, sensors, recording.temperature)
+    if mapping.zero and mapping.channels:
+        recording = _zeroed(recording)
+    _check_displacements(table, mapping, recording)
+    if mapping.resample is None:
+        table.check_even(mapping.time, time)
+    else:
+        recording = _resampled(path, recording, mapping.resample)
+    start = mapping.epoch if mapping.epoch is not None else (1.0 if date is None else date)
+    stamps = np.rint((start + recording.time) * 1e9).astype(np.int64)
+    if date is not None:  # a date in ns has more digits than a float
+        stamps = round(start * 1e6) * 1000 + np.rint(recording.time * 1e9).astype(np.int64)
+    _write(Path(out), mapping, recording, stamps, names, channels)
+    return ImportReport(
+        path=Path(out),
+        samples=len(stamps),
+        interval=float((recording.time[-1] - recording.time[0]) / (len(stamps) - 1)),
+        start=start,
+        sensors=tuple(names),
+        channels=tuple(channels),
+        missing=int(np.isnan(recording.temperature).sum()),
+    )
+
+
+def _sensor_columns(table: Table, mapping: CsvMapping) -> list[str]:
+    try:
+        columns = mapping.sensor_columns(table.header)
+    except CsvError as error:
+        raise CsvError(f'{table.path}: {error}') from error
+    if not columns:
+        raise CsvError(
+            f'{table.path}: expected at least one temperature column but none is mapped; the '
+            f'file has {", ".join(table.header)}'
+        )
+    return columns
+
+
+def _names(table: Table, mapping: CsvMapping, columns: list[str]) -> list[str]:
+    names = [mapping.rename.get(column, column) for column in columns]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise CsvError(
+            f'{table.path}: expected each sensor and channel name once but found '
+            f'{", ".join(repr(name) for name in repeated)} more than once; change the renaming'
+        )
+    return names
+
+
+def _read(
+    table: Table, mapping: CsvMapping, sensors: list[str], time: NDArray[np.float64]
+) -> _Recording:
+    factor, offset = TEMPERATURE_UNITS[mapping.temperature_unit]
+    speed = [mapping.spindle_speed] if mapping.spindle_speed is not None else []
+    return _Recording(
+        time=time,
+        temperature=_columns(table, sensors) * factor + offset,
+        displacement=_columns(table, [channel.column for channel in mapping.channels])
+        * np.array([channel.scale for channel in mapping.channels]),
+        speed=_columns(table, speed) * SPEED_UNITS[mapping.spindle_speed_unit],
+    )
+
+
+def _columns(table: Table, names: list[str]) -> NDArray[np.float64]:
+    if not names:
+        return np.empty((len(table.rows), 0))
+    values = np.stack([table.column(name) for name in names], axis=1)
+    infinite = np.argwhere(np.isinf(values))
+    if len(infinite):
+        row, column = (int(index) for index in infinite[0])
+        raise CsvError(
+            f'{table.place(row, names[column])}: expected a finite number but found '
+            f'{values[row, column]}'
+        )
+    return values
+
+
+def _check_temperatures(
+    table: Table, mapping: CsvMapping, sensors: list[str], values: NDArray[np.float64]
+) -> None:
+    """Refuse temperatures that no machine has, and name the unit that would fit."""
+    outside = np.argwhere((values < TEMPERATURE_MIN) | (values > TEMPERATURE_MAX))
+    if not len(outside):
+        return
+    row, column = (int(index) for index in outside[0])
+    factor, offset = TEMPERATURE_UNITS[mapping.temperature_unit]
+    raw = (values - offset) / factor
+    fits = [
+        unit
+        for unit, (f, o) in TEMPERATURE_UNITS.items()
+        if np.nanmin(raw * f + o) >= TEMPERATURE_MIN and np.nanmax(raw * f + o) <= TEMPERATURE_MAX
+    ]
+    remedy = (
+        f'in {fits[0]} they would fit'
+        if fits
+        else 'leave the sensor out, or empty the cell where it failed'
+    )
+    raise CsvError(
+        f'{table.place(row, sensors[column])}: expected {TEMPERATURE_MIN:g} to '
+        f'{TEMPERATURE_MAX:g} degC but found {values[row, column]:.6g} degC; {remedy}'
+    )
+
+
+def _check_displacements(table: Table, mapping: CsvMapping, recording: _Recording) -> None:
+    """Refuse displacements that no machine makes, and name the unit that would fit."""
+    values = recording.displacement
+    far = np.argwhere(np.abs(values) > DISPLACEMENT_MAX)
+    if len(far):
+        row, column = (int(index) for index in far[0])
+        channel = mapping.channels[column]
+        largest = float(np.nanmax(np.abs(values[:, column]))) / LENGTH_UNITS[channel.unit]
+        fits = [u for u, s in LENGTH_UNITS.items() if largest * s <= DISPLACEMENT_MAX]
+        best = max(fits, key=lambda unit: LENGTH_UNITS[unit], default='')
+        remedy = (
+            f'in {best} the largest would be {largest * LENGTH_UNITS[best] * 1e6:.4g} um'
+            if best
+            else 'the column does not hold displacements'
+        )
+        raise CsvError(
+            f'{table.place(row, channel.column)}: expected displacements up to '
+            f'{DISPLACEMENT_MAX * 1e6:g} um but found {values[row, column] * 1e6:.6g} um; '
+            f'{remedy}; where the probe has an offset, import with --zero'
+        )
+    if not np.isfinite(values).any() or not np.isfinite(recording.temperature).any():
+        return
+    rise = _span(recording.temperature)
+    moved = _span(values)
+    if rise >= WARM and moved < DISPLACEMENT_MIN:
+        unit = mapping.channels[0].unit
+        raise CsvError(
+            f'{table.path}: expected displacements above {DISPLACEMENT_MIN * 1e6:g} um where the '
+            f'machine warms by {rise:.3g} K but found at most {moved * 1e6:.3g} um; they are '
+            f'not in {unit}: check the unit (in mm the largest would be '
+            f'{moved / LENGTH_UNITS[unit] * 1e3:.4g} um)'
+        )
+
+
+def _span(values: NDArray[np.float64]) -> float:
+    """Return the largest range of all columns that hold a number."""
+    held = values[:, np.isfinite(values).any(axis=0)]
+    return float((np.nanmax(held, axis=0) - np.nanmin(held, axis=0)).max())
+
+
+def _reference_rows(time: NDArray[np.float64]) -> int:
+    """Return how many first rows make the first three samples of at least one minute."""
+    interval = max(float(np.median(np.diff(time))), REFERENCE_INTERVAL)
+    # Half a row of slack, so that noise in the times does not add one.
+    slack = 0.5 * float(np.median(np.diff(time)))
+    return max(REFERENCE_SAMPLES, int(np.sum(time < REFERENCE_SAMPLES * interval - slack)))
+
+
+def _zeroed(recording: _Recording) -> _Recording:
+    first = recording.displacement[: _reference_rows(recording.time)]
+    count = np.isfinite(first).sum(axis=0)
+    total = np.nansum(first, axis=0)
+    zero = np.divide(total, count, out=np.zeros_like(total), where=count > 0)
+    return replace(recording, displacement=recording.displacement - zero)
+
+
+def _resampled(path: Path, recording: _Recording, interval: float) -> _Recording:
+    """Return samples on an even grid, each the mean of the readings up to it.
+
+    Readings are first put on an even grid of about their own spacing, linearly, so that uneven
+    ones weigh as long as they lasted; nothing is invented in gaps.
+    """
+    step = float(np.median(np.diff(recording.time)))
+    block = max(1, round(interval / step))
+    fine = interval / block
+    # A tenth of a step of slack keeps a last reading that came a little early.
+    count = (int((recording.time[-1] + 0.1 * fine) / fine) + 1) // block
+    if count < SAMPLES_MIN:
+        raise CsvError(
+            f'{path}: expected at least {SAMPLES_MIN} samples but --resample {interval:g} leaves '
+            f'{count} of {recording.time[-1]:.6g} s'
+        )
+    grid = np.arange(count * block, dtype=np.float64) * fine
+    after = np.clip(np.searchsorted(recording.time, grid - 1e-9 * step), 1, None)
+    after = np.minimum(after, len(recording.time) - 1)
+    gap = recording.time[after] - recording.time[after - 1] > GAP_MAX * max(fine, step)
+    on_reading = np.isclose(recording.time[after], grid, rtol=0.0, atol=1e-6 * step)
+
+    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        if not values.shape[1]:
+            return np.empty((count, 0))
+        even = np.stack([np.interp(grid, recording.time, column) for column in values.T], axis=1)
+        even[gap & ~on_reading] = np.nan
+        return np.asarray(even.reshape(count, block, -1).mean(axis=1))
+
+    return _Recording(
+        time=grid[block - 1 :: block],
+        temperature=mean(recording.temperature),
+        displacement=mean(recording.displacement),
+        speed=mean(recording.speed),
+        readings=block,
+    )
+
+
+def _write(
+    out: Path,
+    mapping: CsvMapping,
+    recording: _Recording,
+    stamps: NDArray[np.int64],
+    sensors: list[str],
+    channels: list[str],
+) -> None:
+    make = Messages(mapping, sensors, channels, int(stamps[0]))
+    reference_rows = _reference_rows(recording.time)
+    space = f'/{mapping.machine}'
+    with BagWriter(out, flush_interval=None, custom={'imported_by': 'import-csv'}) as writer:
+        writer.add_topic(f'{space}/temperatures', 'fuzzycnc_msgs/msg/Temperatures', STREAM)
+        if channels:
+            writer.add_topic(f'{space}/displacement', 'fuzzycnc_msgs/msg/Displacement', STREAM)
+        if mapping.spindle_speed is not None:
+            writer.add_topic(f'{space}/machine_state', 'fuzzycnc_msgs/msg/MachineState', STREAM)
+        writer.add_topic(
+            f'{space}/thermal_reference', 'fuzzycnc_msgs/msg/ThermalReference', LATCHED
+        )
+        for k, stamp in enumerate(int(s) for s in stamps):
+            if mapping.spindle_speed is not None:
+                state = make.machine_state(stamp, float(recording.speed[k, 0]))
+                writer.write_message(f'{space}/machine_state', state, stamp)
+            sample = make.temperatures(stamp, recording.temperature[k], recording.readings)
+            writer.write_message(f'{space}/temperatures', sample, stamp)
+            if channels:
+                moved = make.displacement(stamp, recording.displacement[k])
+                writer.write_message(f'{space}/displacement', moved, stamp)
+            if k == reference_rows - 1:
+                reference = make.reference(stamp, recording.temperature[:reference_rows])
+                writer.write_message(f'{space}/thermal_reference', reference, stamp)

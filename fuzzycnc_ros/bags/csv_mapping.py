@@ -1,0 +1,211 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the columns of a CSV recording mean."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from math import pi
+
+from fuzzycnc_ros.bags.errors import CsvError
+
+TIME_UNITS = {'s': 1.0, 'ms': 1e-3, 'min': 60.0, 'h': 3600.0}
+LENGTH_UNITS = {'um': 1e-6, 'mm': 1e-3, 'm': 1.0, 'nm': 1e-9}
+TEMPERATURE_UNITS = {'degC': (1.0, 0.0), 'K': (1.0, -273.15), 'degF': (5.0 / 9.0, -160.0 / 9.0)}
+SPEED_UNITS = {'rpm': 2.0 * pi / 60.0, 'rad/s': 1.0}
+AXES = 'XYZABCUVW'
+
+ISO8601 = 'iso8601'
+
+_CHANNEL = re.compile(r'(?P<column>.+)=(?P<sign>[+-]?)(?P<axis>\w+):(?P<unit>\w+)')
+_MACHINE = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A displacement column.
+
+    Parameters
+    ----------
+    column : str
+        Its name in the file.
+    axis : str
+        ISO 841 axis.
+    unit : {'um', 'mm', 'm', 'nm'}
+        Its unit.
+    sign : {1, -1}
+        -1 for a probe that counts against the axis.
+    """
+
+    column: str
+    axis: str
+    unit: str = 'um'
+    sign: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse axes and units that do not exist."""
+        if self.axis not in AXES or len(self.axis) != 1:
+            raise CsvError(
+                f'column {self.column!r}: expected an axis of {", ".join(AXES)} '
+                f'but found {self.axis!r}'
+            )
+        _word(f'unit of column {self.column!r}', self.unit, LENGTH_UNITS)
+        if self.sign not in (1, -1):
+            raise CsvError(f'column {self.column!r}: expected sign 1 or -1, found {self.sign}')
+
+    @property
+    def scale(self) -> float:
+        """Metres per unit of the column, with its sign."""
+        return self.sign * LENGTH_UNITS[self.unit]
+
+
+def parse_channel(text: str) -> Channel:
+    """Return the channel that a text such as `ch1=X:um` or `probe 2=-Y:mm` describes.
+
+    Raises
+    ------
+    CsvError
+        If the text has another form, or axis or unit do not exist.
+
+    Examples
+    --------
+    >>> parse_channel('ch1=-X:um')
+    Channel(column='ch1', axis='X', unit='um', sign=-1)
+    """
+    match = _CHANNEL.fullmatch(text)
+    if match is None:
+        raise CsvError(
+            f'displacement: expected COLUMN=AXIS:UNIT such as ch1=X:um but found {text!r}'
+        )
+    return Channel(
+        match['column'], match['axis'], match['unit'], -1 if match['sign'] == '-' else 1
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CsvMapping:
+    """What the columns of a CSV recording mean.
+
+    Parameters
+    ----------
+    time : str
+        Time column.
+    time_unit : {'s', 'ms', 'min', 'h', 'iso8601'}
+        Its unit, or `iso8601` for dates such as 2024-05-01T08:00:00Z.
+    temperatures : sequence of str
+        Temperature columns: names, patterns such as `t*`, or regular expressions after `re:`.
+        Columns that have another meaning are never matched by a pattern.
+    temperature_unit : {'degC', 'K', 'degF'}
+        Unit of the temperatures.
+    displacements : sequence of Channel or str
+        Displacement columns, as texts in the form of `parse_channel`.
+    spindle_speed : str, optional
+        Spindle-speed column.
+    spindle_speed_unit : {'rpm', 'rad/s'}
+        Its unit.
+    rename : mapping
+        Column name to the name of the sensor or channel in the bag.
+    delimiter : str, optional
+        Character between columns; found out from the first line if absent.
+    decimal : {'.', ','}
+        Decimal sign.
+    rows : (int, int), optional
+        First and last row that are imported, counted from 0 below the header.
+    zero : bool
+        Whether displacements are meant against their mean over the thermal reference.
+    resample : float, optional
+        Interval of the samples in the bag [s]; as in the file if absent.
+    machine : str
+        Name of the machine: the namespace of the topics and the first part of `frame_id`.
+    epoch : float, optional
+        Stamp of the first sample [s]; 1 if absent, since stamp 0 means unknown in messages;
+        with ISO 8601 times the first date itself.
+    """
+
+    time: str = 'time'
+    time_unit: str = 's'
+    temperatures: Sequence[str] = ()
+    temperature_unit: str = 'degC'
+    displacements: Sequence[Channel | str] = ()
+    spindle_speed: str | None = None
+    spindle_speed_unit: str = 'rpm'
+    rename: Mapping[str, str] = field(default_factory=dict)
+    delimiter: str | None = None
+    decimal: str = '.'
+    rows: tuple[int, int] | None = None
+    zero: bool = False
+    resample: float | None = None
+    machine: str = 'machine'
+    epoch: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what contradicts itself."""
+        _word('time_unit', self.time_unit, {**TIME_UNITS, ISO8601: 1.0})
+        _word('temperature_unit', self.temperature_unit, TEMPERATURE_UNITS)
+        _word('spindle_speed_unit', self.spindle_speed_unit, SPEED_UNITS)
+        if self.decimal not in ('.', ','):
+            raise CsvError(f"decimal: expected '.' or ',' but found {self.decimal!r}")
+        if self.delimiter is not None and (
+            len(self.delimiter) != 1 or self.delimiter in '"\r\n' or self.delimiter == self.decimal
+        ):
+            raise CsvError(
+                f'delimiter: expected one character other than the decimal sign '
+                f'but found {self.delimiter!r}'
+            )
+        if self.rows is not None and not 0 <= self.rows[0] <= self.rows[1]:
+            raise CsvError(f'rows: expected 0 <= first <= last but found {self.rows}')
+        if self.resample is not None and not 0.0 < self.resample < 1e6:
+            raise CsvError(f'resample: expected an interval above 0 s but found {self.resample}')
+        if self.epoch is not None and not 0.0 <= self.epoch < 2**31:
+            raise CsvError(f'epoch: expected 0 to 2^31 s but found {self.epoch}')
+        if not _MACHINE.fullmatch(self.machine):
+            raise CsvError(f'machine: expected letters, digits and _ but found {self.machine!r}')
+        channels = [c if isinstance(c, Channel) else parse_channel(c) for c in self.displacements]
+        object.__setattr__(self, 'displacements', tuple(channels))
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The displacement columns."""
+        return tuple(c for c in self.displacements if isinstance(c, Channel))
+
+    def sensor_columns(self, header: Sequence[str]) -> list[str]:
+        """Return the temperature columns of a file in its own order.
+
+        Raises
+        ------
+        CsvError
+            If a name or pattern fits no column.
+        """
+        taken = {self.time, self.spindle_speed, *(channel.column for channel in self.channels)}
+        chosen: set[str] = set()
+        for pattern in self.temperatures:
+            fits = [
+                name
+                for name in header
+                if name == pattern or (name not in taken and _matches(name, pattern))
+            ]
+            if not fits:
+                raise CsvError(
+                    f'expected a temperature column {pattern!r} but the file has '
+                    f'{", ".join(header)}'
+                )
+            chosen.update(fits)
+        return [name for name in header if name in chosen]
+
+
+def _matches(name: str, pattern: str) -> bool:
+    if not pattern.startswith('re:'):
+        return fnmatchcase(name, pattern)
+    try:
+        return re.fullmatch(pattern[3:], name) is not None
+    except re.error as error:
+        raise CsvError(
+            f'temperatures: expected a regular expression after re: but found {pattern[3:]!r} '
+            f'({error})'
+        ) from error
+
+
+def _word(name: str, value: str, words: Mapping[str, object]) -> None:
+    if value not in words:
+        raise CsvError(f'{name}: expected {", ".join(words)} but found {value!r}')

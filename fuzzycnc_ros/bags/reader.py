@@ -1,0 +1,411 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reading bags of rosbag2 without ever losing a message in silence."""
+
+import os
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+from fuzzycnc_ros.bags.decoder import Decoder
+from fuzzycnc_ros.bags.errors import (
+    BagCountError,
+    BagFormatError,
+    BagTopicError,
+    BagTruncatedError,
+)
+from fuzzycnc_ros.bags.files import bag_files, unlisted_files
+from fuzzycnc_ros.bags.mcapfile import McapFile
+from fuzzycnc_ros.bags.metadata import (
+    MESSAGE_SET_KEY,
+    STATE_KEY,
+    STATE_RECORDING,
+    Metadata,
+    Profiles,
+    parse_qos,
+    read_metadata,
+)
+from fuzzycnc_ros.bags.sqlitefile import SqliteFile
+from fuzzycnc_ros.bags.storage import Attachment, Block, Contents, RawMessage
+from fuzzycnc_ros.bags.typestore import MESSAGE_SET_VERSION
+from fuzzycnc_ros.bags.upgrade import UPGRADERS, Upgraders
+
+OVERLAP_MAX = 1024 * 1024 * 1024
+"""Most bytes of chunks overlapping in time that are sorted together; more is no recording."""
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A topic of a bag.
+
+    Parameters
+    ----------
+    topic, type : str
+        Topic and message type.
+    message_count : int
+        Messages that the bag promises.
+    profiles : list of dict
+        QoS profiles that its publishers offered.
+    type_hash : str
+        Hash of the type, empty if the bag does not say.
+    definition : str
+        Definition that the bag embeds, empty if there is none.
+    """
+
+    topic: str
+    type: str
+    message_count: int
+    profiles: Profiles
+    type_hash: str
+    definition: str
+
+
+class BagMessage(NamedTuple):
+    """One message of a bag."""
+
+    topic: str
+    type: str
+    log_time: int
+    message: Any
+
+
+class BagReader:
+    """A bag: a directory of rosbag2, or a single `.mcap` or `.db3` file.
+
+    Parameters
+    ----------
+    path : path
+        The bag.
+    strict : bool
+        Whether a bag that contradicts itself is refused; otherwise what is wrong is collected
+        in `problems` and all that can be read is read.
+    upgraders : Upgraders
+        Bring messages of older message sets to the current one.
+
+    Attributes
+    ----------
+    connections : dict of str to Connection
+        The topics by name.
+    message_count : int
+        Messages that the bag promises.
+    start, stop : int
+        Log time of the first and last message [ns]; both 0 if there is none.
+    metadata : Metadata or None
+        Content of `metadata.yaml`.
+    records : dict
+        Named records inside the file, text to text.
+    message_set : int
+        Message-set version, the current one if the bag does not say.
+    problems : list of str
+        What is wrong with the bag, one line each.
+
+    Raises
+    ------
+    BagFormatError
+        If it is no bag, is damaged, or lies about its files.
+    BagTruncatedError
+        If a file was cut off.
+    BagCountError
+        If `metadata.yaml` and the files promise different numbers of messages.
+    BagVersionError
+        If it was recorded with a newer message set.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        strict: bool = True,
+        upgraders: Upgraders = UPGRADERS,
+    ) -> None:
+        self.path = Path(path)
+        self.problems: list[str] = []
+        self._strict = strict
+        self._files: list[McapFile | SqliteFile] = []
+        try:
+            self._open(upgraders)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> 'BagReader':
+        """Return the reader."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Close the bag."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the files of the bag."""
+        for file in self._files:
+            file.close()
+
+    def require(self, topics: Iterable[str] | Mapping[str, str]) -> None:
+        """Refuse a bag without certain topics.
+
+        Parameters
+        ----------
+        topics : iterable of str or mapping
+            Topics, or topics with their types.
+
+        Raises
+        ------
+        BagTopicError
+            If one is missing, has no message or another type; the message lists what is there.
+        """
+        types = topics if isinstance(topics, Mapping) else dict.fromkeys(topics)
+        found = {topic: c for topic, c in self.connections.items() if c.message_count}
+        missing = [topic for topic in types if topic not in found]
+        if missing:
+            there = ', '.join(f'{t} ({c.message_count})' for t, c in found.items())
+            raise BagTopicError(
+                f'{self.path}: expected messages on {", ".join(missing)} but the bag has '
+                f'{there or "no messages at all"}'
+            )
+        for topic, wanted in types.items():
+            if wanted is not None and found[topic].type != wanted:
+                raise BagTopicError(
+                    f'{self.path}: expected {topic} to be {wanted} but found {found[topic].type}'
+                )
+
+    def attachments(self) -> dict[str, Attachment]:
+        """Return the attachments by name; of several with one name, the last.
+
+        Raises
+        ------
+        BagFormatError
+            If one is damaged.
+        """
+        found = (read() for contents in self._contents for read in contents.attachments)
+        return {attachment.name: attachment for attachment in found}
+
+    def messages(
+        self,
+        topics: Collection[str] | None = None,
+        start: int | None = None,
+        stop: int | None = None,
+        *,
+        raw: bool = False,
+    ) -> Iterator[BagMessage]:
+        """Yield the messages in the order of their log time, ties in file order.
+
+        Parameters
+        ----------
+        topics : collection of str, optional
+            Only these topics.
+        start, stop : int, optional
+            Only messages with `start` <= log time < `stop` [ns].
+        raw : bool
+            Whether to yield undecoded bytes.
+
+        Raises
+        ------
+        BagTopicError
+            If one of `topics` is not in the bag.
+        BagCountError
+            At the end, if fewer or more messages came than the bag promises.
+        BagDataError, BagTypeError, BagVersionError
+            If a message cannot be decoded.
+        BagFormatError
+            If a chunk is damaged.
+        """
+        wanted = set(self.connections if topics is None else topics)
+        unknown = wanted - set(self.connections)
+        if unknown:
+            raise BagTopicError(
+                f'{self.path}: expected the topics {", ".join(sorted(unknown))} but the bag has '
+                f'{", ".join(self.connections) or "none"}'
+            )
+        decodes = {} if raw else {t: self.decoder.decode(self.connections[t].type) for t in wanted}
+        whole = start is None and stop is None
+        yielded: Counter[str] = Counter()
+        for log_time, _, _, channel, payload in self._ordered(start, stop):
+            topic = channel.topic
+            if topic not in wanted:
+                continue
+            if not whole and not (
+                (start is None or log_time >= start) and (stop is None or log_time < stop)
+            ):
+                continue
+            yielded[topic] += 1
+            message = payload if raw else decodes[topic](payload)
+            yield BagMessage(topic, channel.type, log_time, message)
+        if whole:
+            self._check_yielded(wanted, yielded)
+
+    # Opening
+
+    def _open(self, upgraders: Upgraders) -> None:
+        if not self.path.exists():
+            raise BagFormatError(f'{self.path}: expected a bag but nothing is there')
+        self.metadata = read_metadata(self.path) if self.path.is_dir() else None
+        self._contents = [self._open_file(file) for file in self._storage_files()]
+        channels = [channel for contents in self._contents for channel in contents.channels]
+        self.records = {k: v for c in self._contents for k, v in c.metadata.items()}
+        self.message_set = self._message_set()
+        upgraders.check_version(self.message_set, self.path)
+        self.decoder = Decoder(channels, self.message_set, upgraders)
+        self.connections = self._connect()
+        self.message_count = sum(c.message_count for c in self.connections.values())
+        blocks = [block for contents in self._contents for block in contents.blocks]
+        self.start = min((block.start for block in blocks), default=0)
+        self.stop = max((block.stop for block in blocks), default=0)
+        if self.metadata:
+            self._check_metadata(self.metadata)
+        for file in self._files:
+            for problem in file.problems:
+                self._report(BagFormatError(f'{problem}; run `fuzzycnc info --repair`'))
+
+    def _storage_files(self) -> list[Path]:
+        if not self.path.is_dir():
+            return [self.path]
+        if self.metadata:
+            return bag_files(self.path, self.metadata)
+        files = unlisted_files(self.path)
+        self.problems.append(f'{self.path}: metadata.yaml is missing')
+        return files
+
+    def _open_file(self, path: Path) -> Contents:
+        if path.suffix == '.db3':
+            database = SqliteFile(path)
+            self._files.append(database)
+            return database.contents()
+        if path.suffix != '.mcap':
+            raise BagFormatError(
+                f'{path}: expected a .mcap or .db3 file; where rosbag2 compressed whole files or '
+                'single messages, convert the bag with `ros2 bag convert` first'
+            )
+        file = McapFile(path)
+        self._files.append(file)
+        if file.tear:
+            recording = self.metadata and self.metadata.custom.get(STATE_KEY) == STATE_RECORDING
+            cause = (
+                'its recorder was killed, or still writes'
+                if recording
+                else 'it was cut off or damaged'
+            )
+            raise BagTruncatedError(
+                f'{path}: truncated at byte {file.tear.offset} of {file.size} '
+                f'({file.tear.reason}): {cause}; run `fuzzycnc info --repair` to keep what can '
+                'be read and to see what was lost'
+            )
+        return file.contents()
+
+    def _message_set(self) -> int:
+        stated = [
+            record['message_set'] for record in self.records.values() if 'message_set' in record
+        ]
+        if self.metadata and MESSAGE_SET_KEY in self.metadata.custom:
+            stated.append(self.metadata.custom[MESSAGE_SET_KEY])
+        try:
+            return max((int(text) for text in stated), default=MESSAGE_SET_VERSION)
+        except ValueError as error:
+            raise BagFormatError(
+                f'{self.path}: expected a message-set version but found {stated}'
+            ) from error
+
+    def _connect(self) -> dict[str, Connection]:
+        found: dict[str, Connection] = {}
+        promised: Counter[str] = Counter()
+        for contents in self._contents:
+            promised.update(contents.promised or {})
+        for channel in (c for contents in self._contents for c in contents.channels):
+            known = found.get(channel.topic)
+            if known and known.type != channel.type:
+                raise BagFormatError(
+                    f'{self.path}: expected one type on {channel.topic} but found {known.type} '
+                    f'and {channel.type}'
+                )
+            profiles = list(known.profiles) if known else []
+            profiles += [p for p in parse_qos(channel.qos) if p not in profiles]
+            found[channel.topic] = Connection(
+                channel.topic,
+                channel.type,
+                promised[channel.topic],
+                profiles,
+                channel.type_hash,
+                channel.definition,
+            )
+        return found
+
+    def _check_metadata(self, metadata: Metadata) -> None:
+        """Compare `metadata.yaml` with the files: neither may promise what the other lacks."""
+        stated = {topic.name: topic.message_count for topic in metadata.topics}
+        for topic in stated.keys() | self.connections.keys():
+            found = self.connections[topic].message_count if topic in self.connections else 0
+            if any(contents.promised is None for contents in self._contents):
+                break  # the files do not count: what is read decides
+            if stated.get(topic, 0) != found:
+                self._report(
+                    BagCountError(
+                        f'{self.path}: expected {stated.get(topic, 0)} messages on {topic} as '
+                        f'metadata.yaml says but the storage files hold {found}; run '
+                        '`fuzzycnc info --repair`, or `ros2 bag reindex`'
+                    )
+                )
+
+    def _report(self, error: Exception) -> None:
+        if self._strict:
+            raise error
+        self.problems.append(str(error))
+
+    # Reading
+
+    def _ordered(self, start: int | None, stop: int | None) -> Iterator[RawMessage]:
+        """Yield the messages of all blocks that touch a span, in the order of their log time."""
+        every = (block for contents in self._contents for block in contents.blocks)
+        blocks = [
+            (place, block)
+            for place, block in enumerate(every)
+            if (start is None or block.stop >= start) and (stop is None or block.start < stop)
+        ]
+        blocks.sort(key=lambda entry: entry[1].start)
+        group: dict[int, Block] = {}
+        group_stop = 0
+        for place, block in blocks:
+            if group and block.start > group_stop:
+                yield from self._merged(group)
+                group = {}
+            group_stop = max(group_stop, block.stop) if group else block.stop
+            group[place] = block
+        yield from self._merged(group)
+
+    def _merged(self, group: dict[int, Block]) -> list[RawMessage]:
+        """Return the messages of blocks, by their place, that overlap in time, sorted together."""
+        if sum(block.size for block in group.values()) > OVERLAP_MAX:
+            raise BagFormatError(
+                f'{self.path}: expected chunks one after the other in time but {len(group)} of '
+                f'them, more than {OVERLAP_MAX} bytes, overlap'
+            )
+        messages: list[RawMessage] = []
+        for _, block in sorted(group.items()):
+            try:
+                messages += block.read()
+            except BagFormatError as error:
+                self._report(error)
+        messages.sort(key=lambda message: message.log_time)  # stable: ties stay in file order
+        return messages
+
+    def _check_yielded(self, wanted: set[str], yielded: Counter[str]) -> None:
+        counted = all(contents.promised is not None for contents in self._contents)
+        if not counted and self.metadata is None:
+            return
+        stated = {t.name: t.message_count for t in self.metadata.topics} if self.metadata else {}
+        for topic in sorted(wanted):
+            promised = self.connections[topic].message_count if counted else stated.get(topic, 0)
+            if yielded[topic] != promised:
+                self._report(
+                    BagCountError(
+                        f'{self.path}: expected {promised} messages on {topic} as the bag '
+                        f'promises but read {yielded[topic]}; run `fuzzycnc info --repair`'
+                    )
+                )

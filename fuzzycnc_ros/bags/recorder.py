@@ -1,0 +1,346 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recording undecoded messages: cheap callbacks, a thread that writes, every loss counted."""
+
+import json
+import threading
+from collections import deque
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from fuzzycnc_ros.bags.errors import BagError, BagTopicError, BagTypeError
+from fuzzycnc_ros.bags.metadata import Profiles, Qos
+from fuzzycnc_ros.bags.sequence import SequenceCounter
+from fuzzycnc_ros.bags.writer import BagWriter
+
+PENDING_MAX = 256 * 1024 * 1024
+"""Most bytes that wait for the disk; what comes on top is dropped and counted."""
+
+REPORT_NAME = 'recording.json'
+"""Attachment that states what was received, written and lost on each topic."""
+
+_WAKE = 0.1  # s between looks at the clock when nothing arrives
+_BATCH = 256  # messages between looks at the queue
+
+
+@dataclass(frozen=True)
+class TopicProgress:
+    """Messages of one topic.
+
+    Parameters
+    ----------
+    received, written : int
+        Messages taken from the topic, and handed to the bag.
+    missing : int
+        Messages that never came, by the gaps in the sequence numbers.
+    dropped : int
+        Messages that came but were not written: the disk was too slow, or writing failed.
+    publishers : int
+        Publishers that were told apart.
+    """
+
+    received: int
+    written: int
+    missing: int
+    dropped: int
+    publishers: int
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a recording has come.
+
+    Parameters
+    ----------
+    topics : dict of str to TopicProgress
+        Every topic.
+    pending : int
+        Messages that wait for the thread.
+    pending_bytes : int
+        Their size [bytes].
+    error : str
+        Why nothing more is written; empty while all is well.
+    """
+
+    topics: dict[str, TopicProgress] = field(default_factory=dict)
+    pending: int = 0
+    pending_bytes: int = 0
+    error: str = ''
+
+    @property
+    def received(self) -> int:
+        """Messages taken from all topics."""
+        return sum(topic.received for topic in self.topics.values())
+
+    @property
+    def written(self) -> int:
+        """Messages handed to the bag."""
+        return sum(topic.written for topic in self.topics.values())
+
+    @property
+    def lost(self) -> int:
+        """Messages missing or dropped."""
+        return sum(topic.missing + topic.dropped for topic in self.topics.values())
+
+
+class _Item(NamedTuple):
+    topic: str
+    payload: bytes
+    log_time: int
+    publish_time: int
+    sequence: int
+
+
+@dataclass
+class _Counts:
+    received: int = 0
+    written: int = 0
+    dropped: int = 0
+    sequence: SequenceCounter = field(default_factory=SequenceCounter)
+
+    def snapshot(self) -> TopicProgress:
+        return TopicProgress(
+            self.received,
+            self.written,
+            self.sequence.missing,
+            self.dropped,
+            self.sequence.streams,
+        )
+
+
+class RecordingThread:
+    """Writes messages into a bag from a thread of its own.
+
+    Parameters
+    ----------
+    writer : BagWriter
+        The bag; the thread owns it from now on and closes it.
+    pending_max : int
+        Most bytes that wait for the disk.
+    on_error : callable, optional
+        Called once, in the thread, with the error that ended the writing.
+
+    Notes
+    -----
+    `put` is meant for the callbacks of an executor: it appends to a queue and returns.  A
+    message that does not fit in `pending_max` is dropped and counted, never queued: memory
+    stays bounded, and what was lost is written into the bag.
+    """
+
+    def __init__(
+        self,
+        writer: BagWriter,
+        *,
+        pending_max: int = PENDING_MAX,
+        on_error: Callable[[BagError], None] | None = None,
+    ) -> None:
+        self._writer = writer
+        self._pending_max = pending_max
+        self._on_error = on_error
+        self._queue: deque[_Item] = deque()
+        self._pending_bytes = 0
+        self._counts: dict[str, _Counts] = {}
+        self._unknown_types: dict[str, str] = {}
+        self._error: BagError | None = None
+        self._stopping = False
+        self._closed = False
+        self._lock = threading.Lock()  # guards the queue and all counts
+        self._writing = threading.Lock()  # guards the writer
+        self._ready = threading.Condition(self._lock)
+        self._thread = threading.Thread(target=self._run, name='bag-writer', daemon=True)
+        self._thread.start()
+
+    def add_topic(self, name: str, type_name: str, qos: Qos | Profiles | None = None) -> None:
+        """Announce a topic; a type that this machine does not know is recorded undefined.
+
+        Parameters
+        ----------
+        name, type_name : str
+            Topic and type.
+        qos : Qos or list of dict, optional
+            What its publishers offer.
+
+        Raises
+        ------
+        BagTopicError
+            If the topic exists with another type.
+        BagWriteError
+            If the bag cannot be written.
+        """
+        with self._writing:
+            try:
+                self._writer.add_topic(name, type_name, qos)
+            except BagTypeError as error:
+                self._writer.add_topic(name, type_name, qos, definition='', encoding='')
+                self._unknown_types[type_name] = str(error)
+        with self._lock:
+            self._counts.setdefault(name, _Counts())
+
+    @property
+    def unknown_types(self) -> dict[str, str]:
+        """Types recorded without a definition, each with the reason."""
+        return dict(self._unknown_types)
+
+    def put(
+        self,
+        topic: str,
+        payload: bytes,
+        log_time: int,
+        publish_time: int | None = None,
+        sequence: int | None = None,
+        publisher: Hashable = None,
+    ) -> bool:
+        """Queue one undecoded message.
+
+        Parameters
+        ----------
+        topic : str
+            An announced topic.
+        payload : bytes
+            The message in CDR.
+        log_time, publish_time : int
+            When it was received and sent [ns]; sent when received if absent.
+        sequence : int, optional
+            Its publication sequence number.
+        publisher : hashable, optional
+            Who sent it, where that is known.
+
+        Returns
+        -------
+        bool
+            Whether it will be written; False if it was dropped and counted.
+
+        Raises
+        ------
+        BagTopicError
+            If the topic was not announced.
+        """
+        with self._lock:
+            counts = self._counts.get(topic)
+            if counts is None:
+                raise BagTopicError(
+                    f'{topic}: expected an announced topic, one of '
+                    f'{", ".join(self._counts) or "none"}; call add_topic first'
+                )
+            counts.received += 1
+            counts.sequence.update(sequence, publisher)
+            full = self._pending_bytes + len(payload) > self._pending_max
+            if full or self._error or self._stopping:
+                counts.dropped += 1
+                return False
+            sent = log_time if publish_time is None else publish_time
+            self._queue.append(_Item(topic, payload, log_time, sent, sequence or 0))
+            self._pending_bytes += len(payload)
+            if len(self._queue) == 1:
+                self._ready.notify()
+        return True
+
+    def attach(self, name: str, content: str | bytes, media_type: str = 'text/plain') -> None:
+        """Add an attachment, for example a model file.
+
+        Raises
+        ------
+        BagWriteError
+            If the bag cannot be written.
+        """
+        with self._writing:
+            self._writer.attach(name, content, media_type)
+
+    def progress(self) -> Progress:
+        """Return how far the recording has come."""
+        with self._lock:
+            return Progress(
+                topics={name: counts.snapshot() for name, counts in self._counts.items()},
+                pending=len(self._queue),
+                pending_bytes=self._pending_bytes,
+                error=str(self._error or ''),
+            )
+
+    def check(self) -> None:
+        """Raise the error that ended the writing, if there is one.
+
+        Raises
+        ------
+        BagWriteError
+            If the bag could not be written any further.
+        """
+        if self._error is not None:
+            raise self._error
+
+    def close(self) -> Progress:
+        """Write what is queued, put the counts into the bag, and close it.
+
+        Returns
+        -------
+        Progress
+            The final counts.
+
+        Raises
+        ------
+        BagWriteError
+            If the bag could not be written to its end.
+        """
+        with self._lock:
+            self._stopping = True
+            self._ready.notify()
+        self._thread.join()
+        progress = self.progress()
+        if not self._closed:
+            self._closed = True
+            with self._writing:
+                if self._error is None:
+                    self._writer.attach(REPORT_NAME, self._report(progress), 'application/json')
+                self._writer.close()
+        self.check()
+        return progress
+
+    def _report(self, progress: Progress) -> str:
+        content = {
+            'topics': {name: vars(topic) for name, topic in progress.topics.items()},
+            'unknown_types': self._unknown_types,
+        }
+        return json.dumps(content, indent=2, sort_keys=True)
+
+    def _run(self) -> None:
+        while True:
+            with self._lock:
+                if not self._queue and not self._stopping:
+                    self._ready.wait(_WAKE)
+                batch = [self._queue.popleft() for _ in range(min(_BATCH, len(self._queue)))]
+                finished = self._stopping and not batch
+            if finished:
+                return
+            written, error = self._write(batch)
+            with self._lock:
+                for item in batch[:written]:
+                    self._counts[item.topic].written += 1
+                for item in batch:
+                    self._pending_bytes -= len(item.payload)
+                if error is not None:
+                    self._give_up(error, batch[written:])
+            if error is not None:
+                if self._on_error is not None:
+                    self._on_error(error)
+                return
+
+    def _write(self, batch: list[_Item]) -> tuple[int, BagError | None]:
+        """Write a batch; return how many messages were written and why no more."""
+        written = 0
+        with self._writing:
+            try:
+                for topic, payload, log_time, publish_time, sequence in batch:
+                    self._writer.write(topic, log_time, publish_time, payload, sequence)
+                    written += 1
+                self._writer.flush_if_due()
+            except BagError as error:
+                return written, error
+        return written, None
+
+    def _give_up(self, error: BagError, unwritten: list[_Item]) -> None:
+        """Count everything that waits as dropped."""
+        self._error = error
+        for item in [*unwritten, *self._queue]:
+            self._counts[item.topic].dropped += 1
+        self._queue.clear()
+        self._pending_bytes = 0

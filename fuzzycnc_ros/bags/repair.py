@@ -1,0 +1,271 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rewriting a torn or damaged bag into a valid one, and saying what was lost."""
+
+import os
+from collections import Counter
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from fuzzycnc_ros.bags.errors import BagFormatError, BagTopicError
+from fuzzycnc_ros.bags.files import bag_files, unlisted_files
+from fuzzycnc_ros.bags.mcapfile import McapFile
+from fuzzycnc_ros.bags.metadata import Metadata, parse_qos, read_metadata
+from fuzzycnc_ros.bags.storage import Attachment, Channel, RawMessage
+from fuzzycnc_ros.bags.typestore import MESSAGE_SET_VERSION
+from fuzzycnc_ros.bags.writer import METADATA_RECORD, BagWriter
+
+
+@dataclass(frozen=True)
+class RepairedTopic:
+    """What was kept of one topic.
+
+    Parameters
+    ----------
+    kept : int
+        Messages in the new bag.
+    lost : int or None
+        Messages that are known to be lost; None if the bag does not say how many there were.
+    last : int or None
+        Log time of the last message kept [ns]; None if there is none.
+    """
+
+    kept: int
+    lost: int | None
+    last: int | None
+
+
+@dataclass(frozen=True)
+class RepairReport:
+    """What a repair kept and what it could not.
+
+    Parameters
+    ----------
+    source, path : Path
+        The damaged bag and the new one.
+    topics : dict of str to RepairedTopic
+        Every topic.
+    stop : int
+        Log time of the last message kept on any topic [ns]; 0 if there is none.
+    damage : tuple of str
+        What was found wrong, one line each.
+    """
+
+    source: Path
+    path: Path
+    topics: dict[str, RepairedTopic]
+    stop: int
+    damage: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Return the report as lines of text."""
+        lines = [f'{self.source} -> {self.path}', *(f'  damage: {d}' for d in self.damage)]
+        for name, topic in self.topics.items():
+            lost = 'unknown' if topic.lost is None else str(topic.lost)
+            behind = (
+                ''
+                if topic.last is None
+                else f', the last {(self.stop - topic.last) / 1e9:.3f} s before the end'
+            )
+            lines.append(f'  {name}: {topic.kept} messages kept{behind}; lost: {lost}')
+        return '\n'.join(lines)
+
+
+def repair(
+    path: str | os.PathLike[str], out: str | os.PathLike[str] | None = None
+) -> RepairReport:
+    """Write what can be read of a bag into a new one.
+
+    Parameters
+    ----------
+    path : path
+        Bag directory or `.mcap` file; it is not changed.
+    out : path, optional
+        Directory of the new bag, which must not exist; `<name>_repaired` beside it if absent.
+
+    Returns
+    -------
+    RepairReport
+        What was kept, what was lost.
+
+    Raises
+    ------
+    BagFormatError
+        If nothing of the bag can be read, or it is a sqlite3 bag.
+    BagExistsError
+        If `out` exists.
+    BagWriteError
+        If the new bag cannot be written.
+
+    Notes
+    -----
+    Whole chunks are kept if their checksum is right; of the chunk that a tear runs through, the
+    whole messages that can be decompressed.  A chunk with a wrong checksum is left out, since
+    nothing tells which of its messages are sound.
+    """
+    source = Path(path)
+    target = Path(out) if out is not None else source.parent / f'{source.stem}_repaired'
+    damage: list[str] = []
+    metadata = _metadata(source, damage)
+    files = _open(_files(source, metadata), damage)
+    try:
+        copy = _Copy(target, _facts(files), source, damage)
+        with copy.writer:
+            for file in files:
+                copy.take(file)
+        return copy.report(metadata)
+    finally:
+        for file in files:
+            file.close()
+
+
+class _Copy:
+    """The new bag, and what did not make it there."""
+
+    def __init__(
+        self, target: Path, facts: dict[str, str], source: Path, damage: list[str]
+    ) -> None:
+        version = facts.pop('message_set', '')
+        self._source = source
+        self._target = target
+        self._damage = damage
+        self._lost: Counter[str] = Counter()
+        self._last: dict[str, int] = {}
+        self._known: dict[Channel, bool] = {}
+        self._torn = False
+        self._promised: Counter[str] | None = Counter()
+        self.writer = BagWriter(
+            target,
+            flush_interval=None,
+            custom={**facts, 'repaired_from': source.name},
+            message_set=int(version) if version.isdecimal() else MESSAGE_SET_VERSION,
+        )
+
+    def take(self, file: McapFile) -> None:
+        """Copy everything that can be read of a file."""
+        for chunk in file.chunks:
+            try:
+                self._write(file.read(chunk))
+            except BagFormatError as error:
+                self._damage.append(str(error).split('; run')[0])
+                with suppress(BagFormatError):  # lost with its channels: the number is unknown
+                    self._lost.update(file.topic_counts(chunk.counts))
+        if file.tear:
+            self._torn = True
+            self._damage.append(
+                f'{file.path.name} was cut off at byte {file.tear.offset} ({file.tear.reason}); '
+                f'{file.size - file.tear.offset} bytes after it are lost or salvaged in part'
+            )
+            self._write(file.salvage())
+        for channel in file.channels:
+            self._announce(channel)
+        for read in file.attachments:
+            try:
+                self._attach(read())
+            except BagFormatError as error:
+                self._damage.append(str(error))
+        self._damage.extend(file.problems)
+        stated = None if file.statistics is None else file.topic_counts(file.statistics)
+        if stated is None or self._promised is None:
+            self._promised = None
+        else:
+            self._promised.update(stated)
+
+    def report(self, metadata: Metadata | None) -> RepairReport:
+        """Return what was kept and lost."""
+        promised = self._promised
+        if promised is None and metadata is not None and metadata.message_count:
+            promised = Counter({t.name: t.message_count for t in metadata.topics})
+        topics = {
+            name: RepairedTopic(
+                kept=info.message_count,
+                lost=self._lost_of(name, info.message_count, promised),
+                last=self._last.get(name),
+            )
+            for name, info in self.writer.topics.items()
+        }
+        stop = max(self._last.values(), default=0)
+        return RepairReport(self._source, self._target, topics, stop, tuple(self._damage))
+
+    def _lost_of(self, name: str, kept: int, promised: Counter[str] | None) -> int | None:
+        if promised is not None:
+            return max(promised[name] - kept, 0)
+        return None if self._torn else self._lost[name]
+
+    def _announce(self, channel: Channel) -> bool:
+        """Announce a channel and return whether its messages can be kept."""
+        if channel not in self._known:
+            self._known[channel] = self._add(channel)
+        return self._known[channel]
+
+    def _add(self, channel: Channel) -> bool:
+        try:
+            self.writer.add_topic(
+                channel.topic,
+                channel.type,
+                parse_qos(channel.qos),
+                definition=channel.definition,
+                encoding=channel.encoding,
+                hash_text=channel.type_hash,
+            )
+        except BagTopicError as error:
+            self._damage.append(str(error))
+            return False
+        return True
+
+    def _write(self, messages: list[RawMessage]) -> None:
+        for log_time, publish_time, sequence, channel, payload in messages:
+            if self._announce(channel):
+                self.writer.write(channel.topic, log_time, publish_time, payload, sequence)
+                self._last[channel.topic] = max(self._last.get(channel.topic, 0), log_time)
+
+    def _attach(self, attachment: Attachment) -> None:
+        self.writer.attach(
+            attachment.name, attachment.data, attachment.media_type, attachment.log_time
+        )
+
+
+def _metadata(source: Path, damage: list[str]) -> Metadata | None:
+    if not source.is_dir():
+        return None
+    try:
+        return read_metadata(source)
+    except BagFormatError as error:
+        damage.append(str(error).split('; run')[0])
+        return None
+
+
+def _files(source: Path, metadata: Metadata | None) -> list[Path]:
+    if not source.exists():
+        raise BagFormatError(f'{source}: expected a bag but nothing is there')
+    if not source.is_dir():
+        return [source]
+    if metadata is not None:
+        with suppress(BagFormatError):  # a list that is wrong gives way to what lies there
+            return bag_files(source, metadata)
+    return unlisted_files(source)
+
+
+def _open(paths: list[Path], damage: list[str]) -> list[McapFile]:
+    files: list[McapFile] = []
+    problems = []
+    for path in paths:
+        if path.suffix == '.db3':
+            raise BagFormatError(
+                f'{path}: expected a .mcap file; a sqlite3 file is recovered with the command '
+                '`sqlite3 FILE .recover`'
+            )
+        try:
+            files.append(McapFile(path))
+        except BagFormatError as error:
+            problems.append(str(error))
+    damage.extend(problems)
+    if not files:
+        raise BagFormatError(f'nothing can be repaired: {"; ".join(problems)}')
+    return files
+
+
+def _facts(files: list[McapFile]) -> dict[str, str]:
+    """Return what the recorder noted in the files themselves, message-set version included."""
+    return {k: v for file in files for k, v in file.metadata.get(METADATA_RECORD, {}).items()}

@@ -1,0 +1,275 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Deterministic replay: recompute every component's outputs from the recorded inputs.
+
+Each component is set up as its recorded `node_configuration` says, gets its recorded inputs,
+turns and requests in the order of machine time, and must give the recorded outputs again, byte
+for byte in canonical form.
+"""
+
+import json
+import os
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from fuzzycnc_ros.bags.canonical import canonical_message, combined_hash, topic_hashes
+from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.bags.runs import read_run
+from fuzzycnc_ros.bags.typestore import message_type
+from fuzzycnc_ros.components.component import Component, Emission
+from fuzzycnc_ros.components.merge import Merger
+from fuzzycnc_ros.components.records import (
+    DeadlineFired,
+    MachineTick,
+    NodeConfiguration,
+    NodeEvent,
+    Record,
+)
+from fuzzycnc_ros.components.registry import COMPONENTS
+from fuzzycnc_ros.components.sensor_selector import SensorSelector
+from fuzzycnc_ros.components.simulated_machine import SimulatedMachine
+from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
+from fuzzycnc_ros.convert import Target, decode, encode
+
+ROSBAGS = Target(message_type, numpy_arrays=True)
+"""Builds rosbags' messages."""
+
+Progress = Callable[[str, int, int], None]
+"""Told the node, components done and in all."""
+
+
+@dataclass(frozen=True)
+class TopicComparison:
+    """Recorded against recomputed messages of one topic."""
+
+    topic: str
+    recorded: int
+    recomputed: int
+    identical: int
+    first_difference: str = ''
+
+    @property
+    def equal(self) -> bool:
+        """Whether nothing differs."""
+        return self.recorded == self.recomputed == self.identical
+
+
+@dataclass(frozen=True)
+class ReplayReport:
+    """Outcome of a replay.
+
+    Attributes
+    ----------
+    topics : list of TopicComparison
+        One entry per recomputed topic.
+    hashes : dict of str to str
+        SHA-256 of the canonical form of each recomputed topic.
+    notes : list of str
+        What could not be repeated as recorded, and why.
+    """
+
+    topics: list[TopicComparison]
+    hashes: dict[str, str]
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def identical(self) -> bool:
+        """Whether every output came out as recorded."""
+        return bool(self.topics) and all(item.equal for item in self.topics)
+
+    @property
+    def hash(self) -> str:
+        """One SHA-256 over all recomputed topics."""
+        return combined_hash(self.hashes)
+
+
+class ReplayError(ValueError):
+    """A bag cannot be replayed; the text says what it lacks."""
+
+
+@dataclass
+class _Point:
+    """Something that happens to a component at a point of machine time."""
+
+    stamp: int
+    event: NodeEvent | None = None
+    configuration: NodeConfiguration | None = None
+
+
+def replay(
+    path: str | os.PathLike[str],
+    *,
+    nodes: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> ReplayReport:
+    """Recompute the outputs of a bag's components and compare them with the recorded ones.
+
+    Parameters
+    ----------
+    path : path
+        Bag of a run, live or simulated.
+    nodes : sequence of str
+        Only these nodes; all that the bag describes if empty.
+    progress : callable, optional
+        Told before each component.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read.
+    ReplayError
+        If it holds no configuration of a component, so that nothing can be set up.
+    """
+    with BagReader(path) as reader:
+        recording = _Recording(reader)
+    wanted = [name for name in recording.nodes if not nodes or name.split('/')[-1] in nodes]
+    if not wanted:
+        raise ReplayError(
+            f'{path}: expected node_configuration messages of '
+            f'{", ".join(nodes) or ", ".join(_replayable())} but found '
+            f'{", ".join(recording.nodes) or "none"}; record all topics of the machine'
+        )
+    topics, outputs, notes = [], [], []
+    for done, name in enumerate(wanted):
+        if progress is not None:
+            progress(name, done, len(wanted))
+        player = _ComponentReplay(recording, name)
+        player.run()
+        notes.extend(player.notes)
+        for topic, messages in player.outputs.items():
+            outputs.extend(messages)
+            topics.append(_compare(topic, recording.raw.get(topic, []), messages))
+    return ReplayReport(topics, topic_hashes(outputs), notes)
+
+
+def _replayable() -> list[str]:
+    return [name for name in COMPONENTS if name != SimulatedMachine.NAME]
+
+
+class _Recording:
+    """The messages of a bag, by topic."""
+
+    def __init__(self, reader: BagReader) -> None:
+        self.raw: dict[str, list[tuple[str, bytes]]] = defaultdict(list)
+        for topic, kind, _, payload in reader.messages(raw=True):
+            self.raw[topic].append((kind, payload))
+        self._decode = {c.type: reader.decoder.decode(c.type) for c in reader.connections.values()}
+        self.nodes: dict[str, list[NodeConfiguration]] = defaultdict(list)
+        """Configurations by namespace and node."""
+        for topic in list(self.raw):
+            if topic.rsplit('/', 1)[-1] != 'node_configuration':
+                continue
+            space = topic.rsplit('/', 1)[0]
+            for record in self.records(topic, NodeConfiguration):
+                if record.node in _replayable():
+                    self.nodes[f'{space}/{record.node}'].append(record)
+
+    def records(self, topic: str, record_type: type[Any]) -> list[Any]:
+        """Return the messages of a topic as records; none if it was not recorded."""
+        return [
+            decode(record_type, self._decode[kind](payload))
+            for kind, payload in self.raw.get(topic, [])
+        ]
+
+
+class _ComponentReplay:
+    """One component, set up and driven as recorded."""
+
+    def __init__(self, recording: _Recording, name: str) -> None:
+        self._recording = recording
+        self._space, node = name.rsplit('/', 1)
+        configurations = recording.nodes[name]
+        self.notes: list[str] = []
+        kind = COMPONENTS[node]
+        self._component: Component = kind(kind.CONFIG(**json.loads(configurations[0].parameters)))
+        self._component.machine = configurations[0].frame_id.split('/')[0]
+        if isinstance(self._component, SensorSelector):
+            self._component.run_reader = read_run
+        self._merger = Merger(self._component)
+        self.outputs: dict[str, list[tuple[str, str, int, Any]]] = {
+            f'{self._space}/{item.name}': [] for item in kind.OUTPUTS
+        }
+        self._points = self._collect_points(configurations)
+        first = configurations[0]
+        model_comes_later = any(p.event and p.event.name == 'use_model' for p in self._points)
+        if isinstance(self._component, ThermalPredictor) and first.model and not model_comes_later:
+            self._component.use_model(first.model)
+
+    def run(self) -> None:
+        """Work through the recording in the order of machine time."""
+        for item in self._component.INPUTS:
+            for record in self._recording.records(f'{self._space}/{item.name}', item.record):
+                self._merger.push(item.name, record)
+        for point in self._points:
+            if point.event is not None:
+                self._request(point.event)
+            elif point.configuration is not None:
+                self._reconfigure(point.configuration)
+            else:
+                self._keep(self._merger.advance(point.stamp))
+
+    def _collect_points(self, configurations: list[NodeConfiguration]) -> list[_Point]:
+        """Turns, fired deadlines, requests and changes, in the order of machine time."""
+        node = self._component.NAME
+        turns = self._recording.records(f'{self._space}/machine_tick/{node}', MachineTick)
+        points = [_Point(turn.stamp) for turn in turns if not turn.probe]
+        if not points:
+            points = self._real_time_points()
+        events = self._recording.records(f'{self._space}/node_event', NodeEvent)
+        points += [_Point(e.stamp, event=e) for e in events if e.node == node]
+        points += [_Point(c.stamp, configuration=c) for c in configurations[1:]]
+        # At one stamp the node first works up to it, then hears requests: so it was live.
+        return sorted(
+            points, key=lambda p: (p.stamp, p.event is not None or bool(p.configuration))
+        )
+
+    def _real_time_points(self) -> list[_Point]:
+        fired = self._recording.records(f'{self._space}/deadline_fired', DeadlineFired)
+        stamps = {item.stamp for item in fired if item.node == self._component.NAME}
+        for item in self._component.INPUTS:
+            if item.driving:
+                records = self._recording.records(f'{self._space}/{item.name}', item.record)
+                stamps.update(record.stamp for record in records)
+        return [_Point(stamp) for stamp in sorted(stamps)]
+
+    def _request(self, event: NodeEvent) -> None:
+        arguments = json.loads(event.request)
+        answer = self._component.on_request(event.name, arguments, event.stamp)
+        if answer.success:
+            self._keep(answer.emissions)
+            return
+        self.notes.append(f'{event.node}: {event.name} could not be repeated: {answer.message}')
+        for item in self._component.OUTPUTS:
+            # What the request gave live still counts for those who read it; it is not recomputed.
+            self.outputs.pop(f'{self._space}/{item.name}', None)
+
+    def _reconfigure(self, record: NodeConfiguration) -> None:
+        config = self._component.CONFIG(**json.loads(record.parameters))
+        if config != self._component.configuration:
+            self._component.reconfigure(config)
+
+    def _keep(self, emissions: Sequence[Emission] | tuple[Emission, ...]) -> None:
+        for emission in emissions:
+            topic = f'{self._space}/{emission.output}'
+            if topic in self.outputs:
+                record: Record = emission.record
+                message = encode(record, ROSBAGS)
+                self.outputs[topic].append((topic, record.TYPE, record.stamp, message))
+
+
+def _compare(
+    topic: str, recorded: list[tuple[str, bytes]], recomputed: list[tuple[str, str, int, Any]]
+) -> TopicComparison:
+    before = [canonical_message(payload, kind) for kind, payload in recorded]
+    after = [canonical_message(message, kind) for _, kind, _, message in recomputed]
+    same = [a == b for a, b in zip(before, after, strict=False)]
+    difference = ''
+    if False in same:
+        index = same.index(False)
+        stamp = 1e-9 * recomputed[index][2]
+        difference = f'message {index}, at machine time {stamp:.3f} s'
+    elif len(before) != len(after):
+        difference = f'{len(before)} recorded but {len(after)} recomputed'
+    return TopicComparison(topic, len(before), len(after), sum(same), difference)

@@ -1,0 +1,284 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reading a thermal run out of a bag."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.bags.errors import BagDataError, BagTopicError, RunError
+from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
+
+TEMPERATURES_TYPE = 'fuzzycnc_msgs/msg/Temperatures'
+DISPLACEMENT_TYPE = 'fuzzycnc_msgs/msg/Displacement'
+
+_STATUS_OK = 0
+
+
+class Series(NamedTuple):
+    """Samples of one topic.
+
+    Parameters
+    ----------
+    stamp : ndarray, shape (n,)
+        Header stamps [ns], strictly increasing.
+    names : tuple of tuple of str
+        The parallel name arrays, the same in every sample.
+    values : ndarray, shape (n, k)
+        The samples.
+    """
+
+    stamp: NDArray[np.int64]
+    names: tuple[tuple[str, ...], ...]
+    values: NDArray[np.float64]
+
+
+def read_run(
+    path: str | os.PathLike[str],
+    *,
+    start: float | None = None,
+    stop: float | None = None,
+    temperatures: str = 'temperatures',
+    displacement: str = 'displacement',
+    namespace: str | None = None,
+    name: str | None = None,
+    average: bool = False,
+    compensated: bool = False,
+) -> ThermalRun:
+    """Read a thermal run from a bag.
+
+    Parameters
+    ----------
+    path : path
+        The bag.
+    start, stop : float, optional
+        Only samples with `start` <= time <= `stop`, in s from the first temperature sample.
+    temperatures, displacement : str
+        Names of the topics, without namespace, or absolute.
+    namespace : str, optional
+        The machine, where the bag holds several.
+    name : str, optional
+        Name of the run; the bag's own name if absent.
+    average : bool
+        Whether a sample gets the mean of the displacements since the sample before, instead
+        of the newest one.
+    compensated : bool
+        Whether displacements measured under active compensation are accepted; they are what
+        was left of the machine's error, so no model can be trained on them.
+
+    Returns
+    -------
+    ThermalRun
+        Time in s from the first temperature sample of the bag; readings whose status is not OK
+        are NaN; each sample has the newest displacement that is not newer than itself and newer
+        than the sample before, NaN if there is none.
+
+    Raises
+    ------
+    BagTopicError
+        If the bag lacks a topic, or has it in several namespaces and none is named.
+    RunError
+        If sensors repeat or change within the bag, stamps do not increase, the window is empty,
+        temperatures and displacements do not overlap, or compensation was active.
+    BagError
+        If the bag cannot be read.
+    """
+    source = Path(path)
+    with BagReader(source) as reader:
+        topic = find_topic(reader, temperatures, TEMPERATURES_TYPE, namespace)
+        machine = topic[: -len(temperatures)] if topic.endswith(temperatures) else '/'
+        other = find_topic(
+            reader, displacement, DISPLACEMENT_TYPE, machine if namespace is None else namespace
+        )
+        measured = _temperatures(reader, topic)
+        moved = _displacement(reader, other, compensated)
+    time = (measured.stamp - measured.stamp[0]) / 1e9
+    joined = _join(measured.stamp, moved, average)
+    inside = (time >= (-np.inf if start is None else start)) & (
+        time <= (np.inf if stop is None else stop)
+    )
+    if not inside.any():
+        raise RunError(
+            f'{source}: expected samples between {start} and {stop} s but the run lasts from 0 '
+            f'to {time[-1]:.6g} s'
+        )
+    if not np.isfinite(joined[inside]).any():
+        raise RunError(
+            f'{source}: expected displacements during the temperatures but found none: '
+            f'{topic} has stamps from {_seconds(measured.stamp[0])} to '
+            f'{_seconds(measured.stamp[-1])} s, {other} from {_seconds(moved.stamp[0])} to '
+            f'{_seconds(moved.stamp[-1])} s; both must use the same clock'
+        )
+    try:
+        return ThermalRun(
+            name=name or source.stem,
+            time=time[inside],
+            sensor=measured.names[0],
+            temperature=measured.values[inside],
+            channel=moved.names[1],
+            axis=moved.names[0],
+            displacement=joined[inside],
+        )
+    except ThermalDataError as error:
+        raise RunError(f'{source}: {error}') from error
+
+
+def find_topic(reader: BagReader, name: str, type_name: str, namespace: str | None = None) -> str:
+    """Return the topic of a name in whatever namespace the bag has it.
+
+    Parameters
+    ----------
+    reader : BagReader
+        The bag.
+    name : str
+        Name without namespace, or an absolute topic.
+    type_name : str
+        The type that it must have.
+    namespace : str, optional
+        The namespace, where the bag holds several.
+
+    Raises
+    ------
+    BagTopicError
+        If there is no such topic with messages, several, or it has another type.
+    """
+    if name.startswith('/'):
+        wanted = [name]
+    elif namespace is not None:
+        wanted = [f'/{namespace.strip("/")}/{name}'.replace('//', '/')]
+    else:
+        wanted = [
+            topic
+            for topic, connection in reader.connections.items()
+            if f'/{topic}'.endswith(f'/{name}')
+            and connection.type == type_name
+            and connection.message_count
+        ]
+    if len(wanted) > 1:
+        raise BagTopicError(
+            f'{reader.path}: expected one topic {name} but found {", ".join(sorted(wanted))}; '
+            'name the namespace'
+        )
+    topic = wanted[0] if wanted else name
+    reader.require({topic: type_name})
+    return topic
+
+
+def _temperatures(reader: BagReader, topic: str) -> Series:
+    stamps, names, rows = [], _Names(reader.path, topic, ('sensor',)), []
+    for _, _, _, message in reader.messages([topic]):
+        names.check(message, unique='sensor')
+        row = np.array(message.temperature, dtype=np.float64)
+        _check_parallel(reader.path, topic, message.sensor, row, message.status)
+        row[np.asarray(message.status) != _STATUS_OK] = np.nan
+        stamps.append(_stamp(message))
+        rows.append(row)
+    return _series(reader.path, topic, stamps, names, rows)
+
+
+def _displacement(reader: BagReader, topic: str, compensated: bool) -> Series:
+    stamps, names, rows = [], _Names(reader.path, topic, ('axis', 'channel')), []
+    for _, _, _, message in reader.messages([topic]):
+        names.check(message, unique='channel')
+        if message.includes_compensation and not compensated:
+            raise RunError(
+                f'{reader.path}: {topic}: expected the error of the bare machine but at stamp '
+                f'{_seconds(_stamp(message))} s compensation was active; use a run without it'
+            )
+        row = np.array(message.displacement, dtype=np.float64)
+        _check_parallel(reader.path, topic, message.axis, row, message.channel)
+        stamps.append(_stamp(message))
+        rows.append(row)
+    return _series(reader.path, topic, stamps, names, rows)
+
+
+class _Names:
+    """The name arrays of a topic, which must stay the same."""
+
+    def __init__(self, path: Path, topic: str, fields: tuple[str, ...]) -> None:
+        self._where = f'{path}: {topic}'
+        self._fields = fields
+        self.names: tuple[tuple[str, ...], ...] = ()
+        self._lists: list[list[str]] = []
+
+    def check(self, message: Any, unique: str) -> None:
+        """Take the first message's names, and refuse others later."""
+        found = [getattr(message, field) for field in self._fields]
+        if found == self._lists:
+            return
+        if self._lists:
+            for field, before, now in zip(self._fields, self._lists, found, strict=True):
+                if before != now:
+                    raise RunError(
+                        f'{self._where}: expected the same {field} names in every message but '
+                        f'at stamp {_seconds(_stamp(message))} s they change from '
+                        f'{_list(before)} to {_list(now)}; cut the bag there'
+                    )
+        names: Sequence[str] = getattr(message, unique)
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise RunError(
+                f'{self._where}: expected each {unique} name once but found '
+                f'{", ".join(repeated)} more than once'
+            )
+        self._lists = found
+        self.names = tuple(tuple(entry) for entry in found)
+
+
+def _check_parallel(path: Path, topic: str, names: Any, *values: Any) -> None:
+    for value in values:
+        if len(value) != len(names):
+            raise BagDataError(
+                f'{path}: {topic}: expected {len(names)} entries, one per name, but found '
+                f'{len(value)}'
+            )
+
+
+def _series(
+    path: Path, topic: str, stamps: list[int], names: _Names, rows: list[NDArray[np.float64]]
+) -> Series:
+    stamp = np.array(stamps, dtype=np.int64)
+    backwards = np.flatnonzero(np.diff(stamp) <= 0)
+    if len(backwards):
+        at = int(backwards[0])
+        raise RunError(
+            f'{path}: {topic}: expected increasing stamps but found {_seconds(stamp[at + 1])} s '
+            f'after {_seconds(stamp[at])} s; the bag holds two runs, or two publishers'
+        )
+    return Series(stamp, names.names, np.array(rows, dtype=np.float64))
+
+
+def _join(stamp: NDArray[np.int64], moved: Series, average: bool) -> NDArray[np.float64]:
+    """Return the displacement of each stamp: the newest, or the mean, since the stamp before."""
+    last = np.searchsorted(moved.stamp, stamp, side='right')
+    first = np.concatenate([[0], last[:-1]])
+    joined = np.full((len(stamp), moved.values.shape[1]), np.nan)
+    if not average:
+        measured = last > first
+        joined[measured] = moved.values[last[measured] - 1]
+        return joined
+    finite = np.isfinite(moved.values)
+    zero = np.zeros((1, moved.values.shape[1]))
+    total = np.concatenate([zero, np.cumsum(np.where(finite, moved.values, 0.0), axis=0)])
+    count = np.concatenate([zero, np.cumsum(finite, axis=0)])
+    number = count[last] - count[first]
+    np.divide(total[last] - total[first], number, out=joined, where=number > 0)
+    return joined
+
+
+def _stamp(message: Any) -> int:
+    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
+
+
+def _seconds(stamp: int) -> str:
+    return f'{int(stamp) / 1e9:.9g}'
+
+
+def _list(names: Sequence[str]) -> str:
+    shown = ', '.join(names[:6])
+    return f'[{shown}{", ..." if len(names) > 6 else ""}]'

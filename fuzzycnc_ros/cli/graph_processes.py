@@ -1,0 +1,213 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Start the nodes of a graph as processes, watch them, take them down."""
+
+import ctypes
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from fuzzycnc_ros.nodes.environment import prepare_environment
+
+STOP_TIMEOUT = 10.0
+"""Wall time [s] that a node gets to end by itself before it is killed."""
+_PR_SET_PDEATHSIG = 1
+
+
+class GraphError(RuntimeError):
+    """The graph could not be brought up or broke down; the text says which node and why."""
+
+
+@dataclass(frozen=True)
+class NodeSpec:
+    """One node to start.
+
+    Attributes
+    ----------
+    name : str
+        Node, module and executable.
+    parameters : mapping
+        Values that differ from the node's defaults.
+    """
+
+    name: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+
+COMPOSED = 'composed'
+"""Name of a process that holds several nodes."""
+
+
+def parameter_file(folder: Path, namespace: str, specs: Sequence[NodeSpec]) -> Path:
+    """Write the parameters of all nodes as one ROS parameter file; return its path."""
+    content = {
+        f'{namespace}/{spec.name}': {'ros__parameters': dict(spec.parameters)}
+        for spec in specs
+        if spec.parameters
+    }
+    path = folder / 'parameters.yaml'
+    # JSON is YAML, and keeps 1.0 a floating-point number.
+    path.write_text(json.dumps(content or {'/**': {'ros__parameters': {}}}), encoding='utf-8')
+    return path
+
+
+def ros_arguments(namespace: str, files: Sequence[Path]) -> list[str]:
+    """Return the ROS arguments for a namespace and parameter files; later files win."""
+    arguments = ['--ros-args', '-r', f'__ns:={namespace}']
+    for file in files:
+        arguments += ['--params-file', str(file)]
+    return arguments
+
+
+class GraphProcesses:
+    """The nodes of a graph, each in a process of its own.
+
+    Parameters
+    ----------
+    machine : str
+        Name of the machine, the namespace of all nodes.
+    folder : Path, optional
+        Where parameter files and the nodes' output go; a temporary one if left out.
+    params : sequence of Path
+        Parameter files that every node reads first.
+    environment : mapping, optional
+        Environment variables on top of the present ones.
+    """
+
+    def __init__(
+        self,
+        machine: str,
+        *,
+        folder: Path | None = None,
+        params: Sequence[Path] = (),
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        prepare_environment()
+        self._namespace = f'/{machine.strip("/")}'
+        self._temporary = None if folder else tempfile.TemporaryDirectory(prefix='fuzzycnc-')
+        self.folder = folder or Path(self._temporary.name)  # type: ignore[union-attr]
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._params = list(params)
+        self._environment = {**os.environ, **(environment or {})}
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def __enter__(self) -> 'GraphProcesses':
+        """Return the graph."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Take all nodes down."""
+        self.stop()
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+    def start(self, *specs: NodeSpec) -> None:
+        """Start one node, or several composed in one process.
+
+        Output goes to `<folder>/<node>.log`, or `<folder>/composed.log`.
+        """
+        name = specs[0].name if len(specs) == 1 else COMPOSED
+        folder = self.folder / name
+        folder.mkdir(exist_ok=True)
+        own = parameter_file(folder, self._namespace, specs)
+        command = [sys.executable, '-m', f'fuzzycnc_ros.nodes.{name}']
+        if name == COMPOSED:
+            command += [spec.name for spec in specs]
+        command += ros_arguments(self._namespace, [*self._params, own])
+        with self.log(name).open('wb') as log:
+            self._processes[name] = subprocess.Popen(
+                command,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                env=self._environment,
+                # Ctrl-C reaches only this process, which then ends the nodes in order.
+                start_new_session=True,
+                preexec_fn=_end_with_parent,
+            )
+
+    def log(self, name: str) -> Path:
+        """Return the file with a node's output."""
+        return self.folder / f'{name}.log'
+
+    def poll(self) -> dict[str, int]:
+        """Return the exit codes of the nodes that have ended."""
+        return {
+            name: process.returncode
+            for name, process in self._processes.items()
+            if process.poll() is not None
+        }
+
+    def check(self) -> None:
+        """Refuse to go on if a node ended with an error.
+
+        Raises
+        ------
+        GraphError
+            If one did; the text holds the last line that it wrote.
+        """
+        for name, code in self.poll().items():
+            if code != 0:
+                raise GraphError(f'{name} ended with code {code}: {self._last_words(name)}')
+
+    def wait(self, name: str, timeout: float) -> None:
+        """Wait until a node ends by itself while the others live.
+
+        Raises
+        ------
+        GraphError
+            If a node ends with an error, or this one does not end in time.
+        """
+        until = time.monotonic() + timeout
+        while name not in self.poll():
+            self.check()
+            if time.monotonic() > until:
+                raise GraphError(
+                    f'{name} did not end within {timeout:g} s: {self._last_words(name)}'
+                )
+            try:
+                self._processes[name].wait(0.1)
+            except subprocess.TimeoutExpired:
+                continue
+        self.check()
+
+    def stop(self, *names: str) -> None:
+        """Ask nodes to end, all if none is named; kill those that do not."""
+        wanted = [n for n in self._processes if not names or n in names]
+        for name in wanted:
+            if self._processes[name].poll() is None:
+                self._processes[name].send_signal(signal.SIGINT)
+        until = time.monotonic() + STOP_TIMEOUT
+        for name in wanted:
+            process = self._processes[name]
+            try:
+                process.wait(max(0.0, until - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def _last_words(self, name: str) -> str:
+        lines = self.log(name).read_text(errors='replace').strip().splitlines()
+        return lines[-1] if lines else 'it wrote nothing'
+
+
+def _end_with_parent() -> None:
+    """Let the kernel end a node whose parent was killed (Linux)."""
+    try:
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    except (OSError, AttributeError):
+        return  # not Linux: a killed parent leaves its nodes running

@@ -1,0 +1,326 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Component `compensator`: thermal error in, limited and expiring offsets out.
+
+It is the only source of offsets.  What it publishes is minus the error, cut at a size limit,
+moving no faster than a slew limit and valid for a limited time.  When the error is late,
+invalid or out of domain it holds, then ramps to zero; it never steps.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fuzzycnc_ros.components.component import (
+    Answer,
+    Component,
+    Emission,
+    Health,
+    Input,
+    Level,
+    Output,
+)
+from fuzzycnc_ros.components.records import (
+    SECOND,
+    Compensation,
+    CompensationApplied,
+    CompensationState,
+    Floats,
+    MachineState,
+    Reason,
+    ThermalError,
+    nanoseconds,
+)
+from fuzzycnc_ros.core.config import Config, param
+
+AXES = ('X', 'Y', 'Z', 'A', 'B', 'C', 'U', 'V', 'W')
+"""Axis names of ISO 841."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompensatorConfig(Config):
+    """Parameters of `compensator`."""
+
+    autostart: bool = param(
+        False, '-', 'Configure and activate at start; otherwise a lifecycle manager does'
+    )
+    axes: tuple[str, ...] = param(('Y', 'Z'), '-', 'Axes that are compensated, ISO 841 names')
+    offset_max: float = param(
+        50e-6, 'm', 'Largest offset on any axis', low=0.0, high=1e-3, live=True
+    )
+    slew_max: float = param(
+        0.1e-6, 'm/s', 'Fastest change of an offset', low=1e-9, high=1e-3, live=True
+    )
+    ramp_rate: float = param(
+        0.1e-6, 'm/s', 'Speed at which offsets go to zero; not above slew_max', low=1e-9, high=1e-3
+    )
+    period: float = param(
+        10.0, 's', 'Time between updates while offsets move without an input', low=0.01, high=600.0
+    )
+    stale_after: float = param(
+        150.0, 's', 'Age of the error beyond which offsets are held', low=0.01, high=7200.0
+    )
+    hold_time: float = param(
+        300.0, 's', 'How long offsets are held before they ramp to zero', low=0.0, high=7200.0
+    )
+    validity: float = param(
+        180.0, 's', 'How long the machine side may trust one message', low=0.01, high=7200.0
+    )
+
+
+class Compensator(Component):
+    """Follow the thermal error within limits; hold, ramp and expire without it."""
+
+    NAME = 'compensator'
+    SUMMARY = 'The only source of offsets: clamped, rate-limited, expiring. Managed lifecycle.'
+    CONFIG = CompensatorConfig
+    INPUTS = (
+        Input('machine_state', MachineState, max_age=600.0),
+        Input('compensation_applied', CompensationApplied),
+        Input('thermal_error', ThermalError, driving=True),
+    )
+    OUTPUTS = (Output('compensation', Compensation),)
+    MANAGED = True
+    _config: CompensatorConfig
+
+    def __init__(self, config: CompensatorConfig | None = None) -> None:
+        super().__init__(config)
+        self._check(self._config)
+        self._axes = self._config.axes
+        self._active = False
+        self._state = CompensationState.INACTIVE
+        self._epoch = 0
+        self._offset = np.zeros(len(self._axes))
+        self._target = np.zeros(len(self._axes))
+        self._moved_at = 0
+        self._good_at: int | None = None
+        self._bad_since: int | None = None
+        self._wake_at: int | None = None
+        self._at_limit = np.zeros(len(self._axes), bool)
+        self._slewing = np.zeros(len(self._axes), bool)
+        self._why = 'inactive'
+
+    @staticmethod
+    def _check(config: CompensatorConfig) -> None:
+        unknown = [axis for axis in config.axes if axis not in AXES]
+        if unknown or not config.axes or len(set(config.axes)) != len(config.axes):
+            raise ValueError(
+                f'axes: expected distinct names of {", ".join(AXES)} but found '
+                f'{", ".join(config.axes) or "none"}'
+            )
+        if config.ramp_rate > config.slew_max:
+            raise ValueError(
+                f'ramp_rate = {config.ramp_rate} m/s must not exceed '
+                f'slew_max = {config.slew_max} m/s'
+            )
+        if config.validity < config.period:
+            raise ValueError(
+                f'validity = {config.validity} s must not be shorter than '
+                f'period = {config.period} s, or every offset expires on the machine'
+            )
+
+    def reconfigure(self, config: Config) -> None:
+        """Take new limits; they act from the next update on, within the slew limit."""
+        if not isinstance(config, CompensatorConfig):
+            raise TypeError(f'expected CompensatorConfig but found {type(config).__name__}')
+        self._check(config)
+        super().reconfigure(config)
+
+    @property
+    def next_deadline(self) -> int | None:
+        """When the offsets must move, be renewed or be held without an input."""
+        return self._wake_at
+
+    def on_thermal_error(self, error: ThermalError) -> Iterator[Emission]:
+        """Follow a valid error; hold on an invalid one."""
+        if not self._active:
+            return
+        if self._epoch == 0:
+            self._why = 'no read-back (compensation_applied) from the machine yet'
+            return
+        self._why = self._refusal(error)
+        if not self._why:
+            self._target = -self._errors(error)
+            self._good_at = error.stamp
+            self._bad_since = None
+        elif self._bad_since is None:
+            self._bad_since = error.stamp
+        yield self._update(error.stamp)
+
+    def on_compensation_applied(self, applied: CompensationApplied) -> None:
+        """Join the offsets in force before the first command of this owner."""
+        if self._active and self._epoch == 0:
+            self._take_over(applied)
+
+    def on_deadline(self, stamp: int) -> Iterator[Emission]:
+        """Move, renew, hold or ramp because nothing arrived."""
+        yield self._update(stamp)
+
+    def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
+        """`activate` starts from the read-back; `deactivate` ramps to zero first."""
+        if name == 'activate':
+            return self._activate(stamp)
+        if name == 'deactivate':
+            return self._deactivate(stamp)
+        return super().on_request(name, arguments, stamp)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether all offsets are zero and nothing is being followed."""
+        return not self._active and not np.any(self._offset)
+
+    def health(self) -> list[Health]:
+        """Report the state, its reason and the limits at work."""
+        level = {
+            CompensationState.ACTIVE: Level.OK,
+            CompensationState.INACTIVE: Level.OK,
+            CompensationState.HOLDING: Level.WARN,
+            CompensationState.RAMPING: Level.ERROR,
+            CompensationState.EXPIRED: Level.ERROR,
+        }[self._state]
+        values = {
+            f'offset {axis} [um]': f'{1e6 * offset:.2f}'
+            for axis, offset in zip(self._axes, self._offset, strict=True)
+        }
+        text = self._state.name.lower() + (f': {self._why}' if self._why else '')
+        items = [Health('state', level, text, values)]
+        for title, flags in (('size limit', self._at_limit), ('slew limit', self._slewing)):
+            if flags.any():
+                named = ', '.join(np.array(self._axes)[flags])
+                items.append(Health(title, Level.WARN, f'{title} active on {named}'))
+        return items
+
+    def _activate(self, stamp: int) -> Answer:
+        if self._active:
+            return Answer(False, 'already active')
+        self._active = True
+        self._good_at = self._bad_since = None
+        self._moved_at = stamp
+        self._why = 'waiting for the read-back of the machine and a valid thermal error'
+        self._state = CompensationState.EXPIRED
+        applied = self._newest.get('compensation_applied')
+        if isinstance(applied, CompensationApplied):
+            self._take_over(applied)
+        return Answer(True, 'active: offsets follow the thermal error')
+
+    def _deactivate(self, stamp: int) -> Answer:
+        if not self._active:
+            return Answer(False, 'not active')
+        self._active = False
+        self._why = 'deactivated'
+        emissions = (self._update(stamp),) if self._epoch else ()
+        return Answer(True, 'ramping to zero', emissions)
+
+    def _take_over(self, applied: CompensationApplied) -> None:
+        """Start from what the machine applies, as a new owner: no step at a restart."""
+        in_force = dict(zip(applied.axis, applied.offset, strict=True))
+        self._offset = np.array([in_force.get(axis, 0.0) for axis in self._axes])
+        self._target = self._offset.copy()
+        self._epoch = applied.epoch + 1
+        self._moved_at = max(self._moved_at, applied.stamp)
+        self._bad_since = self._moved_at
+        self._wake_at = self._moved_at + nanoseconds(self._config.period)
+
+    def _refusal(self, error: ThermalError) -> str:
+        """Say why an error must not be followed; empty if it may."""
+        machine = self.newest('machine_state', error.stamp)
+        if not isinstance(machine, MachineState):
+            return 'no fresh machine_state'
+        if not (machine.offsets_allowed and machine.homed):
+            return 'machine does not allow offsets' if machine.homed else 'machine is not homed'
+        if not error.in_domain:
+            return 'temperatures lie outside what the model was trained on'
+        if not error.valid:
+            return f'thermal error invalid: {Reason(error.reason).name.lower().replace("_", " ")}'
+        if not np.all(np.isfinite(error.error)):
+            return 'thermal error is not finite'
+        missing = [axis for axis in self._axes if axis not in error.axis]
+        if missing:
+            return f'thermal error lacks axis {", ".join(missing)}'
+        return ''
+
+    def _errors(self, error: ThermalError) -> Floats:
+        """Pick the error of each axis; the first channel speaks for an axis with several."""
+        return np.array([error.error[error.axis.index(axis)] for axis in self._axes])
+
+    def _update(self, stamp: int) -> Emission:
+        """Decide the state at `stamp`, move the offsets and set the next deadline."""
+        config = self._config
+        if self._good_at is not None and self._bad_since is None and self._active:
+            if stamp - self._good_at > nanoseconds(config.stale_after):
+                self._bad_since = self._good_at + nanoseconds(config.stale_after)
+                self._why = 'thermal error is late'
+        self._state = self._decide(stamp)
+        if self._state is CompensationState.ACTIVE:
+            self._move(self._target, config.slew_max, stamp)
+        elif self._state is CompensationState.HOLDING:
+            self._move(self._offset, config.slew_max, stamp)
+        else:
+            self._move(np.zeros(len(self._axes)), config.ramp_rate, stamp)
+            if not self._offset.any():
+                at_zero = CompensationState.EXPIRED if self._active else CompensationState.INACTIVE
+                self._state = at_zero
+        self._wake_at = self._following_deadline(stamp)
+        return Emission('compensation', self._message(stamp))
+
+    def _decide(self, stamp: int) -> CompensationState:
+        if not self._active:
+            return CompensationState.RAMPING
+        if self._bad_since is None:
+            return CompensationState.ACTIVE
+        if not self._offset.any():
+            return CompensationState.EXPIRED
+        if stamp - self._bad_since < nanoseconds(self._config.hold_time):
+            return CompensationState.HOLDING
+        return CompensationState.RAMPING
+
+    def _move(self, target: Floats, rate: float, stamp: int) -> None:
+        """Move toward `target`, within the size limit and no faster than `rate` [m/s].
+
+        Time at rest earns no credit: one update moves by at most one period's worth, so that
+        the machine is never told a step after a pause.
+        """
+        limit = self._config.offset_max
+        wanted = np.clip(target, -limit, limit)
+        self._at_limit = np.abs(target) > limit
+        elapsed = min(max(stamp - self._moved_at, 0) / SECOND, self._config.period)
+        step = rate * elapsed
+        change = np.clip(wanted - self._offset, -step, step)
+        self._slewing = np.abs(wanted - self._offset) > step
+        # Without a limit at work the target itself is taken, free of rounding.
+        self._offset = np.where(self._slewing, self._offset + change, wanted)
+        self._moved_at = max(stamp, self._moved_at)
+
+    def _following_deadline(self, stamp: int) -> int | None:
+        period = nanoseconds(self._config.period)
+        if self._state is CompensationState.INACTIVE:
+            return None
+        if self._state is CompensationState.EXPIRED:
+            # At zero an expired command on the machine changes nothing: rest.
+            return None
+        if self._slewing.any() or self._state is CompensationState.RAMPING:
+            return stamp + period
+        if self._state is CompensationState.HOLDING and self._bad_since is not None:
+            release = self._bad_since + nanoseconds(self._config.hold_time)
+            return max(stamp + 1, min(release, stamp + nanoseconds(self._config.validity / 2)))
+        late = (self._good_at or stamp) + nanoseconds(self._config.stale_after) + 1
+        return max(stamp + 1, late)
+
+    def _message(self, stamp: int) -> Compensation:
+        size = len(self._axes)
+        return Compensation(
+            stamp=stamp,
+            frame_id=self.frame('machine'),
+            epoch=self._epoch,
+            state=int(self._state),
+            axis=self._axes,
+            offset=self._offset.copy(),
+            slope=np.zeros(size),
+            reference_position=np.zeros(size),
+            at_limit=self._at_limit.copy(),
+            slewing=self._slewing.copy(),
+            valid_until=stamp + nanoseconds(self._config.validity),
+            source=('thermal_error',),
+        )

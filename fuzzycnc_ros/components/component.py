@@ -1,0 +1,189 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The declaration of a node's interface and the base of every component.
+
+A component is driven by records and their stamps alone: it asks no clock, never sleeps and
+draws no unseeded random number.  The same object therefore runs inside a node, in the
+in-process graph, in a bag replay and in offline evaluation.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+from typing import Any, ClassVar
+
+from fuzzycnc_ros.components.records import Record, nanoseconds
+from fuzzycnc_ros.core.config import Config
+
+
+class Durability(Enum):
+    """How a topic is kept; the host maps it to QoS (docs/architecture.md)."""
+
+    STREAM = 'stream'
+    """Reliable, volatile; deep on the publisher's side."""
+    LATCHED = 'latched'
+    """Transient local, depth 1: a late reader gets the newest message."""
+
+
+STREAM, LATCHED = Durability.STREAM, Durability.LATCHED
+
+
+@dataclass(frozen=True)
+class Input:
+    """One input of a component.
+
+    Attributes
+    ----------
+    name : str
+        Topic, a relative noun, and the suffix of the method `on_<name>` that takes it.
+    record : type
+        Record type.
+    durability : Durability
+        How the topic is kept.
+    driving : bool
+        Whether a record makes the component act.  Each component has at most one such input.
+    max_age : float
+        Age [s] beyond which a record no longer counts; infinite for latched facts.
+    """
+
+    name: str
+    record: type[Record]
+    durability: Durability = STREAM
+    driving: bool = False
+    max_age: float = float('inf')
+
+
+@dataclass(frozen=True)
+class Output:
+    """One output of a component; `persistent` asks the host to keep its newest record on disk."""
+
+    name: str
+    record: type[Record]
+    durability: Durability = STREAM
+    persistent: bool = False
+
+
+@dataclass(frozen=True)
+class Emission:
+    """A record that a component publishes."""
+
+    output: str
+    record: Record
+
+
+class Level(IntEnum):
+    """Severity of a health item, as in `diagnostic_msgs/DiagnosticStatus`."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True)
+class Health:
+    """One line of a component's health."""
+
+    name: str
+    level: Level
+    message: str
+    values: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Outcome of a request: whether it was carried out, why, and what it published."""
+
+    success: bool
+    message: str
+    emissions: tuple[Emission, ...] = ()
+
+
+class Component:
+    """Base of all components.
+
+    Subclasses set the class attributes and write `on_<input>` for their driving input.  Such a
+    method may also exist for a side input, to take note of it; only driving inputs, deadlines
+    and requests emit.
+    """
+
+    NAME: ClassVar[str]
+    """Node, module, executable and parameter file."""
+    SUMMARY: ClassVar[str]
+    """One sentence for the tables of the docs."""
+    CONFIG: ClassVar[type[Config]]
+    INPUTS: ClassVar[tuple[Input, ...]] = ()
+    OUTPUTS: ClassVar[tuple[Output, ...]] = ()
+    MANAGED: ClassVar[bool] = False
+    """Whether the node has a managed lifecycle."""
+
+    def __init__(self, config: Config | None = None) -> None:
+        self._config = self.CONFIG() if config is None else config
+        self._newest: dict[str, Record] = {}
+        self.machine = 'machine'
+        """Name of the machine, the first part of every frame id; the host sets it."""
+
+    @property
+    def configuration(self) -> Config:
+        """The configuration in force."""
+        return self._config
+
+    def reconfigure(self, config: Config) -> None:
+        """Take a configuration whose live parameters changed."""
+        self._config = config
+
+    @property
+    def next_deadline(self) -> int | None:
+        """Machine time [ns] at which the component wants to act without an input."""
+        return None
+
+    def receive(self, name: str, record: Record) -> Iterator[Emission]:
+        """Take one record of input `name`; yield what it causes."""
+        self._newest[name] = record
+        handler = getattr(self, f'on_{name}', None)
+        if handler is not None:
+            yield from handler(record) or ()
+
+    def on_deadline(self, stamp: int) -> Iterable[Emission]:
+        """Act at a deadline that the component asked for; yield what it causes."""
+        return ()
+
+    def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
+        """Carry out a service call or lifecycle transition at machine time `stamp` [ns]."""
+        return Answer(False, f'{self.NAME} knows no request {name}')
+
+    def restore(self, output: str, record: Record) -> None:
+        """Take back a persistent record that an earlier life of the component published."""
+
+    def health(self) -> list[Health]:
+        """Report on inputs, sensors and limits; the host adds timing and publishes it."""
+        return []
+
+    @property
+    def model_text(self) -> str:
+        """Text of the model file in use, empty if there is none."""
+        return ''
+
+    def newest(self, name: str, stamp: int) -> Record | None:
+        """Return the newest record of a side input that is not too old at `stamp` [ns]."""
+        record = self._newest.get(name)
+        if record is None:
+            return None
+        age_max = self.input(name).max_age
+        if age_max != float('inf') and stamp - record.stamp > nanoseconds(age_max):
+            return None
+        return record
+
+    @classmethod
+    def input(cls, name: str) -> Input:
+        """Return the declaration of an input."""
+        return next(item for item in cls.INPUTS if item.name == name)
+
+    @classmethod
+    def output(cls, name: str) -> Output:
+        """Return the declaration of an output."""
+        return next(item for item in cls.OUTPUTS if item.name == name)
+
+    def frame(self, part: str) -> str:
+        """Return the frame id of a part of this machine: machine, workpiece or tool."""
+        return f'{self.machine}/{part}'

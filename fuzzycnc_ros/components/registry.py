@@ -1,0 +1,21 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""All components by node name, in the order of their turns."""
+
+from fuzzycnc_ros.components.compensator import Compensator
+from fuzzycnc_ros.components.component import Component
+from fuzzycnc_ros.components.sensor_selector import SensorSelector
+from fuzzycnc_ros.components.simulated_machine import SimulatedMachine
+from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition
+from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
+
+COMPONENTS: dict[str, type[Component]] = {
+    item.NAME: item
+    for item in (
+        SimulatedMachine,
+        TemperatureAcquisition,
+        SensorSelector,
+        ThermalPredictor,
+        Compensator,
+    )
+}

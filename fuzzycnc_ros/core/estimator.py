@@ -1,0 +1,166 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Base of all estimators: scikit-learn's where it is installed, a small mixin where not.
+
+Estimators follow scikit-learn's conventions: parameters are stored untouched by `__init__`,
+`fit` returns the estimator, learnt values end in an underscore.
+"""
+
+import inspect
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+"""Array of doubles."""
+
+Seed = int | np.random.Generator | None
+"""What seeds an estimator; None draws fresh entropy, and no global state is ever touched."""
+
+
+class NotFittedError(ValueError, AttributeError):
+    """An estimator was asked for something that only a fit provides."""
+
+
+class ParameterMixin:
+    """`get_params`, `set_params` and the readable form, as scikit-learn defines them."""
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Return the constructor's parameters by name."""
+        names = [name for name in inspect.signature(type(self)).parameters if name != 'self']
+        return {name: getattr(self, name) for name in names}
+
+    def set_params(self, **params: Any) -> Any:
+        """Set parameters by name and return the estimator.
+
+        Raises
+        ------
+        ValueError
+            If there is no parameter of a given name.
+        """
+        known = self.get_params()
+        for name in params:
+            if name not in known:
+                raise ValueError(
+                    f'{type(self).__name__}: expected one of the parameters {", ".join(known)}, '
+                    f'but found {name!r}'
+                )
+        for name, value in params.items():
+            setattr(self, name, value)
+        return self
+
+    def __repr__(self) -> str:
+        """Return the constructor call that makes an equal estimator."""
+        params = ', '.join(f'{name}={value!r}' for name, value in self.get_params().items())
+        return f'{type(self).__name__}({params})'
+
+
+def check_matrix(samples: ArrayLike, name: str = 'X') -> Array:
+    """Return `samples` as a finite matrix of doubles.
+
+    Parameters
+    ----------
+    samples : array_like, shape (n, p)
+        Samples by rows.
+    name : str
+        Name of the argument for messages.
+
+    Raises
+    ------
+    ValueError
+        If it is no matrix, is empty, complex or holds NaN or infinities.
+    """
+    raw = np.asarray(samples)
+    if np.iscomplexobj(raw):
+        raise ValueError(f'{name}: expected real numbers. Complex data not supported')
+    matrix = np.asarray(raw, dtype=np.float64)
+    if matrix.ndim != 2:
+        raise ValueError(
+            f'{name}: expected a 2-D array (samples, features), but found {matrix.ndim} '
+            'dimension(s). Reshape your data'
+        )
+    if 0 in matrix.shape:
+        raise ValueError(
+            f'{name}: expected at least one sample and one feature, but found shape {matrix.shape}'
+        )
+    if not np.isfinite(matrix).all():
+        at = np.argwhere(~np.isfinite(matrix))[0]
+        raise ValueError(
+            f'{name}: expected finite numbers, but found {matrix[tuple(at)]} (NaN or infinity) '
+            f'in row {at[0]}, column {at[1]}'
+        )
+    return matrix
+
+
+if TYPE_CHECKING:
+    Estimator = ParameterMixin
+
+    class ClusterEstimator(ParameterMixin):
+        """Base of cluster estimators."""
+
+        def fit_predict(self, X: ArrayLike, y: Any = None, **params: Any) -> NDArray[np.int64]:  # noqa: N803
+            """Return the label of each sample."""
+            raise NotImplementedError
+
+    def check_features(estimator: Any, samples: Any, *, reset: bool) -> Array:
+        """Return the samples as a matrix that fits the estimator."""
+        raise NotImplementedError
+
+else:
+    try:
+        from sklearn.base import BaseEstimator as Estimator
+        from sklearn.base import ClusterMixin
+        from sklearn.exceptions import NotFittedError
+
+        try:
+            from sklearn.utils.validation import validate_data
+        except ImportError:  # scikit-learn before 1.6 has it as a method
+
+            def validate_data(estimator: Any, samples: Any, **options: Any) -> Array:
+                """Call the method of the same purpose."""
+                return estimator._validate_data(samples, **options)
+
+        class ClusterEstimator(ClusterMixin, Estimator):
+            """Base of cluster estimators."""
+
+        def check_features(estimator: Any, samples: Any, *, reset: bool) -> Array:
+            """Return the samples as a matrix that fits the estimator, by scikit-learn's rules."""
+            return validate_data(estimator, samples, dtype=np.float64, reset=reset)
+
+    except ImportError:
+        Estimator = ParameterMixin
+
+        class ClusterEstimator(ParameterMixin):
+            """Base of cluster estimators."""
+
+            def fit_predict(self, X: ArrayLike, y: Any = None, **params: Any) -> NDArray[np.int64]:  # noqa: N803
+                """Fit and return the label of each sample."""
+                return self.fit(X).labels_
+
+        def check_features(estimator: Any, samples: Any, *, reset: bool) -> Array:
+            """Return the samples as a matrix with the number of features seen by `fit`."""
+            matrix = check_matrix(samples)
+            if reset:
+                estimator.n_features_in_ = matrix.shape[1]
+            elif matrix.shape[1] != estimator.n_features_in_:
+                raise ValueError(
+                    f'X has {matrix.shape[1]} features, but {type(estimator).__name__} is '
+                    f'expecting {estimator.n_features_in_} features as input'
+                )
+            return matrix
+
+
+def check_fitted(estimator: Any, attribute: str) -> None:
+    """Refuse an estimator that has not been fitted.
+
+    Raises
+    ------
+    NotFittedError
+        If the learnt `attribute` is absent.
+    """
+    if not hasattr(estimator, attribute):
+        raise NotFittedError(
+            f'{type(estimator).__name__}: expected a fitted estimator, but found no {attribute}; '
+            "call 'fit' first"
+        )

@@ -1,0 +1,280 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Grey models GM(1,N) of the thermal error: as published, solved exactly, and made stable."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fuzzycnc_ros.core.estimator import Array
+from fuzzycnc_ros.core.thermal.linear import (
+    check_ridge,
+    column_scale,
+    lag_features,
+    linear_recursion,
+    ridge_solution,
+)
+from fuzzycnc_ros.core.thermal.recursion import (
+    AnyRecursion,
+    GreyRecursion,
+    development_of,
+    pole_of,
+)
+from fuzzycnc_ros.core.thermal.regressor import (
+    ThermalRegressor,
+    check_interval,
+    check_training,
+)
+
+POLES_PER_MINUTE = (0.0, 0.2, 0.4, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.985, 0.99)
+"""Poles that the stable form tries at 1 min; other intervals use the same time constants."""
+
+CONDITION_MAX = 1e6
+"""Condition number of the scaled regression matrix above which a classical fit is refused."""
+
+KINDS = ('classical', 'derived', 'stable')
+"""Forms of the grey model."""
+
+
+class GreyModel(ThermalRegressor):
+    """Grey model GM(1,N), method sheet 001 eqs. (10)-(16) and section 3.2.
+
+    Parameters
+    ----------
+    kind : {'classical', 'derived', 'stable'}
+        'classical' fits eq. (14) and predicts by the published time response (15)-(16);
+        'derived' has the same coefficients, but solves eq. (12) exactly as a recursion;
+        'stable' fits the output error of that recursion, its pole bounded below 1.
+    interval : float
+        Sampling interval of the training samples [s].
+    ridge : float
+        Penalty of the stable form per sample [-].
+    poles : sequence of float, optional
+        Poles in [0, 1) that the stable form tries, ascending [-].
+
+    Attributes
+    ----------
+    a_ : float
+        Development coefficient [-].
+    b_ : ndarray, shape (p,)
+        Driving coefficients, target unit per driver unit [m/K].
+    phi_ : float
+        Pole of the recursion, (1 - a/2) / (1 + a/2) [-].
+    condition_ : float
+        Condition number of the scaled regression matrix [-].
+    stable_ : bool
+        Whether a is positive, without which the prediction grows without bound.
+    problems_ : tuple of str
+        Why the fit is not to be trusted; empty if it is.
+    reliable_ : bool
+        Whether there are no problems.
+
+    Notes
+    -----
+    Eq. (15) is exact for constant drivers only; once its exponential has died it is a static
+    linear regression, and with a <= 0 it diverges.  The published method does not check this.
+
+    Examples
+    --------
+    GM(1,1) is the grey model of one driver whose accumulation is the constant 1:
+
+    >>> series = [2.874, 3.278, 3.337, 3.390, 3.679]
+    >>> driver = [[1.0], [0.0], [0.0], [0.0], [0.0]]
+    >>> model = GreyModel('classical').fit(driver, series)
+    >>> print(round(model.a_, 6), round(model.b_[0], 6), model.reliable_)
+    -0.037204 3.065363 False
+    >>> model.predict(driver, initial=series[0]).round(3).tolist()
+    [2.874, 3.232, 3.355, 3.482, 3.614]
+    """
+
+    def __init__(
+        self,
+        kind: str = 'stable',
+        *,
+        interval: float = 60.0,
+        ridge: float = 1e-3,
+        poles: Sequence[float] | None = None,
+    ) -> None:
+        self.kind = kind
+        self.interval = interval
+        self.ridge = ridge
+        self.poles = poles
+
+    def fit(
+        self,
+        X: ArrayLike,  # noqa: N803
+        y: ArrayLike,
+        *,
+        runs: ArrayLike | None = None,
+        use: ArrayLike | None = None,
+    ) -> 'GreyModel':
+        """Fit drivers (n, p) to the target (n,).
+
+        Parameters
+        ----------
+        X : array_like, shape (n, p)
+            Drivers; here the rises of the chosen sensors [K].
+        y : array_like, shape (n,)
+            Target [m].  The stable form ignores NaN, the others cannot accumulate over it.
+        runs : array_like, shape (n,), optional
+            Label of the run that each sample belongs to; each accumulates from its own start.
+        use : array_like of bool, shape (n,), optional
+            Samples whose equations are fitted; the others only drive accumulation and lags, as
+            judging on held-out stretches of one run needs it.  All, if absent.
+
+        Raises
+        ------
+        ValueError
+            If `kind` is unknown, there are too few samples, or a form that accumulates the
+            target meets NaN.
+        """
+        if self.kind not in KINDS:
+            raise ValueError(f'kind: expected one of {", ".join(KINDS)}, but found {self.kind!r}')
+        target = np.asarray(y, dtype=np.float64)
+        used = np.ones(target.shape, bool) if use is None else np.asarray(use, dtype=bool)
+        if used.shape != target.shape:
+            raise ValueError(f'use: expected {target.size} switches, but found {used.shape}')
+        if self.kind == 'stable':
+            self._fit_stable(X, np.where(used, target, np.nan), runs)
+        else:
+            self._fit_accumulated(X, target, runs, used)
+        self.stable_ = self.a_ > 0.0
+        self.reliable_ = not self.problems_
+        return self
+
+    def predict(
+        self,
+        X: ArrayLike,  # noqa: N803
+        *,
+        runs: ArrayLike | None = None,
+        initial: float = 0.0,
+    ) -> Array:
+        """Return the target of whole runs, each from its own start.
+
+        Parameters
+        ----------
+        X : array_like, shape (n, p)
+            Drivers [K].
+        runs : array_like, shape (n,), optional
+            Label of the run that each sample belongs to; one run if absent.
+        initial : float
+            First value y(1) of each run [m]; 0 for rises.  The stable form is anchored at zero
+            and has none.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Target [m]; infinite or NaN where the classical form has diverged.
+        """
+        if initial == 0.0:
+            return super().predict(X, runs=runs)
+        if self.kind == 'stable':
+            raise ValueError(f'initial: expected 0 for the stable form, but found {initial}')
+        start = GreyModel(**self.get_params())
+        start.__dict__.update(self.__dict__)
+        start.recursion_ = self._accumulated_recursion(initial)
+        return super(GreyModel, start).predict(X, runs=runs)
+
+    def _fit_accumulated(
+        self, samples: ArrayLike, y: Array, runs: ArrayLike | None, used: NDArray[np.bool_]
+    ) -> None:
+        drivers, target, rows = check_training(self, samples, y, runs, np.shape(samples)[-1] + 1)
+        if np.isnan(target).any():
+            raise ValueError(
+                f'y: expected a value in every sample, but found {int(np.isnan(target).sum())} '
+                f'NaN; the {self.kind} form accumulates its target: use the stable form'
+            )
+        check_interval(self.interval)
+        unit = float(np.abs(target).max()) or 1.0
+        matrix, left = _regression(drivers, target / unit, rows, used)
+        # Unit columns, so that the condition number tells collinearity and not units.
+        norm = np.linalg.norm(matrix, axis=0)
+        norm[norm == 0.0] = 1.0
+        solution, _, _, singular = np.linalg.lstsq(matrix / norm, left, rcond=None)
+        self.condition_ = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf
+        self.a_ = float(solution[0] / norm[0])
+        self.b_: Array = solution[1:] / norm[1:] * unit
+        self.phi_ = float(pole_of(np.array([self.a_]))[0])
+        self.recursion_: AnyRecursion = self._accumulated_recursion(0.0)
+        self.problems_ = _problems(self.a_, self.condition_)
+
+    def _accumulated_recursion(self, initial: float) -> GreyRecursion:
+        return GreyRecursion(
+            a=np.array([self.a_]),
+            b=self.b_[np.newaxis],
+            initial=np.array([initial]),
+            exact=self.kind == 'derived',
+        )
+
+    def _fit_stable(self, samples: ArrayLike, y: Array, runs: ArrayLike | None) -> None:
+        drivers, target, rows = check_training(self, samples, y, runs)
+        check_ridge(self.ridge)
+        poles = stable_poles(self.interval) if self.poles is None else _checked(self.poles)
+        measured = np.isfinite(target)
+        scale = column_scale(drivers[measured])
+        unit = float(target[measured].std()) or 1.0
+        values = target[measured] / unit
+        best: tuple[float, int, Array, Array] | None = None
+        for index in range(len(poles)):
+            features = lag_features(drivers / scale, rows, poles[index : index + 1], direct=False)
+            features = features[measured]
+            theta = ridge_solution(features, values, self.ridge)
+            residual = values - features @ theta
+            cost = float(residual @ residual) / len(values) + self.ridge * float(theta @ theta)
+            if best is None or cost < best[0]:
+                best = (cost, index, theta, features)
+        if best is None:
+            raise ValueError('poles: expected at least one, but found none')
+        _, index, theta, features = best
+        weight = unit * theta / scale
+        self.phi_ = float(poles[index])
+        self.a_ = float(development_of(poles[index]))
+        self.b_ = weight * (1.0 - self.phi_) * (1.0 + self.a_ / 2.0)
+        self.condition_ = float(np.linalg.cond(features / column_scale(features)))
+        self.recursion_ = linear_recursion(weight, poles[index : index + 1], False, 0.0)
+        at_end = len(poles) > 1 and index in (0, len(poles) - 1)
+        self.problems_ = (
+            (f'the pole {self.phi_:g} is the end of the grid: the lag lies beyond it',)
+            if at_end
+            else ()
+        )
+
+
+def stable_poles(interval: float) -> Array:
+    """Return the grid of poles for a sampling interval [s]: 1-min poles to the same lags."""
+    check_interval(interval)
+    return np.asarray(np.array(POLES_PER_MINUTE) ** (interval / 60.0))
+
+
+def _checked(poles: Sequence[float]) -> Array:
+    grid = np.asarray(poles, dtype=np.float64)
+    if grid.ndim != 1 or not ((grid >= 0.0) & (grid < 1.0)).all():
+        raise ValueError(f'poles: expected poles in [0, 1), but found {poles}')
+    return grid
+
+
+def _regression(
+    drivers: Array, target: Array, rows: Sequence[slice], used: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Return B and Y of eq. (14), the used rows of k = 2..n of every run stacked."""
+    blocks = []
+    for run in rows:
+        total = np.cumsum(target[run])
+        background = 0.5 * (total[1:] + total[:-1])
+        driver = np.cumsum(drivers[run], axis=0)[1:]
+        keep = used[run][1:]
+        blocks.append((np.column_stack([-background, driver])[keep], target[run][1:][keep]))
+    return np.concatenate([b for b, _ in blocks]), np.concatenate([y for _, y in blocks])
+
+
+def _problems(a: float, condition: float) -> tuple[str, ...]:
+    problems = []
+    if not a > 0.0:
+        problems.append(f'a = {a:.4g} is not positive: the prediction grows without bound')
+    if not condition <= CONDITION_MAX:
+        problems.append(
+            f'the condition number {condition:.3g} exceeds {CONDITION_MAX:g}: the drivers are '
+            'collinear, the coefficients arbitrary'
+        )
+    return tuple(problems)

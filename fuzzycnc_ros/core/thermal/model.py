@@ -1,0 +1,308 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A trained thermal model: inputs, fitted candidates, domain and uncertainty."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fuzzycnc_ros.core.estimator import Array
+from fuzzycnc_ros.core.thermal.candidates import Candidate
+from fuzzycnc_ros.core.thermal.domain import Domain
+from fuzzycnc_ros.core.thermal.model_document import (
+    ModelFileError,
+    document_hash,
+    read_document,
+    write_document,
+)
+from fuzzycnc_ros.core.thermal.recursion import AnyRecursion, Stream, channel_of, combine
+from fuzzycnc_ros.core.thermal.regressor import check_interval
+from fuzzycnc_ros.core.thermal.run import JITTER_MAX, ThermalRun
+from fuzzycnc_ros.core.thermal.selection import SensorSelection
+
+OUTSIDE_FACTOR = 2.0
+"""Widening of the standard deviation outside the domain, method sheet 001 section 8.E."""
+
+REFERENCE_RULE = 'mean of the first three samples'
+"""What rises are meant against, unless a thermal reference says otherwise."""
+
+
+class ModelMismatchError(ValueError):
+    """A model does not fit the stream or run that it is to be used on."""
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalModel:
+    """Everything that a predictor needs, as it is written to a model file.
+
+    Parameters
+    ----------
+    inputs : tuple of str, length p
+        Sensors in the order of the rises.
+    interval : float
+        Sampling interval that the recursions belong to [s].
+    channel, axis : tuple of str, length c
+        Displacement channels and the ISO 841 axis of each.
+    runs : tuple of str
+        Runs that it was trained on.
+    candidates : mapping of str to Candidate
+        All fitted candidates, so that an evaluation can show them side by side.
+    default : tuple of str, length c
+        Candidate that each channel uses.
+    selection : SensorSelection
+        How the inputs were chosen, with their substitutes and gains.
+    domain : Domain
+        Rises that it was trained on.
+    residual_deviation : ndarray, shape (c,)
+        Standard deviation of the default's held-out residual [m].
+    omitted : mapping of str to str
+        Candidates that could not be fitted, and why.
+    reference : str
+        Rule by which the reference of the rises was found.
+    """
+
+    inputs: tuple[str, ...]
+    interval: float
+    channel: tuple[str, ...]
+    axis: tuple[str, ...]
+    runs: tuple[str, ...]
+    candidates: Mapping[str, Candidate]
+    default: tuple[str, ...]
+    selection: SensorSelection
+    domain: Domain
+    residual_deviation: Array
+    omitted: Mapping[str, str] = field(default_factory=dict)
+    reference: str = REFERENCE_RULE
+    _default_recursion: AnyRecursion = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Check that the parts belong together and assemble the default's recursion.
+
+        Raises
+        ------
+        ValueError
+            If a part contradicts another; the message names it.
+        """
+        check_interval(self.interval)
+        _check_parts(self)
+        names = set(self.default)
+        if len(names) == 1:
+            recursion = self.candidates[names.pop()].recursion
+        else:
+            recursion = combine(
+                [
+                    channel_of(self.candidates[name].recursion, channel)
+                    for channel, name in enumerate(self.default)
+                ]
+            )
+        object.__setattr__(self, '_default_recursion', recursion)
+
+    def to_json(self) -> str:
+        """Return the model as a JSON document; equal models give equal text."""
+        return write_document(self)
+
+    @staticmethod
+    def from_json(text: str) -> 'ThermalModel':
+        """Return the model of a document that `to_json` returned.
+
+        Raises
+        ------
+        ModelFileError
+            If it is no usable model; the message says where and why.
+        """
+        fields = read_document(text)
+        try:
+            return ThermalModel(**fields)
+        except ValueError as error:
+            raise ModelFileError(f'model file: {error}') from error
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of the model file's text, 64 hexadecimal digits."""
+        return document_hash(self.to_json())
+
+    def check_stream(self, sensors: Sequence[str], interval: float) -> None:
+        """Refuse a stream that the model was not made for.
+
+        Parameters
+        ----------
+        sensors : sequence of str
+            Sensors that the stream carries, in any order.
+        interval : float
+            Its sampling interval [s].
+
+        Raises
+        ------
+        ModelMismatchError
+            If inputs are missing or the interval differs by more than 10 %; the message spells
+            out the difference.
+        """
+        missing = [name for name in self.inputs if name not in sensors]
+        if missing:
+            raise ModelMismatchError(
+                f'sensors: expected the inputs {", ".join(self.inputs)} of the model, but found '
+                f'no {", ".join(missing)}; the stream has {", ".join(sensors)}'
+            )
+        if not abs(interval - self.interval) <= JITTER_MAX * self.interval:
+            raise ModelMismatchError(
+                f'interval: expected {self.interval:g} s as the model was trained with, but '
+                f'found {interval:g} s; average the stream, or convert the model with '
+                'with_interval'
+            )
+
+    def recursion(self, candidate: str | None = None) -> AnyRecursion:
+        """Return the recursion of a candidate, or of the default.
+
+        Raises
+        ------
+        ValueError
+            If the model holds no such candidate.
+        """
+        if candidate is None:
+            return self._default_recursion
+        if candidate not in self.candidates:
+            why = self.omitted.get(candidate)
+            raise ValueError(
+                f'candidate: expected one of {", ".join(self.candidates)}, but found '
+                f'{candidate!r}' + (f', which was left out: {why}' if why else '')
+            )
+        return self.candidates[candidate].recursion
+
+    def start(self, candidate: str | None = None) -> Stream:
+        """Begin a run, sample by sample.
+
+        Parameters
+        ----------
+        candidate : str, optional
+            Candidate to run; the default of each channel if absent.
+
+        Returns
+        -------
+        Stream
+            Its `step` takes the rises (p,) [K] and returns the thermal errors (c,) [m]; its
+            `state` is a flat array that a checkpoint may keep.
+        """
+        return Stream(self.recursion(candidate))
+
+    def predict(self, source: ThermalRun | ArrayLike, candidate: str | None = None) -> Array:
+        """Return the thermal error of a whole run.
+
+        Parameters
+        ----------
+        source : ThermalRun or array_like, shape (n, p)
+            A run that carries the inputs at the model's interval, or the rises of the inputs
+            [K], from the start of the run.
+        candidate : str, optional
+            Candidate to run; the default of each channel if absent.
+
+        Returns
+        -------
+        ndarray, shape (n, c)
+            Thermal error [m]; infinite or NaN where a candidate has diverged.
+
+        Raises
+        ------
+        ModelMismatchError
+            If the run lacks inputs or has another interval, or the rises have another width.
+        ValueError
+            If a rise is NaN: a failed sensor needs its substitute first.
+        """
+        return self.recursion(candidate).run(self.rises(source))
+
+    def rises(self, source: ThermalRun | ArrayLike) -> Array:
+        """Return the rises of the inputs, shape (n, p) [K], checked as `predict` says."""
+        if isinstance(source, ThermalRun):
+            self.check_stream(source.sensor, source.interval)
+            rise = source.rise()[:, source.columns(self.inputs)]
+        else:
+            rise = np.asarray(source, dtype=np.float64)
+            if rise.ndim != 2 or rise.shape[1] != len(self.inputs):
+                raise ModelMismatchError(
+                    f'rise: expected {len(self.inputs)} columns ({", ".join(self.inputs)}), but '
+                    f'found shape {rise.shape}'
+                )
+        bad = np.argwhere(~np.isfinite(rise))
+        if len(bad):
+            row, column = bad[0]
+            raise ValueError(
+                f'rise: expected finite values, but found {rise[row, column]} of sensor '
+                f'{self.inputs[column]!r} at sample {row}; put a substitute in its place'
+            )
+        return rise
+
+    def in_domain(self, rise: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether rises (..., p) [K] lie where the model was trained, shape (...)."""
+        values = np.asarray(rise, dtype=np.float64)
+        return np.asarray(self.domain.distance(values) <= self.domain.limit)
+
+    def standard_deviation(self, rise: ArrayLike) -> Array:
+        """Return the standard deviation of the prediction at rises (..., p) [K].
+
+        Returns
+        -------
+        ndarray, shape (..., c)
+            That of the held-out residual [m], twice as much outside the domain.
+        """
+        factor = np.where(self.in_domain(rise), 1.0, OUTSIDE_FACTOR)
+        return np.asarray(factor[..., np.newaxis] * self.residual_deviation)
+
+    def with_interval(self, interval: float) -> 'ThermalModel':
+        """Return the model for another sampling interval [s], method sheet 001 section 3.1.
+
+        Raises
+        ------
+        ValueError
+            If `interval` is not positive, or a candidate has no meaning at another interval.
+        """
+        check_interval(interval)
+        ratio = interval / self.interval
+        candidates = {
+            name: replace(item, recursion=item.recursion.with_interval(ratio))
+            for name, item in self.candidates.items()
+        }
+        return replace(self, interval=interval, candidates=candidates)
+
+
+def _check_parts(model: ThermalModel) -> None:
+    inputs, channels = len(model.inputs), len(model.channel)
+    if not inputs or len(set(model.inputs)) != inputs:
+        raise ValueError(f'inputs: expected each sensor once, but found {model.inputs}')
+    if not channels or len(set(model.channel)) != channels:
+        raise ValueError(f'channel: expected each channel once, but found {model.channel}')
+    for name, found in (
+        ('axis', len(model.axis)),
+        ('default', len(model.default)),
+        ('residual_deviation', len(model.residual_deviation)),
+    ):
+        if found != channels:
+            raise ValueError(f'{name}: expected one per channel ({channels}), but found {found}')
+    if model.selection.chosen != model.inputs:
+        raise ValueError(
+            f'selection: expected the inputs {", ".join(model.inputs)} as chosen sensors, but '
+            f'found {", ".join(model.selection.chosen)}'
+        )
+    if model.domain.mean.shape != (inputs,) or model.domain.inverse_covariance.shape != (
+        inputs,
+        inputs,
+    ):
+        raise ValueError(f'domain: expected {inputs} inputs, but found {model.domain.mean.shape}')
+    for name, candidate in model.candidates.items():
+        shape = (candidate.recursion.channels, candidate.recursion.inputs)
+        if shape != (channels, inputs):
+            raise ValueError(
+                f'candidate {name!r}: expected {channels} channels and {inputs} inputs, but '
+                f'found {shape[0]} and {shape[1]}'
+            )
+    for name in model.default:
+        if name not in model.candidates:
+            raise ValueError(
+                f'default: expected one of {", ".join(model.candidates)}, but found {name!r}'
+            )
+        if model.candidates[name].problems:
+            raise ValueError(
+                f'default: expected a reliable candidate, but found {name!r}: '
+                f'{"; ".join(model.candidates[name].problems)}'
+            )

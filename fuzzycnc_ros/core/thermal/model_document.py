@@ -1,0 +1,374 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON document of a thermal model, and the refusal of everything that is not one.
+
+A model file decides what a machine is told, so nothing in it is believed: sizes, types, shapes
+and finiteness are checked, and nothing is executed, unlike with pickle.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from math import isfinite
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+
+from fuzzycnc_ros.core.estimator import Array
+from fuzzycnc_ros.core.thermal.candidates import CANDIDATES, Candidate, Settings
+from fuzzycnc_ros.core.thermal.domain import Domain
+from fuzzycnc_ros.core.thermal.recursion import AnyRecursion, GreyRecursion, LinearRecursion
+from fuzzycnc_ros.core.thermal.selection import SensorCluster, SensorSelection
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.thermal.model import ThermalModel
+
+SCHEMA = 'fuzzycnc/thermal-model'
+"""What a model file says it is."""
+
+SCHEMA_VERSION = 1
+"""Version of the layout; a reader refuses others."""
+
+UNITS = {'time': 's', 'rise': 'K', 'displacement': 'm'}
+"""Units of the numbers in a model file."""
+
+SIZE_MAX = 16 * 1024 * 1024
+"""Largest model file that is read [byte]; 76 inputs with all candidates take below 1 MiB."""
+
+
+class ModelFileError(ValueError):
+    """A document is no usable model file; the message says where and why."""
+
+
+def write_document(model: 'ThermalModel') -> str:
+    """Return the model as a JSON document; equal models give equal text."""
+    document = {
+        'schema': SCHEMA,
+        'schema_version': SCHEMA_VERSION,
+        'units': UNITS,
+        'inputs': list(model.inputs),
+        'interval': model.interval,
+        'reference': model.reference,
+        'channels': [
+            {'name': name, 'axis': axis, 'default': default, 'residual_deviation': deviation}
+            for name, axis, default, deviation in zip(
+                model.channel,
+                model.axis,
+                model.default,
+                model.residual_deviation.tolist(),
+                strict=True,
+            )
+        ],
+        'training_runs': list(model.runs),
+        'candidates': {name: _candidate(item) for name, item in model.candidates.items()},
+        'omitted': dict(model.omitted),
+        'selection': _selection(model.selection),
+        'domain': {
+            'mean': model.domain.mean.tolist(),
+            'inverse_covariance': model.domain.inverse_covariance.tolist(),
+            'limit': model.domain.limit,
+        },
+    }
+    return json.dumps(document, allow_nan=False) + '\n'
+
+
+def document_hash(text: str) -> str:
+    """Return the SHA-256 of a model file's text, 64 hexadecimal digits."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_document(text: str) -> dict[str, Any]:
+    """Return the fields of the `ThermalModel` that a JSON document describes.
+
+    Parameters
+    ----------
+    text : str
+        Text that `write_document` returned.
+
+    Returns
+    -------
+    dict
+        Arguments of `ThermalModel`.
+
+    Raises
+    ------
+    ModelFileError
+        If it is too large, no JSON, of another schema or version, or holds a value of
+        another type or shape.
+    """
+    if len(text) > SIZE_MAX:
+        raise ModelFileError(
+            f'model file: expected at most {SIZE_MAX} characters, but found {len(text)}'
+        )
+    try:
+        document = json.loads(text, parse_constant=_no_constant)
+    except ModelFileError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise ModelFileError(f'model file: expected JSON, but found {error}') from error
+    root = _Node(document, 'model file')
+    if root.get('schema').text() != SCHEMA:
+        raise ModelFileError(
+            f'model file: expected the schema {SCHEMA!r}, but found '
+            f'{root.get("schema").text()!r}; this is another kind of document'
+        )
+    if root.get('schema_version').value != SCHEMA_VERSION:
+        raise ModelFileError(
+            f'model file: expected schema version {SCHEMA_VERSION}, but found '
+            f'{root.get("schema_version").value!r}; train the model anew with this version'
+        )
+    if root.get('units').value != UNITS:
+        raise ModelFileError(
+            f'model file: expected the units {UNITS}, but found {root.get("units").value}'
+        )
+    try:
+        return _fields(root)
+    except ModelFileError:
+        raise
+    except ValueError as error:
+        raise ModelFileError(f'model file: {error}') from error
+
+
+class _Node:
+    """A value of the document and where it stands."""
+
+    def __init__(self, value: Any, where: str) -> None:
+        self.value = value
+        self.where = where
+
+    def refuse(self, expected: str) -> NoReturn:
+        """Raise an error that shows the value, shortened."""
+        found = repr(self.value)
+        found = found if len(found) <= 60 else f'{found[:57]}...'
+        raise ModelFileError(f'{self.where}: expected {expected}, but found {found}')
+
+    def get(self, key: str) -> '_Node':
+        """Return a member of an object."""
+        if not isinstance(self.value, dict) or key not in self.value:
+            self.refuse(f'an object with {key!r}')
+        return _Node(self.value[key], f'{self.where}, {key}')
+
+    def items(self) -> dict[str, '_Node']:
+        """Return the members of an object."""
+        if not isinstance(self.value, dict):
+            self.refuse('an object')
+        return {key: _Node(item, f'{self.where}, {key}') for key, item in self.value.items()}
+
+    def list(self) -> 'list[_Node]':
+        """Return the elements of a list."""
+        if not isinstance(self.value, list):
+            self.refuse('a list')
+        return [_Node(item, f'{self.where}[{at}]') for at, item in enumerate(self.value)]
+
+    def text(self) -> str:
+        """Return a text."""
+        if not isinstance(self.value, str):
+            self.refuse('a text')
+        return self.value
+
+    def texts(self) -> tuple[str, ...]:
+        """Return a list of texts."""
+        return tuple(node.text() for node in self.list())
+
+    def number(self) -> float:
+        """Return a finite number; JSON's true and false are none."""
+        if isinstance(self.value, bool) or not isinstance(self.value, (int, float)):
+            self.refuse('a number')
+        # A huge whole number would overflow the conversion.
+        if abs(self.value) > 1e300 or not isfinite(self.value):
+            self.refuse('a finite number')
+        return float(self.value)
+
+    def numbers(self) -> tuple[float, ...]:
+        """Return a list of finite numbers."""
+        return tuple(node.number() for node in self.list())
+
+    def numbers_or_infinite(self) -> Array:
+        """Return a list of numbers where null stands for infinity, which JSON has not."""
+        return np.array([np.inf if n.value is None else n.number() for n in self.list()])
+
+    def matrix(self, columns: int) -> Array:
+        """Return a list of rows of `columns` finite numbers each; it may have no row."""
+        rows = []
+        for node in self.list():
+            rows.append(node.numbers())
+            if len(rows[-1]) != columns:
+                node.refuse(f'{columns} numbers')
+        return np.array(rows, dtype=np.float64).reshape(len(rows), columns)
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ModelFileError(f'model file: expected finite numbers, but found {name}')
+
+
+def _finite_or_null(values: Array) -> list[float | None]:
+    return [value if isfinite(value) else None for value in values.tolist()]
+
+
+def _candidate(candidate: Candidate) -> dict[str, Any]:
+    return {
+        'settings': candidate.settings,
+        'problems': list(candidate.problems),
+        'held_out_rms': _finite_or_null(candidate.held_out_rms),
+        'held_out_max': _finite_or_null(candidate.held_out_max),
+        'recursion': _recursion(candidate.recursion),
+    }
+
+
+def _recursion(recursion: AnyRecursion) -> dict[str, Any]:
+    if isinstance(recursion, GreyRecursion):
+        return {
+            'form': 'grey',
+            'exact': recursion.exact,
+            'a': recursion.a.tolist(),
+            'b': recursion.b.tolist(),
+            'initial': recursion.initial.tolist(),
+        }
+    return {
+        'form': 'linear',
+        'pole': recursion.pole.tolist(),
+        'drive': recursion.drive.tolist(),
+        'readout': recursion.readout.tolist(),
+        'direct': recursion.direct.tolist(),
+        'offset': recursion.offset.tolist(),
+    }
+
+
+def _selection(selection: SensorSelection) -> dict[str, Any]:
+    return {
+        'method': selection.method,
+        'partition_coefficient': selection.partition_coefficient,
+        'xie_beni': selection.xie_beni if isfinite(selection.xie_beni) else None,
+        'dropped': list(selection.dropped),
+        'calibration': list(selection.calibration),
+        'clusters': [
+            {
+                'member': list(cluster.member),
+                'score': list(cluster.score),
+                'chosen': cluster.chosen,
+                'substitute': list(cluster.substitute),
+                'gain': list(cluster.gain),
+                'correlation': list(cluster.correlation),
+            }
+            for cluster in selection.clusters
+        ],
+    }
+
+
+def _fields(root: _Node) -> dict[str, Any]:
+    inputs = root.get('inputs').texts()
+    channels = root.get('channels').list()
+    domain = root.get('domain')
+    return dict(
+        inputs=inputs,
+        interval=root.get('interval').number(),
+        channel=tuple(node.get('name').text() for node in channels),
+        axis=tuple(node.get('axis').text() for node in channels),
+        runs=root.get('training_runs').texts(),
+        candidates={
+            name: _read_candidate(name, node, len(inputs))
+            for name, node in root.get('candidates').items().items()
+        },
+        default=tuple(node.get('default').text() for node in channels),
+        selection=_read_selection(root.get('selection')),
+        domain=Domain(
+            mean=np.array(domain.get('mean').numbers()),
+            inverse_covariance=domain.get('inverse_covariance').matrix(len(inputs)),
+            limit=domain.get('limit').number(),
+        ),
+        residual_deviation=np.array(
+            [_positive(node.get('residual_deviation')) for node in channels]
+        ),
+        omitted={name: node.text() for name, node in root.get('omitted').items().items()},
+        reference=root.get('reference').text(),
+    )
+
+
+def _positive(node: _Node) -> float:
+    value = node.number()
+    if value < 0.0:
+        node.refuse('a number of 0 or more')
+    return value
+
+
+def _read_candidate(name: str, node: _Node, inputs: int) -> Candidate:
+    if name not in CANDIDATES:
+        node.refuse(f'one of {", ".join(CANDIDATES)} and not {name!r}')
+    recursion = _read_recursion(node.get('recursion'), inputs)
+    scores = {
+        field: node.get(field).numbers_or_infinite() for field in ('held_out_rms', 'held_out_max')
+    }
+    for field, values in scores.items():
+        if len(values) != recursion.channels:
+            node.get(field).refuse(f'{recursion.channels} numbers')
+    return Candidate(
+        name=name,
+        settings=_read_settings(node.get('settings')),
+        recursion=recursion,
+        problems=node.get('problems').texts(),
+        held_out_rms=scores['held_out_rms'],
+        held_out_max=scores['held_out_max'],
+    )
+
+
+def _read_settings(node: _Node) -> Settings:
+    settings: Settings = {}
+    for name, item in node.items().items():
+        settings[name] = item.numbers() if isinstance(item.value, list) else item.number()
+    return settings
+
+
+def _read_recursion(node: _Node, inputs: int) -> AnyRecursion:
+    form = node.get('form').text()
+    if form == 'grey':
+        exact = node.get('exact')
+        if not isinstance(exact.value, bool):
+            exact.refuse('true or false')
+        return GreyRecursion(
+            a=np.array(node.get('a').numbers()),
+            b=node.get('b').matrix(inputs),
+            initial=np.array(node.get('initial').numbers()),
+            exact=exact.value,
+        )
+    if form != 'linear':
+        node.get('form').refuse("'linear' or 'grey'")
+    pole = np.array(node.get('pole').numbers())
+    return LinearRecursion(
+        pole=pole,
+        drive=node.get('drive').matrix(inputs),
+        readout=node.get('readout').matrix(len(pole)),
+        direct=node.get('direct').matrix(inputs),
+        offset=np.array(node.get('offset').numbers()),
+    )
+
+
+def _read_selection(node: _Node) -> SensorSelection:
+    index = node.get('xie_beni')
+    return SensorSelection(
+        method=node.get('method').text(),
+        clusters=tuple(_read_cluster(item) for item in node.get('clusters').list()),
+        partition_coefficient=node.get('partition_coefficient').number(),
+        xie_beni=float('nan') if index.value is None else index.number(),
+        dropped=node.get('dropped').texts(),
+        calibration=node.get('calibration').texts(),
+    )
+
+
+def _read_cluster(node: _Node) -> SensorCluster:
+    cluster = SensorCluster(
+        member=node.get('member').texts(),
+        score=node.get('score').numbers(),
+        chosen=node.get('chosen').text(),
+        substitute=node.get('substitute').texts(),
+        gain=node.get('gain').numbers(),
+        correlation=node.get('correlation').numbers(),
+    )
+    lengths: Mapping[str, tuple[int, int]] = {
+        'score': (len(cluster.score), len(cluster.member)),
+        'gain': (len(cluster.gain), len(cluster.substitute)),
+        'correlation': (len(cluster.correlation), len(cluster.substitute)),
+    }
+    for field, (found, expected) in lengths.items():
+        if found != expected:
+            node.get(field).refuse(f'{expected} numbers')
+    return cluster

@@ -1,0 +1,379 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded thermal run: temperatures and displacements on one time axis."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fuzzycnc_ros.core.thermal.resampling import even_blocks, mean_of_measured
+
+SAMPLES_MIN = 8
+"""Fewest samples of a run; below that not even one heating slope is visible."""
+
+TEMPERATURE_MIN, TEMPERATURE_MAX = -20.0, 120.0
+"""Plausible range of a machine's temperature [degC]; beyond it the sensor or its unit is wrong."""
+
+DISPLACEMENT_MAX = 500e-6
+"""Largest plausible thermal displacement [m]; beyond it mm and um were mixed up."""
+
+RISE_RATE_MAX = 10.0
+"""Fastest plausible rise within one minute [K]; beyond it a plug is loose."""
+
+RISE_MIN = 0.5
+"""Smallest range of a rise that teaches anything [K]; below it there is only noise."""
+
+JITTER_MAX = 0.1
+"""Largest deviation of a sampling interval from the median, as a fraction of the median [-]."""
+
+REFERENCE_SAMPLES = 3
+"""Number of first samples whose mean is the reference of a run, so that noise averages out."""
+
+
+class ThermalDataError(ValueError):
+    """A run or its samples cannot be used; the message says why and what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalRun:
+    """Temperatures and displacements of one run, checked as method sheet 001 section 6 asks.
+
+    Parameters
+    ----------
+    name : str
+        Name of the run, as tables and model files show it.
+    time : array_like, shape (n,)
+        Strictly increasing time of each sample [s].
+    sensor : sequence of str, length s
+        Names of the temperature sensors, each once.
+    temperature : array_like, shape (n, s)
+        Temperatures [degC]; NaN marks a reading that is not to be used.
+    channel : sequence of str, length c
+        Names of the displacement channels, each once.
+    axis : sequence of str, length c
+        ISO 841 axis that each channel belongs to.
+    displacement : array_like, shape (n, c)
+        Thermal error, actual minus nominal [m]; NaN where nothing was probed.
+
+    Raises
+    ------
+    ThermalDataError
+        If shapes disagree, names repeat, there are fewer than 8 samples, time does not
+        increase, or values are infinite or implausible.
+
+    Notes
+    -----
+    Uneven sampling is accepted here and refused by `interval`; `resample` makes it even.
+    The arrays are kept as read-only copies.
+    """
+
+    name: str
+    time: NDArray[np.float64]
+    sensor: tuple[str, ...]
+    temperature: NDArray[np.float64]
+    channel: tuple[str, ...]
+    axis: tuple[str, ...]
+    displacement: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Take read-only copies and check them."""
+        for field in ('sensor', 'channel', 'axis'):
+            object.__setattr__(self, field, tuple(str(item) for item in getattr(self, field)))
+        for field in ('time', 'temperature', 'displacement'):
+            object.__setattr__(self, field, _read_only(getattr(self, field)))
+        _check_shapes(self)
+        _check_names(self)
+        _check_time(self)
+        _check_values(self)
+
+    @property
+    def interval(self) -> float:
+        """Sampling interval [s], the median step.
+
+        Raises
+        ------
+        ThermalDataError
+            If a step deviates from the median by more than 10 %.
+        """
+        steps = np.diff(self.time)
+        median = float(np.median(steps))
+        worst = int(np.argmax(np.abs(steps - median)))
+        if abs(steps[worst] - median) > JITTER_MAX * median:
+            raise ThermalDataError(
+                f'run {self.name!r}: expected even sampling, but found a step of '
+                f'{steps[worst]:.6g} s after sample {worst} where the median is {median:.6g} s; '
+                'resample the run first'
+            )
+        # The mean is exact where the median of noisy stamps is not.
+        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
+
+    def reference(self) -> NDArray[np.float64]:
+        """Return the mean of the first three samples of each sensor, shape (s,) [degC]."""
+        return np.asarray(self.temperature[:REFERENCE_SAMPLES].mean(axis=0))
+
+    def rise(self, reference: ArrayLike | None = None) -> NDArray[np.float64]:
+        """Return temperature minus reference.
+
+        Parameters
+        ----------
+        reference : array_like, shape (s,), optional
+            Reference of each sensor [degC]; the mean of its first three samples if absent.
+
+        Returns
+        -------
+        ndarray, shape (n, s)
+            Rise [K].
+
+        Raises
+        ------
+        ThermalDataError
+            If `reference` has another length than `sensor`.
+        """
+        base = self.reference() if reference is None else np.asarray(reference, dtype=np.float64)
+        if base.shape != (len(self.sensor),):
+            raise ThermalDataError(
+                f'reference: expected {len(self.sensor)} temperatures, one per sensor of run '
+                f'{self.name!r}, but found shape {base.shape}'
+            )
+        return np.asarray(self.temperature - base)
+
+    def columns(self, sensors: Sequence[str]) -> NDArray[np.int64]:
+        """Return the column of each named sensor.
+
+        Raises
+        ------
+        ThermalDataError
+            If the run lacks one of the sensors; the message names all that are missing.
+        """
+        position = {name: index for index, name in enumerate(self.sensor)}
+        missing = [name for name in sensors if name not in position]
+        if missing:
+            raise ThermalDataError(
+                f'run {self.name!r}: expected the sensors {", ".join(sensors)}, but found no '
+                f'{", ".join(missing)}; the run has {", ".join(self.sensor)}'
+            )
+        return np.array([position[name] for name in sensors], dtype=np.int64)
+
+    def resample(self, interval: float) -> 'ThermalRun':
+        """Return the run at another interval, each sample the mean of one block of readings.
+
+        Parameters
+        ----------
+        interval : float
+            New sampling interval [s], positive.
+
+        Returns
+        -------
+        ThermalRun
+            Samples stamped with the last reading of their block, so that nothing is known
+            before its time; an incomplete last block is dropped.
+
+        Raises
+        ------
+        ThermalDataError
+            If `interval` is not positive or leaves fewer than 8 samples.
+
+        Notes
+        -----
+        Uneven readings, or an interval that is no multiple of theirs, are interpolated
+        linearly onto an even grid first.  Channels with gaps are averaged over what was
+        measured in the block; a block without a measurement stays NaN.
+        """
+        if not (np.isfinite(interval) and interval > 0.0):
+            raise ThermalDataError(f'interval: expected a positive number of s, found {interval}')
+        even = even_blocks(
+            self.time, np.hstack([self.temperature, self.displacement]), interval, JITTER_MAX
+        )
+        if even is None:
+            return self
+        time, values = even
+        if len(time) < SAMPLES_MIN:
+            raise ThermalDataError(
+                f'run {self.name!r}: expected at least {SAMPLES_MIN} samples, but found '
+                f'{len(time)} blocks of {interval:g} s; choose a shorter interval or record longer'
+            )
+        # A reading that is missing spoils the mean of its sensor, but a probe that is missing
+        # leaves the other probes of the block.
+        temperature, displacement = np.split(values, [len(self.sensor)], axis=2)
+        return replace(
+            self,
+            time=time,
+            temperature=temperature.mean(axis=1),
+            displacement=mean_of_measured(displacement),
+        )
+
+    def window(self, start: float | None = None, stop: float | None = None) -> 'ThermalRun':
+        """Return the samples with `start` <= time <= `stop` [s].
+
+        Raises
+        ------
+        ThermalDataError
+            If fewer than 8 samples lie in the window.
+        """
+        inside = self.inside(start, stop)
+        return replace(
+            self,
+            time=self.time[inside],
+            temperature=self.temperature[inside],
+            displacement=self.displacement[inside],
+        )
+
+    def inside(self, start: float | None = None, stop: float | None = None) -> NDArray[np.bool_]:
+        """Return which samples have `start` <= time <= `stop` [s], shape (n,)."""
+        low = -np.inf if start is None else start
+        high = np.inf if stop is None else stop
+        return np.asarray((self.time >= low) & (self.time <= high))
+
+
+def check_training_runs(runs: Sequence[ThermalRun]) -> None:
+    """Refuse runs from which nothing sound can be learnt, method sheet 001 section 6.
+
+    Parameters
+    ----------
+    runs : sequence of ThermalRun
+        Runs of one machine; sensors, channels, axes and interval must agree.
+
+    Raises
+    ------
+    ThermalDataError
+        If there is no run, runs disagree, a temperature is NaN, rises faster than 10 K per
+        minute, no sensor warms by 0.5 K, or a channel was never measured.
+    """
+    if not runs:
+        raise ThermalDataError('runs: expected at least one run, but found none')
+    first = runs[0]
+    names = [run.name for run in runs]
+    if len(set(names)) != len(names):
+        raise ThermalDataError(f'runs: expected each name once, but found {", ".join(names)}')
+    for run in runs:
+        _check_same(first, run)
+        _check_rise(run)
+    if max(float(np.ptp(run.temperature, axis=0).max()) for run in runs) < RISE_MIN:
+        raise ThermalDataError(
+            f'runs: expected a sensor that warms by {RISE_MIN} K, but found none; '
+            'nothing can be learnt from a machine that stayed cold'
+        )
+    measured = np.sum([np.isfinite(run.displacement).sum(axis=0) for run in runs], axis=0)
+    for channel, count in zip(first.channel, measured, strict=True):
+        if count < SAMPLES_MIN:
+            raise ThermalDataError(
+                f'channel {channel!r}: expected at least {SAMPLES_MIN} measured displacements, '
+                f'but found {count}'
+            )
+
+
+def _read_only(values: ArrayLike) -> NDArray[np.float64]:
+    copy = np.array(values, dtype=np.float64)
+    copy.flags.writeable = False
+    return copy
+
+
+def _check_shapes(run: ThermalRun) -> None:
+    samples = len(run.time) if run.time.ndim == 1 else -1
+    expected = {
+        'time': (samples,),
+        'temperature': (samples, len(run.sensor)),
+        'displacement': (samples, len(run.channel)),
+    }
+    for field, shape in expected.items():
+        found = getattr(run, field).shape
+        if samples < 0 or found != shape:
+            raise ThermalDataError(
+                f'run {run.name!r}: expected {field} of shape '
+                f'{shape if samples >= 0 else "(n,)"}, but found {found}'
+            )
+    if len(run.axis) != len(run.channel):
+        raise ThermalDataError(
+            f'run {run.name!r}: expected one axis per channel ({len(run.channel)}), '
+            f'but found {len(run.axis)}'
+        )
+    if samples < SAMPLES_MIN:
+        raise ThermalDataError(
+            f'run {run.name!r}: expected at least {SAMPLES_MIN} samples, but found {samples}'
+        )
+    if not run.sensor:
+        raise ThermalDataError(f'run {run.name!r}: expected at least one sensor, found none')
+
+
+def _check_names(run: ThermalRun) -> None:
+    for field in ('sensor', 'channel'):
+        names: tuple[str, ...] = getattr(run, field)
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ThermalDataError(
+                f'run {run.name!r}: expected each {field} once, but found '
+                f'{", ".join(repeated)} more than once; rename the columns'
+            )
+
+
+def _check_time(run: ThermalRun) -> None:
+    if not np.isfinite(run.time).all():
+        at = int(np.flatnonzero(~np.isfinite(run.time))[0])
+        raise ThermalDataError(
+            f'run {run.name!r}: expected finite times, but found {run.time[at]} at sample {at}'
+        )
+    backwards = np.flatnonzero(np.diff(run.time) <= 0.0)
+    if len(backwards):
+        at = int(backwards[0])
+        raise ThermalDataError(
+            f'run {run.name!r}: expected increasing times, but found {run.time[at + 1]:.6g} s '
+            f'after {run.time[at]:.6g} s at sample {at + 1}'
+        )
+
+
+def _check_values(run: ThermalRun) -> None:
+    outside = (run.temperature < TEMPERATURE_MIN) | (run.temperature > TEMPERATURE_MAX)
+    if outside.any():
+        row, column = np.argwhere(outside)[0]
+        raise ThermalDataError(
+            f'run {run.name!r}: expected temperatures within {TEMPERATURE_MIN:g} and '
+            f'{TEMPERATURE_MAX:g} degC, but found {run.temperature[row, column]:g} of sensor '
+            f'{run.sensor[column]!r} at sample {row}; check its unit, or mark the reading as NaN'
+        )
+    far = np.abs(run.displacement) > DISPLACEMENT_MAX
+    if far.any():
+        row, column = np.argwhere(far)[0]
+        raise ThermalDataError(
+            f'run {run.name!r}: expected displacements within +-{DISPLACEMENT_MAX * 1e6:g} um, '
+            f'but found {run.displacement[row, column] * 1e6:.6g} um in channel '
+            f'{run.channel[column]!r} at sample {row}; check whether mm, um and m were mixed up'
+        )
+
+
+def _check_same(first: ThermalRun, run: ThermalRun) -> None:
+    for field in ('sensor', 'channel', 'axis'):
+        expected, found = getattr(first, field), getattr(run, field)
+        if expected != found:
+            raise ThermalDataError(
+                f'run {run.name!r}: expected {field} {", ".join(expected)} as in run '
+                f'{first.name!r}, but found {", ".join(found)}'
+            )
+    if abs(run.interval - first.interval) > JITTER_MAX * first.interval:
+        raise ThermalDataError(
+            f'run {run.name!r}: expected the interval {first.interval:.6g} s of run '
+            f'{first.name!r}, but found {run.interval:.6g} s; resample the runs to one interval'
+        )
+
+
+def _check_rise(run: ThermalRun) -> None:
+    lost = np.atleast_1d(np.isnan(run.temperature).any(axis=0))
+    if lost.any():
+        names = [run.sensor[column] for column in np.flatnonzero(lost)]
+        raise ThermalDataError(
+            f'run {run.name!r}: expected a temperature in every sample, but found gaps in '
+            f'{", ".join(names)}; leave these sensors out of the training'
+        )
+    minute = max(1, round(60.0 / run.interval))
+    if minute >= len(run.time):
+        return
+    change = np.abs(run.temperature[minute:] - run.temperature[:-minute])
+    limit = RISE_RATE_MAX * minute * run.interval / 60.0
+    if change.max() > limit:
+        row, column = np.unravel_index(int(np.argmax(change)), change.shape)
+        raise ThermalDataError(
+            f'run {run.name!r}: expected at most {RISE_RATE_MAX:g} K per minute, but found '
+            f'{change[row, column]:.3g} K within {minute * run.interval:.3g} s of sensor '
+            f'{run.sensor[column]!r} at sample {row}; check its plug or leave it out'
+        )

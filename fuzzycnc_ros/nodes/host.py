@@ -1,0 +1,291 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The generic host: turns a component's declaration into a node.
+
+Publishers, subscriptions, parameters, diagnostics, provenance, deadlines and lock-step turns all
+follow from the declaration.  What is peculiar to one node (services, actions, drivers) stands in
+that node's own file, as a subclass of `ComponentNode`.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from fuzzycnc_ros.components.component import (
+    LATCHED,
+    Answer,
+    Component,
+    Durability,
+    Emission,
+    Output,
+)
+from fuzzycnc_ros.components.host_config import HostConfig
+from fuzzycnc_ros.components.merge import Merger
+from fuzzycnc_ros.components.provenance import configuration_record, event_record
+from fuzzycnc_ros.components.records import (
+    DeadlineFired,
+    NodeConfiguration,
+    NodeEvent,
+    Record,
+)
+from fuzzycnc_ros.convert import decode, encode
+from fuzzycnc_ros.nodes.diagnostics import diagnostic_array, input_health
+from fuzzycnc_ros.nodes.messages import RCLPY, message_class
+from fuzzycnc_ros.nodes.parameters import ParameterError, changed, declare, refusal
+from fuzzycnc_ros.nodes.qos import publisher_qos, routes_matched, subscription_qos
+from fuzzycnc_ros.nodes.state_file import StateDirectory, StateFileError
+from fuzzycnc_ros.nodes.turn_taker import TurnTaker
+
+DEADLINE_POLL = 0.1
+"""Wall time [s] between two looks at a component's deadline in real time."""
+
+
+class ComponentNode:
+    """Serve one component on a ROS node.
+
+    Parameters
+    ----------
+    node : Node
+        The node; a plain or a managed one.
+    component_type : type
+        The component's class.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is unknown, of the wrong type or out of bounds.
+    """
+
+    def __init__(self, node: Node, component_type: type[Component]) -> None:
+        self.node = node
+        host, config = declare(node, HostConfig, component_type.CONFIG)
+        assert isinstance(host, HostConfig)
+        self.settings = host
+        try:
+            self.component = component_type(config)
+        except ValueError as error:
+            raise ParameterError(str(error)) from error
+        self.component.machine = host.machine or node.get_namespace().strip('/') or 'machine'
+        self.merger = Merger(self.component)
+        self.troubles: dict[str, str] = {}
+        """Faults of the host itself, reported on /diagnostics until they are over."""
+        self._publishers: dict[str, Any] = {}
+        self._subscriptions: dict[str, Any] = {}
+        self._published: dict[str, int] = {}
+        self._lifecycle_state = 'active'
+        for item in component_type.OUTPUTS:
+            self._advertise(item)
+        self._configuration = self._advertise(
+            Output('node_configuration', NodeConfiguration, LATCHED), private=True
+        )
+        self._events = self._advertise(Output('node_event', NodeEvent), private=True)
+        self._state = self._open_state(host.state_directory)
+        self.turns: TurnTaker | None = None
+        if host.lockstep and self.takes_turns:
+            self.turns = TurnTaker(
+                node,
+                self._work,
+                lambda: self.component.next_deadline,
+                reads=lambda: tuple(self._subscriptions),
+                writes=tuple(self._published),
+                matched=self.matched,
+            )
+        for item in component_type.INPUTS:
+            self._subscribe(item.name, item.record, item.durability)
+        if not host.lockstep:
+            self._deadlines = self._advertise(
+                Output('deadline_fired', DeadlineFired), private=True
+            )
+            node.create_timer(DEADLINE_POLL, self._poll_deadline)
+        self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        node.create_timer(1.0, self.report)
+        node.add_on_set_parameters_callback(self._on_parameters)
+        self._restore()
+
+    takes_turns = True
+    """Whether the node works in turns in lock-step; the machine itself gives them."""
+
+    exit_code = 0
+    """What the process ends with."""
+
+    @property
+    def done(self) -> bool:
+        """Whether the node has nothing left to do and its process may end."""
+        return False
+
+    def start(self) -> None:
+        """Announce the configuration, once the node is complete."""
+        self.announce()
+
+    def stop(self) -> None:
+        """Release what the node holds; called at the end of the process."""
+        self.node.destroy_node()
+
+    def publish(self, emissions: Iterable[Emission]) -> None:
+        """Publish what the component emitted and keep what must survive a restart."""
+        for emission in emissions:
+            self._send(emission.output, emission.record)
+            item = self.component.output(emission.output)
+            if item.persistent:
+                self._save(item, emission.record)
+
+    def request(self, name: str, arguments: Mapping[str, Any]) -> Answer:
+        """Carry out a request and write it down for replay."""
+        answer = self.component.on_request(name, arguments, self.merger.time)
+        if answer.success:
+            event = event_record(self.component, self.merger.time, name, arguments)
+            self._send('node_event', event)
+            self.publish(answer.emissions)
+            self.announce()
+        return answer
+
+    def announce(self, lifecycle_state: str | None = None) -> None:
+        """Publish what the node runs with."""
+        if lifecycle_state is not None:
+            self._lifecycle_state = lifecycle_state
+        record = configuration_record(
+            self.component, self.merger.time, self._lifecycle_state
+        )
+        self._configuration.publish(encode(record, RCLPY))
+
+    def report(self) -> None:
+        """Publish the health of the component and its inputs on /diagnostics."""
+        now = self.merger.time if self.settings.lockstep else self._now()
+        health = [
+            *self.component.health(),
+            *input_health(self.merger, now),
+        ]
+        self._diagnostics.publish(
+            diagnostic_array(
+                self.node.get_fully_qualified_name(),
+                self.component.machine,
+                health,
+                self.troubles,
+                self.node.get_clock().now().to_msg(),
+            )
+        )
+
+    def matched(self, topics: tuple[str, ...]) -> bool:
+        """Whether both ends of all routes of this node are matched.
+
+        Parameters
+        ----------
+        topics : tuple of str
+            Topics that somebody in the run publishes, absolute names.
+        """
+        return routes_matched(
+            self.node, self._subscriptions.values(), self._publishers.values(), topics
+        )
+
+    @property
+    def published(self) -> dict[str, int]:
+        """Messages published on each of the component's outputs so far, by absolute topic."""
+        return self._published
+
+    def _advertise(self, item: Output, *, private: bool = False) -> Any:
+        """Create a publisher; private ones are left out of lock-step announcements."""
+        publisher = self.node.create_publisher(
+            message_class(item.record.TYPE), item.name, publisher_qos(item.durability)
+        )
+        self._publishers[item.name] = publisher
+        if not private:
+            self._published[publisher.topic_name] = 0
+        return publisher
+
+    def _send(self, name: str, record: Record) -> None:
+        publisher = self._publishers[name]
+        publisher.publish(encode(record, RCLPY))
+        topic = publisher.topic_name
+        if topic in self._published:
+            self._published[topic] += 1
+            if self.turns is not None:
+                self.turns.published(topic)
+
+    def _subscribe(self, name: str, record_type: type[Record], durability: Durability) -> None:
+        topic = self.node.resolve_topic_name(name)
+        handler = self._input_handler(name, topic, record_type)
+        self._subscriptions[topic] = self.node.create_subscription(
+            message_class(record_type.TYPE),
+            name,
+            handler,
+            subscription_qos(durability, lockstep=self.settings.lockstep),
+        )
+
+    def _input_handler(
+        self, name: str, topic: str, record_type: type[Record]
+    ) -> Callable[[Any, Any], None]:
+        drives = self.component.input(name).driving
+
+        def on_message(message: Any, info: Any) -> None:
+            record = decode(record_type, message)
+            accepted = self.merger.push(name, record)
+            if self.turns is not None:
+                self.turns.received(topic, info['publication_sequence_number'])
+            elif not self.settings.lockstep and drives and accepted:
+                self._work(record.stamp)
+
+        return on_message
+
+    def _work(self, stamp: int) -> None:
+        self.publish(self.merger.advance(stamp))
+
+    def _now(self) -> int:
+        return int(self.node.get_clock().now().nanoseconds)
+
+    def _poll_deadline(self) -> None:
+        """Real time: fire a deadline that no input has fired, and write it down."""
+        deadline = self.component.next_deadline
+        if deadline is None or deadline > self._now():
+            return
+        self._work(deadline)
+        record = DeadlineFired(
+            stamp=deadline,
+            frame_id=self.component.frame('machine'),
+            node=self.node.get_name(),
+        )
+        self._deadlines.publish(encode(record, RCLPY))
+
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            config = changed(self.component.configuration, parameters)
+            self.component.reconfigure(config)
+        except ValueError as error:
+            return refusal(str(error))
+        self.announce()
+        return SetParametersResult(successful=True)
+
+    def _open_state(self, path: str) -> StateDirectory:
+        try:
+            return StateDirectory(path, self.node.get_fully_qualified_name())
+        except StateFileError as error:
+            raise ParameterError(str(error)) from error
+
+    def _restore(self) -> None:
+        """Hand persistent records of an earlier life to the component and publish them again."""
+        for item in self.component.OUTPUTS:
+            if not item.persistent:
+                continue
+            try:
+                record = self._state.load(item)
+            except StateFileError as error:
+                self.troubles['state'] = str(error)
+                self.node.get_logger().error(str(error))
+                continue
+            if record is not None:
+                self.component.restore(item.name, record)
+                self._send(item.name, record)
+
+    def _save(self, item: Output, record: Record) -> None:
+        try:
+            self._state.save(item, record)
+        except StateFileError as error:
+            if 'state' not in self.troubles:
+                self.node.get_logger().error(str(error))
+            self.troubles['state'] = str(error)
+        else:
+            self.troubles.pop('state', None)
+

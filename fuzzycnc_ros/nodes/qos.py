@@ -1,0 +1,75 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""QoS of every topic (docs/architecture.md says why these depths), and whether routes stand."""
+
+from collections.abc import Collection
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from fuzzycnc_ros.components.component import LATCHED, Durability
+
+PUBLISHER_DEPTH = 2000
+"""A publisher serves its slowest reader: a recorder that pauses for two seconds."""
+SUBSCRIPTION_DEPTH = 10
+LOCKSTEP_DEPTH = 2000
+"""In lock-step a node may get hundreds of messages in one turn, none of which may be lost."""
+
+
+def publisher_qos(durability: Durability) -> QoSProfile:
+    """Return the QoS of a publisher."""
+    return _latched() if durability is LATCHED else _stream(PUBLISHER_DEPTH)
+
+
+def subscription_qos(durability: Durability, *, lockstep: bool = False) -> QoSProfile:
+    """Return the QoS of a component's subscription."""
+    if durability is LATCHED:
+        return _latched()
+    return _stream(LOCKSTEP_DEPTH if lockstep else SUBSCRIPTION_DEPTH)
+
+
+def routes_matched(
+    node: Node,
+    subscriptions: Collection[Any],
+    publishers: Collection[Any],
+    topics: Collection[str] = (),
+) -> bool:
+    """Whether both ends of all routes of a node are matched, as far as the graph is known.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    subscriptions, publishers : collection
+        Its ends.
+    topics : collection of str
+        Topics that somebody publishes although the graph may not show it yet.
+    """
+    heard = all(
+        item.get_publisher_count()
+        >= max(node.count_publishers(item.topic_name), int(item.topic_name in topics))
+        for item in subscriptions
+    )
+    return heard and all(
+        item.get_subscription_count() >= node.count_subscribers(item.topic_name)
+        for item in publishers
+    )
+
+
+def _latched() -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=1,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+
+
+def _stream(depth: int) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.VOLATILE,
+    )

@@ -1,0 +1,264 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node `recorder`: undecoded bytes of any topics into an MCAP bag.
+
+The callback only queues; a thread writes.  In a lock-step run the recorder takes a turn every
+500 ticks, which holds the run up until everything published so far has reached it.
+"""
+
+import re
+import struct
+import sys
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+
+from fuzzycnc_ros.bags.errors import BagError
+from fuzzycnc_ros.bags.metadata import Qos
+from fuzzycnc_ros.bags.recorder import Progress, RecordingThread
+from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.components.component import STREAM, Health, Level
+from fuzzycnc_ros.components.host_config import RecorderConfig
+from fuzzycnc_ros.components.provenance import text_hash
+from fuzzycnc_ros.components.records import SECOND, NodeConfiguration, RecorderProgress
+from fuzzycnc_ros.convert import encode
+from fuzzycnc_ros.nodes import run
+from fuzzycnc_ros.nodes.diagnostics import DiagnosticArray, diagnostic_array
+from fuzzycnc_ros.nodes.messages import RCLPY, message_class
+from fuzzycnc_ros.nodes.parameters import ParameterError, declare
+from fuzzycnc_ros.nodes.qos import publisher_qos, routes_matched
+from fuzzycnc_ros.nodes.turn_taker import TurnTaker
+
+DEPTH = 5000
+"""What the subscription may hold while the process is stopped."""
+DISCOVERY_PERIOD = 0.2
+"""Wall time [s] between two looks for new topics."""
+RECORDER_PATIENCE = 25.0
+"""Wall time [s] a turn waits for announced messages; below the sequencer's own timeout."""
+
+
+class RecorderNode:
+    """Record every matching topic as it appears."""
+
+    exit_code = 0
+
+    def __init__(self, node: Node) -> None:
+        self.node = node
+        (config,) = declare(node, RecorderConfig)
+        assert isinstance(config, RecorderConfig)
+        self._config = config
+        if not config.output:
+            raise ParameterError('parameter output: expected the directory of a new bag')
+        self._include = self._pattern('topics', config.topics)
+        self._exclude = self._pattern('exclude', config.exclude)
+        self._subscriptions: dict[str, Any] = {}
+        self._skipped: dict[str, str] = {}
+        self._early: list[tuple[str, bytes, int]] = []
+        self._newest = 0
+        self._models: set[str] = set()
+        try:
+            self._thread = RecordingThread(BagWriter(config.output))
+        except BagError as error:
+            raise ParameterError(str(error)) from error
+        self._progress = node.create_publisher(
+            message_class(RecorderProgress.TYPE), 'recorder/progress', publisher_qos(STREAM)
+        )
+        self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self.turns: TurnTaker | None = None
+        if config.lockstep:
+            self.turns = TurnTaker(
+                node,
+                self._on_turn,
+                lambda: None,
+                reads=lambda: tuple(self._subscriptions),
+                writes=(),
+                matched=self._matched,
+                patience=RECORDER_PATIENCE,
+            )
+        self._discover()
+        node.create_timer(DISCOVERY_PERIOD, self._discover)
+        node.create_timer(1.0, self._report)
+
+    @property
+    def done(self) -> bool:
+        """Whether the disk refuses to take any more."""
+        if self._thread.progress().error:
+            self.exit_code = 1
+            return True
+        return False
+
+    def start(self) -> None:
+        """Say where the bag is."""
+        self.node.get_logger().info(f'recording to {self._config.output}')
+
+    def stop(self) -> None:
+        """Write what is queued, close the bag and say what is in it."""
+        try:
+            self._release(self._newest)
+            progress = self._thread.close()
+        except BagError as error:
+            print(f'error: {error}', file=sys.stderr)
+            self.exit_code = 1
+        else:
+            print(
+                f'{self._config.output}: {progress.written} messages on '
+                f'{len(progress.topics)} topics, {progress.lost} lost',
+                flush=True,
+            )
+        self.node.destroy_node()
+
+    def _pattern(self, name: str, text: str) -> re.Pattern[str]:
+        if name == 'topics' and not text:
+            text = f'^({re.escape(self.node.get_namespace().rstrip("/"))}/|/clock$|/diagnostics$)'
+        try:
+            return re.compile(text)
+        except re.error as error:
+            raise ParameterError(
+                f'parameter {name}: {text!r} is no regular expression: {error}'
+            ) from error
+
+    def _wanted(self, topic: str) -> bool:
+        return bool(self._include.search(topic)) and not self._exclude.search(topic)
+
+    def _discover(self) -> None:
+        for topic, types in self.node.get_topic_names_and_types():
+            if topic in self._subscriptions or topic in self._skipped or not self._wanted(topic):
+                continue
+            publishers = self.node.get_publishers_info_by_topic(topic)
+            if publishers:
+                self._subscribe(topic, types, publishers)
+
+    def _subscribe(self, topic: str, types: list[str], publishers: list[Any]) -> None:
+        if len(types) > 1:
+            self._skip(topic, f'has several types: {", ".join(types)}')
+            return
+        try:
+            message_type = message_class(types[0])
+        except (ImportError, AttributeError):
+            self._skip(topic, f'its type {types[0]} is not installed here')
+            return
+        # The weakest offer decides: a reader that asks for more than a writer offers gets nothing.
+        offers = [item.qos_profile for item in publishers]
+        latched = all(o.durability is DurabilityPolicy.TRANSIENT_LOCAL for o in offers)
+        reliable = all(o.reliability is ReliabilityPolicy.RELIABLE for o in offers)
+        qos = Qos(
+            depth=1 if latched else DEPTH,
+            reliability='reliable' if reliable else 'best_effort',
+            durability='transient_local' if latched else 'volatile',
+        )
+        self._thread.add_topic(topic, types[0], qos)
+        profile = QoSProfile(
+            depth=DEPTH,
+            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=(
+                DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+            ),
+        )
+        stamped = types[0].startswith('fuzzycnc_msgs/') or types[0] == 'rosgraph_msgs/msg/Clock'
+        configuration = types[0] == NodeConfiguration.TYPE
+
+        def on_message(payload: bytes, info: Any) -> None:
+            self._take(topic, payload, info, stamped)
+            if configuration:
+                self._attach_model(payload)
+
+        self._subscriptions[topic] = self.node.create_subscription(
+            message_type, topic, on_message, profile, raw=True
+        )
+
+    def _skip(self, topic: str, reason: str) -> None:
+        self._skipped[topic] = reason
+        self.node.get_logger().warning(f'{topic} is not recorded: {reason}')
+
+    def _take(self, topic: str, payload: bytes, info: Any, stamped: bool) -> None:
+        sequence = info['publication_sequence_number']
+        if not self._config.lockstep:
+            now = int(self.node.get_clock().now().nanoseconds)
+            self._thread.put(topic, payload, now, now, sequence)
+            return
+        if stamped:
+            self._newest = max(self._newest, _leading_stamp(payload))
+        if self._newest == 0:
+            # Before the first tick there is no machine time to log by.
+            self._early.append((topic, payload, sequence))
+        else:
+            self._release(self._newest)
+            self._thread.put(topic, payload, self._newest, self._newest, sequence)
+        if self.turns is not None:
+            self.turns.received(topic, sequence)
+
+    def _release(self, stamp: int) -> None:
+        for topic, payload, sequence in self._early:
+            self._thread.put(topic, payload, stamp, stamp, sequence)
+        self._early.clear()
+
+    def _attach_model(self, payload: bytes) -> None:
+        """Keep each model that a node runs with beside the messages."""
+        message = deserialize_message(payload, message_class(NodeConfiguration.TYPE))
+        if not message.model or message.model_hash in self._models:
+            return
+        self._models.add(message.model_hash)
+        digest = text_hash(message.model)
+        self._thread.attach(f'{message.node}/model-{digest[:12]}.json', message.model)
+
+    def _on_turn(self, stamp: int) -> None:
+        """All that was announced has come: say how far the bag is."""
+        self._publish_progress(self._thread.progress(), stamp)
+
+    def _matched(self, topics: tuple[str, ...]) -> bool:
+        self._discover()
+        missing = [t for t in topics if self._wanted(t) and t not in self._subscriptions]
+        return not missing and routes_matched(self.node, self._subscriptions.values(), (), topics)
+
+    def _publish_progress(self, progress: Progress, stamp: int) -> None:
+        record = RecorderProgress(
+            stamp=stamp,
+            received=progress.received,
+            written=progress.written,
+            lost=progress.lost,
+        )
+        self._progress.publish(encode(record, RCLPY))
+
+    def _report(self) -> None:
+        progress = self._thread.progress()
+        now = self.node.get_clock().now()
+        self._publish_progress(progress, self._newest or now.nanoseconds)
+        values = {
+            'received': str(progress.received),
+            'written': str(progress.written),
+            'lost': str(progress.lost),
+        }
+        level = Level.WARN if progress.lost else Level.OK
+        text = f'{progress.written} messages on {len(progress.topics)} topics'
+        if progress.lost:
+            text += f', {progress.lost} lost'
+        health = [Health('bag', level, text, values)]
+        health += [Health(topic, Level.WARN, text) for topic, text in self._skipped.items()]
+        self._diagnostics.publish(
+            diagnostic_array(
+                self.node.get_fully_qualified_name(), '', health, {}, now.to_msg()
+            )
+        )
+
+
+def _leading_stamp(payload: bytes) -> int:
+    """Return the time with which a stamped message begins [ns]."""
+    order = '<' if payload[1] & 1 else '>'
+    seconds, rest = struct.unpack_from(f'{order}iI', payload, 4)
+    return int(seconds) * SECOND + int(rest)
+
+
+def make() -> RecorderNode:
+    """Create the node."""
+    return RecorderNode(Node('recorder'))
+
+
+def main() -> None:
+    """Run the node until it is interrupted."""
+    run.main(make)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,259 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The machine's side of a lock-step run over DDS: give turns, tick by tick."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+
+from fuzzycnc_ros.components.component import STREAM
+from fuzzycnc_ros.components.records import MachineTick, TickAnswer
+from fuzzycnc_ros.convert import decode, encode
+from fuzzycnc_ros.nodes.messages import RCLPY, message_class
+from fuzzycnc_ros.nodes.qos import publisher_qos, subscription_qos
+from fuzzycnc_ros.nodes.turn_taker import tick_topic
+
+PROBE_PERIOD = 0.1
+RECORDER = 'recorder'
+RECORDER_EVERY = 500
+"""Ticks between two turns of the recorder: its queue must hold what comes in between."""
+RECORDER_TIMEOUT = 30.0
+"""Wall time [s] after which a silent recorder is lost; a stopped process may well come back."""
+
+
+@dataclass
+class Participant:
+    """What the sequencer knows of one node."""
+
+    name: str
+    publisher: Any
+    timeout: float
+    """Wall time [s] after which the node is lost."""
+    every: int = 1
+    """Ticks between two turns."""
+    lost: bool = True
+    reads: tuple[str, ...] = ()
+    next_deadline: int = 0
+    seen: dict[str, int] = field(default_factory=dict)
+    """Newest sequence number of each topic at the node's last turn."""
+    probe_number: int = 0
+
+
+class Sequencer:
+    """Give one turn after the other, tick by tick, until the programme is over.
+
+    It first sends probes, which change no state, until every node has answered one that named
+    all topics of the run; each node vouches for both ends of its own routes.  A node that does
+    not answer a turn in time is lost: reported once, and left out until it answers a probe.
+
+    Parameters
+    ----------
+    node : Node
+        The node of the machine.
+    nodes : sequence of str
+        Names of the nodes that get turns, in order.
+    advance : callable
+        Makes the machine take its inputs up to the next tick, tick and publish; returns the
+        stamp [ns], or None when the programme is over.
+    published : callable
+        Returns the machine's own publications so far, absolute topic to count.
+    matched : callable
+        Says whether both ends of all the machine's own routes are matched.
+    finished : callable
+        Called once, when the programme is over and all turns are taken.
+    recorder : bool
+        Whether the node `recorder` gets a turn every 500 ticks and at the end.
+    answer_timeout : float
+        Wall time [s] after which a silent node is lost.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        nodes: tuple[str, ...],
+        *,
+        advance: Callable[[], int | None],
+        published: Callable[[], dict[str, int]],
+        matched: Callable[[tuple[str, ...]], bool],
+        finished: Callable[[], None],
+        recorder: bool,
+        answer_timeout: float,
+    ) -> None:
+        self._node = node
+        self._advance, self._own = advance, published
+        self._matched, self._finished = matched, finished
+        self._participants = [self._participant(name, answer_timeout) for name in nodes]
+        if recorder:
+            last = self._participant(RECORDER, RECORDER_TIMEOUT)
+            last.every = RECORDER_EVERY
+            self._participants.append(last)
+        self._counts: dict[str, int] = {}
+        self._stamp = 0
+        self._turn = len(self._participants)
+        self._waiting: Participant | None = None
+        self._since = time.monotonic()
+        self._probed = 0.0
+        self._probes = 0
+        self._running = False
+        self._programme_over = False
+        self.tick = 0
+        """Number of the present tick."""
+        self.over = False
+        """Whether the programme is over and all turns are taken."""
+        self.lost: list[str] = []
+        """Nodes that fell silent, in order of the event."""
+        self.missed = 0
+        """Turns that were taken without all announced inputs."""
+        node.create_subscription(
+            message_class(TickAnswer.TYPE),
+            'tick_answer',
+            self._on_answer,
+            subscription_qos(STREAM, lockstep=True),
+        )
+        node.create_timer(0.05, self._on_timer)
+
+    @property
+    def degraded(self) -> bool:
+        """Whether the run proves nothing: a node was lost or worked without its inputs."""
+        return bool(self.lost) or self.missed > 0
+
+    @property
+    def running(self) -> bool:
+        """Whether the first tick has been given."""
+        return self._running
+
+    @property
+    def waiting_for(self) -> tuple[str, ...]:
+        """Names of the nodes that have not answered a probe yet, or were lost."""
+        return tuple(item.name for item in self._participants if item.lost)
+
+    def _participant(self, name: str, timeout: float) -> Participant:
+        publisher = self._node.create_publisher(
+            message_class(MachineTick.TYPE), tick_topic(name), publisher_qos(STREAM)
+        )
+        return Participant(name, publisher, timeout)
+
+    def _on_timer(self) -> None:
+        """Probe silent nodes, start when all are there, notice those that fall silent."""
+        now = time.monotonic()
+        if now - self._probed >= PROBE_PERIOD:
+            self._probed = now
+            for item in self._participants:
+                if item.lost:
+                    self._probe(item)
+        if self.over:
+            return
+        if not self._running:
+            if not self.waiting_for and self._matched(tuple(self._all_counts())):
+                self._running = True
+                self._next()
+        elif self._waiting is not None and now - self._since > self._waiting.timeout:
+            self._lose(self._waiting)
+            self._next()
+
+    def _lose(self, item: Participant) -> None:
+        item.lost = True
+        self.lost.append(item.name)
+        self._waiting = None
+        self._node.get_logger().warning(
+            f'{item.name} did not answer tick {self.tick} within {item.timeout:g} s: lost until '
+            'it answers a probe; this run is degraded'
+        )
+
+    def _on_answer(self, message: Any) -> None:
+        answer = decode(TickAnswer, message)
+        item = next((p for p in self._participants if p.name == answer.node), None)
+        if item is None:
+            return
+        counts = dict(zip(answer.topic, answer.published.tolist(), strict=True))
+        if answer.probe:
+            self._on_probe_answer(item, answer, counts)
+        elif item is self._waiting and answer.tick == self.tick:
+            self._counts.update(counts)
+            item.next_deadline = answer.next_deadline
+            self.missed += answer.missed
+            self._waiting = None
+            self._next()
+
+    def _on_probe_answer(
+        self, item: Participant, answer: TickAnswer, counts: dict[str, int]
+    ) -> None:
+        if not item.lost:
+            return
+        news = set(counts) - set(self._counts)
+        self._counts.update(counts)
+        if news:
+            # Earlier answers did not vouch for these topics: everybody is asked again.
+            self._probes += 1
+            if not self._running:
+                for other in self._participants:
+                    other.lost = True
+                return
+        if answer.probe_number < self._probes:
+            return
+        item.lost = False
+        item.reads = answer.reads
+        item.next_deadline = answer.next_deadline
+        item.seen = {}
+        if self._running:
+            self._node.get_logger().info(f'{item.name} is back at tick {self.tick}')
+
+    def _next(self) -> None:
+        """Give the next turn that is due; tick when there is none left."""
+        while not self.over:
+            while self._turn < len(self._participants):
+                item = self._participants[self._turn]
+                self._turn += 1
+                if not item.lost and self._due(item):
+                    self._give_turn(item)
+                    return
+            if self._programme_over:
+                self.over = True
+                self._finished()
+                return
+            stamp = self._advance()
+            self._turn = 0
+            if stamp is None:
+                # One more round: the recorder and late deadlines get their last turn.
+                self._programme_over = True
+                continue
+            self.tick += 1
+            self._stamp = stamp
+
+    def _due(self, item: Participant) -> bool:
+        """Whether a turn would change anything: new inputs, or a deadline reached."""
+        if item.every > 1 and self.tick % item.every and not self._programme_over:
+            return False
+        if 0 < item.next_deadline <= self._stamp:
+            return True
+        counts = self._all_counts()
+        return any(counts.get(topic, 0) != item.seen.get(topic, 0) for topic in item.reads)
+
+    def _give_turn(self, item: Participant) -> None:
+        counts = self._all_counts()
+        item.seen = counts
+        self._waiting, self._since = item, time.monotonic()
+        # What the node does not read is none of its business, and costs time to send.
+        self._send(item, {topic: counts[topic] for topic in item.reads if topic in counts})
+
+    def _probe(self, item: Participant) -> None:
+        self._send(item, self._all_counts(), probe=True)
+
+    def _all_counts(self) -> dict[str, int]:
+        return {**self._counts, **self._own()}
+
+    def _send(self, item: Participant, counts: dict[str, int], *, probe: bool = False) -> None:
+        tick = MachineTick(
+            stamp=self._stamp,
+            tick=self.tick,
+            node=item.name,
+            probe=probe,
+            probe_number=self._probes if probe else 0,
+            topic=tuple(counts),
+            published=np.array(list(counts.values()), dtype=np.uint64),
+        )
+        item.publisher.publish(encode(tick, RCLPY))

@@ -1,0 +1,94 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node `simulated_machine`: makes machine time, in lock-step or by the clock, and `/clock`."""
+
+import json
+import sys
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock as ClockMessage
+
+from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
+from fuzzycnc_ros.nodes import run
+from fuzzycnc_ros.nodes.host import ComponentNode
+from fuzzycnc_ros.nodes.messages import RCLPY
+from fuzzycnc_ros.nodes.sequencer import Sequencer
+
+
+class SimulatedMachineNode(ComponentNode):
+    """Tick the simulated machine: as fast as all nodes answer, or at a rate of machine time."""
+
+    takes_turns = False
+    component: SimulatedMachine
+
+    def __init__(self, node: Node) -> None:
+        super().__init__(node, SimulatedMachine)
+        config = self.component.configuration
+        assert isinstance(config, SimulatedMachineConfig)
+        self._clock = node.create_publisher(ClockMessage, '/clock', 10)
+        self._done = False
+        self.sequencer: Sequencer | None = None
+        if self.settings.lockstep:
+            self.sequencer = Sequencer(
+                node,
+                config.lockstep_nodes,
+                advance=self._tick,
+                published=lambda: self.published,
+                matched=self.matched,
+                finished=self._finish,
+                recorder=config.lockstep_recorder,
+                answer_timeout=config.answer_timeout,
+            )
+        else:
+            # Wall time: with use_sim_time the node's own clock stands still until it ticks.
+            node.create_timer(
+                config.tick_period / config.rate,
+                self._tick_or_finish,
+                clock=Clock(clock_type=ClockType.STEADY_TIME),
+            )
+
+    @property
+    def done(self) -> bool:
+        """Whether the programme is over."""
+        return self._done
+
+    def _tick(self) -> int | None:
+        stamp = self.component.next_tick
+        if stamp is None:
+            return None
+        self._clock.publish(ClockMessage(clock=RCLPY.time(stamp)))
+        self._work(stamp)
+        self.publish(self.component.tick())
+        return stamp
+
+    def _tick_or_finish(self) -> None:
+        if self._tick() is None:
+            self._finish()
+
+    def _finish(self) -> None:
+        lost = self.sequencer.lost if self.sequencer else []
+        missed = self.sequencer.missed if self.sequencer else 0
+        outcome = {
+            'ticks': self.sequencer.tick if self.sequencer else self.component.total_ticks,
+            'degraded': bool(lost or missed),
+            'lost': lost,
+            'missed': missed,
+        }
+        print(json.dumps(outcome), file=sys.stdout, flush=True)
+        self.report()
+        self._done = True
+
+
+def make() -> SimulatedMachineNode:
+    """Create the node."""
+    return SimulatedMachineNode(Node(SimulatedMachine.NAME))
+
+
+def main() -> None:
+    """Run the node until its programme is over or it is interrupted."""
+    run.main(make)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,39 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node `temperature_acquisition`: drivers bring readings, the component checks and averages."""
+
+from fuzzycnc_msgs.srv import SetThermalReference
+from rclpy.node import Node
+
+from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition
+from fuzzycnc_ros.nodes import run
+from fuzzycnc_ros.nodes.host import ComponentNode
+
+
+class TemperatureAcquisitionNode(ComponentNode):
+    """Serve the acquisition, its drivers and the service `set_thermal_reference`."""
+
+    def __init__(self, node: Node) -> None:
+        super().__init__(node, TemperatureAcquisition)
+        node.create_service(SetThermalReference, 'set_thermal_reference', self._on_reference)
+
+    def _on_reference(
+        self, request: SetThermalReference.Request, response: SetThermalReference.Response
+    ) -> SetThermalReference.Response:
+        answer = self.request('set_thermal_reference', {'set_by': request.set_by})
+        response.success, response.message = answer.success, answer.message
+        return response
+
+
+def make() -> TemperatureAcquisitionNode:
+    """Create the node."""
+    return TemperatureAcquisitionNode(Node(TemperatureAcquisition.NAME))
+
+
+def main() -> None:
+    """Run the node until it is interrupted."""
+    run.main(make)
+
+
+if __name__ == '__main__':
+    main()

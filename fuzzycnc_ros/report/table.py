@@ -1,0 +1,133 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A table once, shown in the terminal, as plain text, as Markdown and in HTML."""
+
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+from fuzzycnc_ros.report.requirement import require
+
+
+@dataclass(frozen=True)
+class Column:
+    """Heading of a column, the group it belongs to, and whether it holds numbers."""
+
+    heading: str
+    group: str = ''
+    numeric: bool = True
+
+    @property
+    def full_heading(self) -> str:
+        """Group and heading in one line."""
+        return f'{self.group} {self.heading}'.strip()
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells as text with headings, an explanation and emphasis.
+
+    Parameters
+    ----------
+    title : str
+        What the table holds, with the unit of its numbers.
+    columns : tuple of Column
+        Columns; neighbours of one group share a heading where the output can show that.
+    rows : tuple of tuple of str
+        Cells.
+    strong : frozenset of (int, int)
+        Row and column of the cells that stand out, such as the best of a column.
+    highlight : frozenset of int
+        Rows that stand out, such as the model in use.
+
+    Raises
+    ------
+    ValueError
+        If a row has not one cell per column.
+
+    Examples
+    --------
+    >>> columns = (Column('Model', numeric=False), Column('max', 'Y'), Column('max', 'Z'))
+    >>> print(Table('Residual [um]', columns, (('LagRidge', '2.4', '1.8'),)).to_text())
+    Residual [um]
+    Model     Y max  Z max
+    --------  -----  -----
+    LagRidge    2.4    1.8
+    """
+
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[str, ...], ...]
+    strong: frozenset[tuple[int, int]] = frozenset()
+    highlight: frozenset[int] = frozenset()
+
+    def __post_init__(self) -> None:
+        for number, row in enumerate(self.rows):
+            if len(row) != len(self.columns):
+                raise ValueError(
+                    f'row {number} of table {self.title!r}: expected {len(self.columns)} cells '
+                    f'but found {len(row)}'
+                )
+
+    def groups(self) -> list[tuple[str, int]]:
+        """Return the groups of columns, each with its number of columns."""
+        return [
+            (group, len(list(members)))
+            for group, members in groupby(self.columns, key=lambda column: column.group)
+        ]
+
+    def to_rich(self) -> Any:
+        """Return a `rich.table.Table`; needs rich."""
+        text = require('rich.text').Text
+        table = require('rich.table').Table(
+            title=text(self.title, style='bold'),
+            title_justify='left',
+            box=require('rich.box').SIMPLE_HEAD,
+        )
+        for column in self.columns:
+            table.add_column(
+                text(f'{column.group}\n{column.heading}'.strip()),
+                justify='right' if column.numeric else 'left',
+                vertical='bottom',
+                no_wrap=True,
+            )
+        for r, row in enumerate(self.rows):
+            cells = [
+                text(cell, style='bold green' if (r, c) in self.strong else '')
+                for c, cell in enumerate(row)
+            ]
+            table.add_row(*cells, style='bold' if r in self.highlight else None)
+        return table
+
+    def to_text(self) -> str:
+        """Return plain text in aligned columns."""
+        headings = tuple(column.full_heading for column in self.columns)
+        widths = [max(map(len, column)) for column in zip(headings, *self.rows, strict=True)]
+        rule = tuple('-' * width for width in widths)
+        lines = [
+            '  '.join(
+                cell.rjust(width) if column.numeric else cell.ljust(width)
+                for cell, width, column in zip(row, widths, self.columns, strict=True)
+            ).rstrip()
+            for row in (headings, rule, *self.rows)
+        ]
+        return '\n'.join([self.title, *lines])
+
+    def to_markdown(self) -> str:
+        """Return a Markdown table with a bold title line."""
+        cells = [
+            [self._markdown_cell(r, c, cell) for c, cell in enumerate(row)]
+            for r, row in enumerate(self.rows)
+        ]
+        headings = [_escaped(column.full_heading) for column in self.columns]
+        rule = ['---:' if column.numeric else ':---' for column in self.columns]
+        lines = ['| ' + ' | '.join(row) + ' |' for row in (headings, rule, *cells)]
+        return '\n'.join([f'**{_escaped(self.title)}**', '', *lines])
+
+    def _markdown_cell(self, row: int, column: int, cell: str) -> str:
+        text = _escaped(cell)
+        return f'**{text}**' if (row, column) in self.strong else text
+
+
+def _escaped(text: str) -> str:
+    return text.replace('\\', '\\\\').replace('|', '\\|').replace('\n', ' ')

@@ -1,0 +1,111 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Start the thermal compensation of one machine under its own namespace."""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, RegisterEventHandler
+from launch.conditions import IfCondition
+from launch.events import matches_action
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import LifecycleNode, Node
+from launch_ros.event_handlers import OnStateTransition
+from launch_ros.events.lifecycle import ChangeState
+from launch_ros.parameter_descriptions import ParameterValue
+from lifecycle_msgs.msg import Transition
+
+PACKAGE = 'fuzzycnc_ros'
+NODES = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor')
+
+
+def generate_launch_description() -> LaunchDescription:
+    machine = LaunchConfiguration('machine')
+    params = LaunchConfiguration('params_dir')
+    sim_time = {
+        'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool)
+    }
+
+    def common(name: str) -> dict:
+        return {
+            'package': PACKAGE,
+            'executable': name,
+            'name': name,
+            'namespace': machine,
+            'output': 'screen',
+        }
+
+    def params_file(name: str) -> PathJoinSubstitution:
+        return PathJoinSubstitution([params, f'{name}.yaml'])
+
+    compensator = LifecycleNode(
+        **common('compensator'),
+        # The transitions are made below, so that a manual deactivation is not undone.
+        parameters=[params_file('compensator'), sim_time, {'autostart': False}],
+    )
+    activate_once = RegisterEventHandler(
+        OnStateTransition(
+            target_lifecycle_node=compensator,
+            start_state='configuring',
+            goal_state='inactive',
+            entities=[
+                EmitEvent(
+                    event=ChangeState(
+                        lifecycle_node_matcher=matches_action(compensator),
+                        transition_id=Transition.TRANSITION_ACTIVATE,
+                    )
+                )
+            ],
+        ),
+        condition=IfCondition(LaunchConfiguration('autostart')),
+    )
+    configure = EmitEvent(
+        event=ChangeState(
+            lifecycle_node_matcher=matches_action(compensator),
+            transition_id=Transition.TRANSITION_CONFIGURE,
+        ),
+        condition=IfCondition(LaunchConfiguration('autostart')),
+    )
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                'machine', default_value='mill', description='Namespace: the name of the machine'
+            ),
+            DeclareLaunchArgument(
+                'simulated',
+                default_value='true',
+                choices=['true', 'false'],
+                description='Start the simulated machine; false: a bridge of a real one runs',
+            ),
+            DeclareLaunchArgument(
+                'use_sim_time',
+                default_value=LaunchConfiguration('simulated'),
+                description='Take the time from /clock, which the simulated machine publishes',
+            ),
+            DeclareLaunchArgument(
+                'params_dir',
+                default_value=str(Path(get_package_share_directory(PACKAGE), 'params')),
+                description='Folder with one parameter file per node, <node>.yaml',
+            ),
+            DeclareLaunchArgument(
+                'autostart',
+                default_value=LaunchConfiguration('simulated'),
+                description='Configure and activate the compensator; '
+                'by default only where the machine is simulated',
+            ),
+            LogInfo(
+                msg='fuzzycnc is not a safety function (ISO 13849): emergency stop, limit '
+                'switches and drive limits stay in hardware.'
+            ),
+            activate_once,
+            Node(
+                **common('simulated_machine'),
+                parameters=[params_file('simulated_machine')],
+                condition=IfCondition(LaunchConfiguration('simulated')),
+            ),
+            *[Node(**common(name), parameters=[params_file(name), sim_time]) for name in NODES],
+            compensator,
+            configure,
+        ]
+    )

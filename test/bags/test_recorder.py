@@ -1,0 +1,243 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The recording thread: order, counts of every loss, errors of the thread."""
+
+import errno
+import json
+import threading
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fuzzycnc_ros.bags.errors import BagTopicError, BagWriteError
+from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.bags.recorder import REPORT_NAME, RecordingThread
+from fuzzycnc_ros.bags.repair import repair
+from fuzzycnc_ros.bags.sequence import MODULUS, UNSUPPORTED, SequenceCounter
+from fuzzycnc_ros.bags.writer import BagWriter
+
+NUMBER = 'std_msgs/msg/UInt64'
+
+
+def payload(number):
+    return b'\x00\x01\x00\x00' + number.to_bytes(8, 'little')
+
+
+def missing(numbers, publisher=None):
+    counter = SequenceCounter()
+    for number in numbers:
+        counter.update(number, publisher)
+    return counter.missing
+
+
+# Gaps
+
+
+@pytest.mark.parametrize(
+    ('numbers', 'expected'),
+    [
+        ([], 0),
+        ([500, 501, 502], 0),
+        ([1, 2, 5, 6, 10], 5),
+        ([UNSUPPORTED, UNSUPPORTED, None, 1, 2], 0),
+        ([7, 8, 9, 1, 2, 3], 0),
+        ([7, 8, 9, 1, 3], 1),
+    ],
+)
+def test_gaps_of_one_publisher(numbers, expected):
+    assert missing(numbers) == expected
+    assert missing(numbers, 'gid') == expected
+
+
+def test_number_at_the_end_of_the_range_wraps():
+    # 2^64 - 1 itself means that there are no numbers, so it is skipped.
+    assert missing([MODULUS - 2, 0, 1], 'gid') == 1
+    assert missing([MODULUS - 2, 2], 'gid') == 3
+    assert missing([MODULUS - 2, 2]) == 3
+
+
+@given(st.lists(st.tuples(st.sampled_from('ab'), st.integers(1, 4)), min_size=1, max_size=60))
+def test_named_publishers_are_counted_apart(steps):
+    counter, last, expected = SequenceCounter(), {}, 0
+    for publisher, step in steps:
+        if publisher in last:
+            expected += step - 1
+        last[publisher] = last.get(publisher, 1000) + step
+        counter.update(last[publisher], publisher)
+    assert counter.missing == expected
+    assert counter.streams == len(last)
+
+
+@given(st.lists(st.booleans(), max_size=80), st.integers(0, 1))
+def test_two_anonymous_publishers_without_loss_show_no_gap(turns, first):
+    """Whatever their interleaving, two publishers that start at one are told apart."""
+    numbers, counter = {True: first, False: first}, SequenceCounter()
+    for turn in turns:
+        counter.update(numbers[turn])
+        numbers[turn] += 1
+    assert counter.missing == 0
+
+
+@given(st.sets(st.integers(1, 80)))
+def test_gaps_are_what_lies_between_the_numbers(numbers):
+    ordered = sorted(numbers)
+    expected = ordered[-1] - ordered[0] + 1 - len(ordered) if ordered else 0
+    assert missing(ordered, 'gid') == expected
+
+
+# Recording
+
+
+def test_everything_is_written_in_order(tmp_path):
+    thread = RecordingThread(BagWriter(tmp_path / 'bag'))
+    for topic in ('/a', '/b'):
+        thread.add_topic(topic, NUMBER)
+    for k in range(5000):
+        assert thread.put('/a' if k % 3 else '/b', payload(k), k, k, k // 3 + 1, 'gid')
+    thread.attach('note', 'warm')
+    progress = thread.close()
+    assert (progress.received, progress.written, progress.lost) == (5000, 5000, 0)
+    assert (progress.pending, progress.pending_bytes, progress.error) == (0, 0, '')
+    assert thread.close() == progress
+    with BagReader(tmp_path / 'bag') as reader:
+        assert [m.message.data for m in reader.messages()] == list(range(5000))
+        assert reader.attachments()['note'].text == 'warm'
+
+
+def test_gaps_are_written_into_the_bag(tmp_path):
+    thread = RecordingThread(BagWriter(tmp_path / 'bag'))
+    thread.add_topic('/a', NUMBER)
+    for number in (1, 2, 5):
+        thread.put('/a', payload(number), number, sequence=number)
+    thread.close()
+    with BagReader(tmp_path / 'bag') as reader:
+        report = json.loads(reader.attachments()[REPORT_NAME].text)
+    assert report['topics'] == {
+        '/a': {'received': 3, 'written': 3, 'missing': 2, 'dropped': 0, 'publishers': 1}
+    }
+
+
+def test_topic_that_was_not_announced_is_refused(tmp_path):
+    thread = RecordingThread(BagWriter(tmp_path / 'bag'))
+    with pytest.raises(BagTopicError, match=r'call add_topic'):
+        thread.put('/a', b'', 0)
+    thread.add_topic('/a', NUMBER)
+    with pytest.raises(BagTopicError, match=r'expected type'):
+        thread.add_topic('/a', 'std_msgs/msg/Bool')
+    assert thread.close().received == 0
+
+
+def test_unknown_type_is_recorded_without_definition(tmp_path):
+    thread = RecordingThread(BagWriter(tmp_path / 'bag'))
+    thread.add_topic('/a', 'shop_floor_msgs/msg/Secret')
+    thread.put('/a', b'\x00\x01\x00\x00abcd', 1)
+    thread.close()
+    assert 'source the workspace' in thread.unknown_types['shop_floor_msgs/msg/Secret']
+    with BagReader(tmp_path / 'bag') as reader:
+        assert [m.message for m in reader.messages(raw=True)] == [b'\x00\x01\x00\x00abcd']
+
+
+class SlowWriter(BagWriter):
+    """Writes nothing until it is told to go on."""
+
+    def __init__(self, path):
+        super().__init__(path)
+        self.go_on = threading.Event()
+        self.busy = threading.Event()
+
+    def write(self, *arguments, **options):
+        self.busy.set()
+        assert self.go_on.wait(30.0)
+        super().write(*arguments, **options)
+
+
+def test_memory_is_bounded_and_what_does_not_fit_is_counted(tmp_path):
+    writer = SlowWriter(tmp_path / 'bag')
+    thread = RecordingThread(writer, pending_max=10 * len(payload(0)))
+    thread.add_topic('/a', NUMBER)
+    taken = [thread.put('/a', payload(k), k, sequence=k + 1) for k in range(25)]
+    assert sum(taken) == 10
+    assert taken == [True] * 10 + [False] * 15
+    assert thread.progress().pending_bytes == 10 * len(payload(0))
+    assert writer.busy.wait(30.0)
+    writer.go_on.set()
+    progress = thread.close()
+    assert vars(progress.topics['/a']) == {
+        'received': 25,
+        'written': 10,
+        'missing': 0,
+        'dropped': 15,
+        'publishers': 1,
+    }
+    assert progress.lost == 15
+    with BagReader(tmp_path / 'bag') as reader:
+        assert [m.message.data for m in reader.messages()] == list(range(10))
+
+
+def test_error_of_the_thread_surfaces(tmp_path, monkeypatch):
+    errors = []
+    failed = threading.Event()
+    thread = RecordingThread(
+        BagWriter(tmp_path / 'bag'), on_error=lambda error: (errors.append(error), failed.set())
+    )
+    thread.add_topic('/a', NUMBER)
+    thread.check()
+    full = OSError(errno.ENOSPC, 'No space left on device')
+
+    def refuse(sink, data):
+        raise full
+
+    monkeypatch.setattr('fuzzycnc_ros.bags.sink.Sink.write', refuse)
+    count = 0
+    while thread.put('/a', bytes(1000), count):
+        count += 1
+    assert failed.wait(30.0)
+    with pytest.raises(BagWriteError, match=r'No space left on device.*free some space'):
+        thread.check()
+    assert [str(error) for error in errors] == [thread.progress().error]
+    with pytest.raises(BagWriteError, match=r'No space left'):
+        thread.close()
+    progress = thread.progress()
+    assert progress.received == progress.written + progress.topics['/a'].dropped
+    assert progress.pending == progress.pending_bytes == 0
+    monkeypatch.undo()
+    assert repair(tmp_path / 'bag', tmp_path / 'repaired').damage
+
+
+def test_many_threads_lose_nothing(tmp_path):
+    thread = RecordingThread(BagWriter(tmp_path / 'bag'))
+    thread.add_topic('/a', NUMBER)
+
+    def send(part):
+        for k in range(500):
+            thread.put('/a', payload(part * 500 + k), k, sequence=k + 1, publisher=part)
+
+    senders = [threading.Thread(target=send, args=(part,)) for part in range(4)]
+    for sender in senders:
+        sender.start()
+    for sender in senders:
+        sender.join()
+    progress = thread.close()
+    assert (progress.written, progress.lost) == (2000, 0)
+    assert progress.topics['/a'].publishers == 4
+    with BagReader(tmp_path / 'bag') as reader:
+        assert sorted(m.message.data for m in reader.messages()) == list(range(2000))
+
+
+def test_idle_messages_reach_the_disk(tmp_path):
+    """Nothing more arrives, yet the open chunk is closed: a kill would lose no more than 1 s."""
+    flushed = threading.Event()
+
+    class Watched(BagWriter):
+        def flush(self):
+            super().flush()
+            flushed.set()
+
+    thread = RecordingThread(Watched(tmp_path / 'bag'))
+    thread.add_topic('/a', NUMBER)
+    thread.put('/a', payload(1), 1)
+    assert flushed.wait(30.0)
+    report = repair(tmp_path / 'bag')
+    assert report.topics['/a'].kept == 1
+    thread.close()

@@ -1,0 +1,172 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reading thermal runs from bags."""
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.bags.errors import BagDataError, BagTopicError, RunError
+from fuzzycnc_ros.bags.runs import read_run
+
+SECOND = 10**9
+
+
+def run_messages(new, count=40, space='/mill', start=1, names=None, channels=None):
+    """Return temperatures each second and displacements each half second before it."""
+    messages = []
+    for k in range(count):
+        stamp = (start + k) * SECOND
+        before = stamp - SECOND // 2
+        messages.append(
+            (
+                f'{space}/displacement',
+                new.displacement(before, (k * 1e-6, -k * 1e-6), channels=channels),
+                before,
+            )
+        )
+        messages.append(
+            (f'{space}/temperatures', new.temperatures(stamp, (20 + k * 0.1, 21.0), names), stamp)
+        )
+    return messages
+
+
+def test_run_holds_what_the_bag_holds(make_bag, new):
+    run = read_run(make_bag(run_messages(new)))
+    assert (run.name, run.sensor, run.channel, run.axis) == (
+        'bag',
+        ('n0', 'n1'),
+        ('Y', 'Z'),
+        ('Y', 'Z'),
+    )
+    np.testing.assert_allclose(run.time, np.arange(40.0))
+    np.testing.assert_allclose(run.temperature[:, 0], 20 + np.arange(40) * 0.1)
+    np.testing.assert_allclose(run.displacement[:, 1], -np.arange(40) * 1e-6)
+
+
+def test_window_name_and_channels(make_bag, new):
+    bag = make_bag(run_messages(new, channels=('probe_a', 'probe_b')))
+    run = read_run(bag, start=10.0, stop=29.0, name='T1')
+    assert (run.name, run.channel) == ('T1', ('probe_a', 'probe_b'))
+    np.testing.assert_allclose(run.time, np.arange(10.0, 30.0))
+    with pytest.raises(RunError, match=r'between 100.0 and None s but the run lasts from 0 to 39'):
+        read_run(bag, start=100.0)
+    with pytest.raises(RunError, match=r'at least 8 samples'):
+        read_run(bag, stop=3.0)
+
+
+def test_readings_that_are_not_ok_become_nan(make_bag, new):
+    messages = run_messages(new)
+    stamp = 11 * SECOND
+    messages[21] = (
+        '/mill/temperatures',
+        new.temperatures(stamp, (99.0, 21.0), None, (4, 0)),
+        stamp,
+    )
+    run = read_run(make_bag(messages))
+    assert np.argwhere(np.isnan(run.temperature)).tolist() == [[10, 0]]
+
+
+def test_newest_displacement_since_the_last_sample_is_taken(make_bag, new):
+    """Three displacements before each sample, then a gap, then one exactly on the stamp."""
+    messages = []
+    for k in range(20):
+        stamp = (k + 1) * 10 * SECOND
+        for part, value in ((-3, 1e-6), (-2, 2e-6), (-1, 6e-6)):
+            if k not in (5, 6):
+                at = stamp + part * SECOND
+                messages.append(('/m/displacement', new.displacement(at, (value, np.nan)), at))
+        if k == 6:
+            messages.append(('/m/displacement', new.displacement(stamp, (9e-6, 0.0)), stamp))
+        messages.append(('/m/temperatures', new.temperatures(stamp), stamp))
+    bag = make_bag(messages)
+    newest = read_run(bag).displacement
+    mean = read_run(bag, average=True).displacement
+    np.testing.assert_allclose(newest[:8, 0], [6e-6] * 5 + [np.nan, 9e-6, 6e-6])
+    np.testing.assert_allclose(mean[:8, 0], [3e-6] * 5 + [np.nan, 9e-6, 3e-6], rtol=1e-9)
+    assert np.isnan(newest[0, 1])
+    assert np.isnan(mean[0, 1])
+
+
+def test_later_displacement_is_never_seen(make_bag, new):
+    messages = run_messages(new)
+    late = 40 * SECOND + 1
+    messages.append(('/mill/displacement', new.displacement(late, (400e-6, 0.0)), late))
+    assert np.nanmax(read_run(make_bag(messages)).displacement) < 50e-6
+
+
+def test_namespace_chooses_the_machine(make_bag, new):
+    bag = make_bag(run_messages(new, space='/mill') + run_messages(new, 30, '/lathe', start=101))
+    with pytest.raises(BagTopicError, match=r'/lathe/temperatures, /mill/.*name the namespace'):
+        read_run(bag)
+    assert len(read_run(bag, namespace='lathe').time) == 30
+    assert len(read_run(bag, namespace='/mill').time) == 40
+    run = read_run(bag, temperatures='/mill/temperatures', displacement='/mill/displacement')
+    assert len(run.time) == 40
+    with pytest.raises(BagTopicError, match=r'expected messages on /saw/temperatures'):
+        read_run(bag, namespace='saw')
+
+
+def test_topics_without_namespace(make_bag, new):
+    assert len(read_run(make_bag(run_messages(new, space=''))).time) == 40
+
+
+def test_missing_topics_are_named(make_bag, new, data):
+    only = [m for m in run_messages(new) if m[0].endswith('temperatures')]
+    with pytest.raises(BagTopicError, match=r'displacement but the bag has /mill/temperatures'):
+        read_run(make_bag(only))
+    with pytest.raises(BagTopicError, match=r'temperatures but the bag has /rosout'):
+        read_run(data / 'rosbag2/rosbag2_py/test/resources/mcap/talker')
+    with pytest.raises(BagTopicError, match=r'no messages at all'):
+        read_run(data / 'rosbag2/ros2bag/test/resources/empty_bag')
+
+
+def test_other_type_under_the_name_is_refused(make_bag, new):
+    messages = run_messages(new)
+    swapped = [('/mill/temperatures', m, t) for _, m, t in messages if hasattr(m, 'axis')]
+    with pytest.raises(BagTopicError, match=r'expected messages on temperatures'):
+        read_run(make_bag(swapped))
+    with pytest.raises(BagTopicError, match=r'to be fuzzycnc_msgs/msg/Temperatures'):
+        read_run(make_bag(swapped, 'two'), namespace='mill')
+
+
+def test_repeated_sensor_is_refused(make_bag, new):
+    with pytest.raises(RunError, match=r'each sensor name once but found a more than once'):
+        read_run(make_bag(run_messages(new, names=('a', 'a'))))
+    with pytest.raises(RunError, match=r'each channel name once but found Z'):
+        read_run(make_bag(run_messages(new, channels='ZZ'), 'two'))
+
+
+def test_sensors_that_change_are_refused(make_bag, new):
+    messages = run_messages(new, 20) + run_messages(new, 20, start=21, names=('n0', 'n2'))
+    with pytest.raises(RunError, match=r'at stamp 21 s they change from \[n0, n1\] to \[n0, n2\]'):
+        read_run(make_bag(messages))
+
+
+def test_arrays_of_different_length_are_refused(make_bag, new):
+    messages = run_messages(new)
+    messages[1][1].temperature = np.zeros(3)
+    with pytest.raises(BagDataError, match=r'expected 2 entries'):
+        read_run(make_bag(messages))
+
+
+def test_stamps_that_go_back_are_refused(make_bag, new):
+    messages = run_messages(new, 20)
+    topic, message, _ = messages[1]
+    messages.append((topic, message, 10**12))
+    with pytest.raises(RunError, match=r'increasing stamps but found 1 s after 20 s'):
+        read_run(make_bag(messages))
+
+
+def test_topics_that_do_not_overlap_are_refused(make_bag, new):
+    messages = [m for m in run_messages(new) if m[0].endswith('temperatures')]
+    messages += [m for m in run_messages(new, start=1000) if m[0].endswith('displacement')]
+    with pytest.raises(RunError, match=r'stamps from 1 to 40 s, .* from 999.5 to 1038.5 s'):
+        read_run(make_bag(messages))
+
+
+def test_compensated_displacements_are_refused_unless_asked_for(make_bag, new):
+    messages = run_messages(new)
+    messages[10][1].includes_compensation = True
+    with pytest.raises(RunError, match=r'at stamp 5.5 s compensation was active'):
+        read_run(make_bag(messages))
+    assert len(read_run(make_bag(messages, 'two'), compensated=True).time) == 40

@@ -1,0 +1,28 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fixtures for all tests."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope='session')
+def root() -> Path:
+    """Top of the source tree."""
+    return ROOT
+
+
+@pytest.fixture(scope='session')
+def data() -> Path:
+    """Folder of the real recordings, which are not part of the repository."""
+    folder = Path(os.environ.get('FUZZYCNC_DATA') or ROOT.parent / 'shared' / 'data')
+    if not folder.is_dir():
+        pytest.skip(
+            'expected the folder of real recordings beside the repository as shared/data, '
+            'or where FUZZYCNC_DATA says, but found none'
+        )
+    return folder

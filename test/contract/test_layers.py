@@ -1,0 +1,201 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The rings of docs/architecture.md: imports run inward only, and the inner rings know no ROS."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / 'fuzzycnc_ros'
+MODULES = sorted(PACKAGE.rglob('*.py'))
+
+# Ring -> rings that it may import besides itself.
+RINGS = {
+    'core': set(),
+    'components': {'core'},
+    'convert': {'components', 'core'},
+    'bags': {'convert', 'components', 'core'},
+    'report': {'core'},
+    'nodes': {'bags', 'convert', 'components', 'core'},
+    'bridges': {'bags', 'convert', 'components', 'core'},
+    'cli': {'nodes', 'bridges', 'report', 'bags', 'convert', 'components', 'core'},
+}
+ROS = {
+    'action_msgs',
+    'ament_index_python',
+    'builtin_interfaces',
+    'diagnostic_msgs',
+    'fuzzycnc_msgs',
+    'lifecycle_msgs',
+    'rcl_interfaces',
+    'rclpy',
+    'rosgraph_msgs',
+    'sensor_msgs',
+    'std_msgs',
+}
+WITHOUT_ROS = ('core', 'components', 'convert', 'bags', 'report')
+LOADED_ON_USE = {'jinja2', 'matplotlib', 'mcap', 'rich', 'rosbags', 'sklearn', 'typer', 'yaml'}
+IMPURE = {
+    'asyncio',
+    'datetime',
+    'io',
+    'logging',
+    'os',
+    'pathlib',
+    'random',
+    'shutil',
+    'socket',
+    'subprocess',
+    'tempfile',
+    'threading',
+    'time',
+}
+SEEDED = {'BitGenerator', 'Generator', 'PCG64', 'RandomState', 'SeedSequence', 'default_rng'}
+
+# The one function of the core that may open a file: a model is named by its path everywhere.
+FILE_READERS = {'core/thermal/model_file.py': {'os', 'pathlib'}}
+
+# Imports every module of some rings where neither ROS nor any optional library is installed.
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+for name in {blocked!r}:
+    sys.modules[name] = None
+for name in {packages!r}:
+    package = importlib.import_module(name)
+    for module in pkgutil.walk_packages(getattr(package, '__path__', ()), name + '.'):
+        importlib.import_module(module.name)
+"""
+
+
+def ring_of(path: Path) -> str:
+    """Return the ring that a source file belongs to; empty for the package itself."""
+    part = path.relative_to(PACKAGE).parts[0].removesuffix('.py')
+    return '' if part == '__init__' else part
+
+
+def imports(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield line and absolute dotted name of everything that a source file imports."""
+    package = path.relative_to(ROOT).parent.parts
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            stem = '.'.join([*base, *([node.module] if node.module else [])])
+            for alias in node.names:
+                yield node.lineno, f'{stem}.{alias.name}'
+
+
+def imported_rings(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield line and ring of every import from the package itself."""
+    for line, name in imports(path):
+        parts = name.split('.')
+        if parts[0] == 'fuzzycnc_ros' and len(parts) > 1:
+            yield line, parts[1]
+
+
+def label(path: Path) -> str:
+    """Return a test id."""
+    return str(path.relative_to(PACKAGE))
+
+
+def test_every_module_is_in_a_ring():
+    unknown = {ring_of(path) for path in MODULES} - set(RINGS) - {''}
+    assert not unknown, f'expected one of {sorted(RINGS)} but found {sorted(unknown)}'
+
+
+@pytest.mark.parametrize('path', MODULES, ids=label)
+def test_imports_run_inward(path):
+    own = ring_of(path)
+    allowed = RINGS.get(own, set()) | {own}
+    outward = [
+        f'{label(path)}:{line} imports {ring}'
+        for line, ring in imported_rings(path)
+        if ring in RINGS and ring not in allowed
+    ]
+    assert not outward
+
+
+@pytest.mark.parametrize(
+    'path', [path for path in MODULES if ring_of(path) in WITHOUT_ROS], ids=label
+)
+def test_ros_stays_outside(path):
+    found = [
+        f'{label(path)}:{line} imports {name}'
+        for line, name in imports(path)
+        if name.split('.')[0] in ROS
+    ]
+    assert not found
+
+
+def node_modules() -> list[str]:
+    """Return the modules in nodes/ that are nodes: those with a `main`."""
+    found = []
+    for path in sorted((PACKAGE / 'nodes').glob('*.py')):
+        tree = ast.parse(path.read_text())
+        if any(isinstance(item, ast.FunctionDef) and item.name == 'main' for item in tree.body):
+            found.append(path.stem)
+    return found
+
+
+def test_no_node_imports_another():
+    nodes = node_modules()
+    found = [
+        f'{node}.py:{line} imports {name}'
+        for node in nodes
+        for line, name in imports(PACKAGE / 'nodes' / f'{node}.py')
+        for other in nodes
+        if other != node and f'{name}.'.startswith(f'fuzzycnc_ros.nodes.{other}.')
+    ]
+    assert not found
+
+
+@pytest.mark.parametrize(
+    'path', [path for path in MODULES if ring_of(path) in ('core', 'components')], ids=label
+)
+def test_core_and_components_are_pure(path):
+    """No clock, file, log or global random state: the same inputs give the same outputs."""
+    found = [
+        f'{label(path)}:{line} imports {name}'
+        for line, name in imports(path)
+        if name.split('.')[0] in IMPURE - FILE_READERS.get(label(path), set())
+    ]
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in ('open', 'print', 'input'):
+            found.append(f'{label(path)}:{node.lineno} calls {ast.unparse(node.func)}')
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) in (
+            'np.random',
+            'numpy.random',
+        ):
+            if node.attr not in SEEDED:
+                found.append(f'{label(path)}:{node.lineno} uses np.random.{node.attr}')
+    assert not found
+
+
+@pytest.mark.parametrize('ring', ['core', 'components', 'convert'])
+def test_inner_rings_import_in_plain_python(ring):
+    """Numpy and scipy are enough."""
+    script = IMPORT_ALL.format(
+        blocked=sorted(ROS | LOADED_ON_USE), packages=[f'fuzzycnc_ros.{ring}']
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', script], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.ros
+def test_nodes_start_with_rclpy_numpy_and_scipy_alone():
+    """What else a node can use is loaded on use."""
+    blocked = sorted(LOADED_ON_USE - {'yaml'})  # rclpy itself needs it
+    script = IMPORT_ALL.format(blocked=blocked, packages=['fuzzycnc_ros.nodes'])
+    done = subprocess.run(
+        [sys.executable, '-c', script], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,163 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun, check_training_runs
+
+
+def make(samples=20, interval=60.0, **changes):
+    time = interval * np.arange(samples)
+    fields = {
+        'name': 'run',
+        'time': time,
+        'sensor': ('T1', 'T2'),
+        'temperature': 20.0 + np.column_stack([time, 2.0 * time]) / 1000.0,
+        'channel': ('Y', 'Z'),
+        'axis': ('Y', 'Z'),
+        'displacement': np.column_stack([time, -time]) * 1e-9,
+    }
+    return ThermalRun(**{**fields, **changes})
+
+
+def with_value(values, row, column, value):
+    changed = np.array(values)
+    changed[row, column] = value
+    return changed
+
+
+def test_rise_is_against_the_mean_of_the_first_three_samples():
+    run = make()
+    assert np.allclose(run.rise()[:3].mean(axis=0), 0.0)
+    assert np.allclose(run.rise([20.0, 20.0])[10], [0.6, 1.2])
+    with pytest.raises(ThermalDataError, match='reference: expected 2'):
+        run.rise([20.0])
+
+
+def test_arrays_are_copies_that_nobody_can_change():
+    temperature = np.full((20, 2), 20.0)
+    run = make(temperature=temperature)
+    temperature[:] = 99.0
+    assert run.temperature.max() == 20.0
+    with pytest.raises(ValueError, match='read-only'):
+        run.time[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ('changes', 'message'),
+    [
+        ({'time': np.arange(19.0)}, 'temperature of shape'),
+        ({'time': np.zeros((20, 1))}, 'expected time of shape'),
+        ({'time': np.zeros(20)}, 'increasing times, but found 0 s after 0 s at sample 1'),
+        ({'time': np.where(np.arange(20) == 4, np.nan, np.arange(20.0))}, 'nan at sample 4'),
+        ({'sensor': ('T1', 'T1')}, 'sensor once, but found T1 more than once'),
+        ({'channel': ('Y', 'Y')}, 'channel once, but found Y'),
+        ({'axis': ('Y',)}, 'one axis per channel'),
+        ({'temperature': with_value(make().temperature, 3, 1, 121.0)}, "121 of sensor 'T2'"),
+        ({'temperature': with_value(make().temperature, 3, 1, np.inf)}, "inf of sensor 'T2'"),
+        ({'displacement': with_value(make().displacement, 5, 0, 0.0128)}, '12800 um.*mixed up'),
+    ],
+)
+def test_refusals_say_what_and_where(changes, message):
+    with pytest.raises(ThermalDataError, match=message):
+        make(**changes)
+
+
+def test_too_few_samples_are_refused():
+    with pytest.raises(ThermalDataError, match='at least 8 samples, but found 7'):
+        make(samples=7)
+    with pytest.raises(ThermalDataError, match='at least 8 samples'):
+        make().window(0.0, 300.0)
+
+
+def test_missing_readings_and_probes_are_kept():
+    run = make(
+        temperature=with_value(make().temperature, 3, 1, np.nan),
+        displacement=with_value(make().displacement, 4, 0, np.nan),
+    )
+    assert np.isnan(run.temperature[3, 1])
+    assert np.isnan(run.displacement[4, 0])
+
+
+def test_uneven_sampling_is_refused_until_resampled():
+    time = 60.0 * np.arange(20)
+    time[7] += 20.0
+    run = make(time=time)
+    with pytest.raises(ThermalDataError, match='step of 80 s after sample 6.*resample'):
+        _ = run.interval
+    assert run.resample(60.0).interval == pytest.approx(60.0)
+
+
+@settings(deadline=None)
+@given(block=st.integers(1, 6), samples=st.integers(60, 90))
+def test_resampling_takes_block_means_stamped_at_their_end(block, samples):
+    run = make(samples=samples, interval=10.0)
+    slow = run.resample(10.0 * block)
+    count = samples // block
+    means = run.temperature[: count * block].reshape(count, block, 2).mean(axis=1)
+    assert np.allclose(slow.temperature, means)
+    assert np.allclose(slow.time, run.time[block - 1 : count * block : block])
+    assert slow.interval == pytest.approx(10.0 * block)
+
+
+def test_resampling_uneven_readings_keeps_a_straight_line_straight():
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.uniform(5.0, 15.0, 400))
+    run = make(
+        time=time,
+        temperature=20.0 + np.column_stack([time, 2.0 * time]) / 1000.0,
+        displacement=np.column_stack([time, -time]) * 1e-9,
+    )
+    even = run.resample(60.0)
+    slope = np.diff(even.temperature[:, 0]) / np.diff(even.time)
+    assert np.allclose(slope, 1e-3)
+    assert even.interval == pytest.approx(60.0)
+
+
+@pytest.mark.parametrize('jitter', [0.0, 0.3])
+def test_sparse_probing_survives_resampling(jitter):
+    time = 15.0 * np.arange(200) + jitter * 15.0 * (np.arange(200) % 2)
+    displacement = np.full((200, 2), np.nan)
+    displacement[::40] = 1e-6
+    run = make(time=time, temperature=np.full((200, 2), 20.0), displacement=displacement)
+    slow = run.resample(60.0)
+    assert np.isfinite(slow.displacement).all(axis=1).sum() == 5
+    assert np.nanmax(np.abs(slow.displacement - 1e-6)) < 1e-15
+
+
+@pytest.mark.parametrize('interval', [0.0, -1.0, np.nan, 1e9])
+def test_bad_intervals_are_refused(interval):
+    with pytest.raises(ThermalDataError, match='expected'):
+        make().resample(interval)
+
+
+def test_window_is_inclusive():
+    run = make().window(60.0, 600.0)
+    assert run.time[0] == 60.0
+    assert run.time[-1] == 600.0
+
+
+def test_missing_sensors_are_named():
+    with pytest.raises(ThermalDataError, match=r'no T9; the run has T1, T2'):
+        make().columns(['T1', 'T9'])
+    assert make().columns(['T2', 'T1']).tolist() == [1, 0]
+
+
+@pytest.mark.parametrize(
+    ('others', 'message'),
+    [
+        ([], 'at least one run'),
+        ([make(), make()], 'each name once'),
+        ([make(), make(name='b', sensor=('T1', 'T3'))], 'sensor T1, T2 as in run'),
+        ([make(), make(name='b', interval=30.0)], '60 s of run'),
+        ([make(temperature=np.full((20, 2), 20.0))], 'warms by 0.5 K'),
+        ([make(temperature=with_value(make().temperature, 3, 1, np.nan))], 'gaps in T2'),
+        ([make(temperature=with_value(make().temperature, 9, 0, 40.0))], "'T1' at sample"),
+        ([make(displacement=np.full((20, 2), np.nan))], "channel 'Y'"),
+    ],
+)
+def test_runs_that_teach_nothing_are_refused(others, message):
+    with pytest.raises(ThermalDataError, match=message):
+        check_training_runs(others)

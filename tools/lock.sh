@@ -1,0 +1,23 @@
+#!/bin/sh
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+# Resolve requirements/*.in into hashed locks for every supported interpreter.
+set -e
+cd "$(dirname "$0")/../requirements"
+command -v uv >/dev/null || {
+    echo 'lock: expected uv on the PATH but found none: run `pip install uv` in any environment' >&2
+    exit 1
+}
+
+lock() {
+    {
+        head -n 2 "$1.in"
+        echo "# Made by \`make lock\` from $1.in; do not edit."
+        uv pip compile --quiet --universal --python-version "$2" --generate-hashes \
+            --no-annotate --no-header "$1.in"
+    } >"$1.txt.new"
+    mv "$1.txt.new" "$1.txt"
+}
+
+lock environment 3.10
+lock floor 3.12
