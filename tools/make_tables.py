@@ -92,7 +92,7 @@ EXTRAS = (
         'machine_tick/<node>',
         MachineTick.TYPE,
         STREAM,
-        'simulated_machine',
+        'simulated_machine or player',
         'the node that is named',
         'lock-step: the turn of that node',
     ),
@@ -101,7 +101,7 @@ EXTRAS = (
         TickAnswer.TYPE,
         STREAM,
         'every node of the run',
-        'simulated_machine',
+        'simulated_machine or player',
         'lock-step: the end of a turn',
     ),
     Extra(

@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decoding the messages of one bag with the definitions that it embeds."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 from fuzzycnc_ros.bags import definitions
 from fuzzycnc_ros.bags.errors import BagTypeError, BagVersionError
+from fuzzycnc_ros.bags.fast_decode import Decode, fast_decoder
 from fuzzycnc_ros.bags.libraries import load
 from fuzzycnc_ros.bags.storage import Channel
 from fuzzycnc_ros.bags.typestore import (
@@ -18,8 +19,6 @@ from fuzzycnc_ros.bags.typestore import (
     typestore,
 )
 from fuzzycnc_ros.bags.upgrade import Upgraders
-
-Decode = Callable[[bytes], Any]
 
 
 class Decoder:
@@ -84,7 +83,8 @@ class Decoder:
                 f'(message set {version}) defines it otherwise and no upgrader is known; '
                 'install the fuzzycnc that recorded it'
             )
-        return lambda raw: deserialize(raw, type_name, store)
+        fast = fast_decoder(store, type_name)
+        return fast or (lambda raw: deserialize(raw, type_name, store))
 
     def _find_store(self, type_name: str) -> Any:
         channel = self._channels[type_name]

@@ -95,8 +95,20 @@ def read_run(
         other = find_topic(
             reader, displacement, DISPLACEMENT_TYPE, machine if namespace is None else namespace
         )
-        measured = _temperatures(reader, topic)
-        moved = _displacement(reader, other, compensated)
+        temperature = _Samples(source, topic, ('sensor',), 'sensor')
+        moving = _Samples(source, other, ('axis', 'channel'), 'channel')
+        for kind, _, _, message in reader.messages([topic, other]):  # one pass over the file
+            if kind == topic:
+                temperature.add(message, _ok_readings(message))
+            else:
+                if message.includes_compensation and not compensated:
+                    raise RunError(
+                        f'{source}: {other}: expected the error of the bare machine but at stamp '
+                        f'{_seconds(_stamp(message))} s compensation was active; use a run '
+                        'without it'
+                    )
+                moving.add(message, message.displacement)
+    measured, moved = temperature.series(), moving.series()
     time = (measured.stamp - measured.stamp[0]) / 1e9
     joined = _join(measured.stamp, moved, average)
     inside = (time >= (-np.inf if start is None else start)) & (
@@ -169,88 +181,74 @@ def find_topic(reader: BagReader, name: str, type_name: str, namespace: str | No
     return topic
 
 
-def _temperatures(reader: BagReader, topic: str) -> Series:
-    stamps, names, rows = [], _Names(reader.path, topic, ('sensor',)), []
-    for _, _, _, message in reader.messages([topic]):
-        names.check(message, unique='sensor')
-        row = np.array(message.temperature, dtype=np.float64)
-        _check_parallel(reader.path, topic, message.sensor, row, message.status)
-        row[np.asarray(message.status) != _STATUS_OK] = np.nan
-        stamps.append(_stamp(message))
-        rows.append(row)
-    return _series(reader.path, topic, stamps, names, rows)
+class _Samples:
+    """The samples of a topic as they come, with the name arrays, which must stay the same."""
 
-
-def _displacement(reader: BagReader, topic: str, compensated: bool) -> Series:
-    stamps, names, rows = [], _Names(reader.path, topic, ('axis', 'channel')), []
-    for _, _, _, message in reader.messages([topic]):
-        names.check(message, unique='channel')
-        if message.includes_compensation and not compensated:
-            raise RunError(
-                f'{reader.path}: {topic}: expected the error of the bare machine but at stamp '
-                f'{_seconds(_stamp(message))} s compensation was active; use a run without it'
-            )
-        row = np.array(message.displacement, dtype=np.float64)
-        _check_parallel(reader.path, topic, message.axis, row, message.channel)
-        stamps.append(_stamp(message))
-        rows.append(row)
-    return _series(reader.path, topic, stamps, names, rows)
-
-
-class _Names:
-    """The name arrays of a topic, which must stay the same."""
-
-    def __init__(self, path: Path, topic: str, fields: tuple[str, ...]) -> None:
+    def __init__(self, path: Path, topic: str, fields: tuple[str, ...], unique: str) -> None:
         self._where = f'{path}: {topic}'
         self._fields = fields
-        self.names: tuple[tuple[str, ...], ...] = ()
-        self._lists: list[list[str]] = []
+        self._unique = unique
+        self._names: list[list[str]] = []
+        self._stamps: list[int] = []
+        self._rows: list[NDArray[np.float64]] = []
 
-    def check(self, message: Any, unique: str) -> None:
-        """Take the first message's names, and refuse others later."""
-        found = [getattr(message, field) for field in self._fields]
-        if found == self._lists:
-            return
-        if self._lists:
-            for field, before, now in zip(self._fields, self._lists, found, strict=True):
-                if before != now:
-                    raise RunError(
-                        f'{self._where}: expected the same {field} names in every message but '
-                        f'at stamp {_seconds(_stamp(message))} s they change from '
-                        f'{_list(before)} to {_list(now)}; cut the bag there'
-                    )
-        names: Sequence[str] = getattr(message, unique)
-        repeated = sorted({name for name in names if names.count(name) > 1})
+    def add(self, message: Any, values: NDArray[np.float64]) -> None:
+        """Take a message and its values, parallel to the names."""
+        names = [getattr(message, field) for field in self._fields]
+        if names != self._names:
+            self._check_names(message, names)
+            self._names = names
+        for entry in (values, *names):
+            if len(entry) != len(names[0]):
+                raise BagDataError(
+                    f'{self._where}: expected {len(names[0])} entries, one per '
+                    f'{self._fields[0]}, but found {len(entry)}'
+                )
+        self._stamps.append(_stamp(message))
+        self._rows.append(values)
+
+    def _check_names(self, message: Any, names: list[list[str]]) -> None:
+        for field, before, now in zip(self._fields, self._names, names, strict=False):
+            if before != now:
+                raise RunError(
+                    f'{self._where}: expected the same {field} names in every message but at '
+                    f'stamp {_seconds(_stamp(message))} s they change from {_list(before)} to '
+                    f'{_list(now)}; cut the bag there'
+                )
+        unique = getattr(message, self._unique)
+        repeated = sorted({name for name in unique if unique.count(name) > 1})
         if repeated:
             raise RunError(
-                f'{self._where}: expected each {unique} name once but found '
+                f'{self._where}: expected each {self._unique} name once but found '
                 f'{", ".join(repeated)} more than once'
             )
-        self._lists = found
-        self.names = tuple(tuple(entry) for entry in found)
 
-
-def _check_parallel(path: Path, topic: str, names: Any, *values: Any) -> None:
-    for value in values:
-        if len(value) != len(names):
-            raise BagDataError(
-                f'{path}: {topic}: expected {len(names)} entries, one per name, but found '
-                f'{len(value)}'
+    def series(self) -> Series:
+        """Return all samples."""
+        stamp = np.array(self._stamps, dtype=np.int64)
+        backwards = np.flatnonzero(np.diff(stamp) <= 0)
+        if len(backwards):
+            at = int(backwards[0])
+            raise RunError(
+                f'{self._where}: expected increasing stamps but found '
+                f'{_seconds(stamp[at + 1])} s after {_seconds(stamp[at])} s; the bag holds two '
+                'runs, or two publishers'
             )
+        names = tuple(tuple(entry) for entry in self._names)
+        return Series(stamp, names, np.array(self._rows, dtype=np.float64))
 
 
-def _series(
-    path: Path, topic: str, stamps: list[int], names: _Names, rows: list[NDArray[np.float64]]
-) -> Series:
-    stamp = np.array(stamps, dtype=np.int64)
-    backwards = np.flatnonzero(np.diff(stamp) <= 0)
-    if len(backwards):
-        at = int(backwards[0])
-        raise RunError(
-            f'{path}: {topic}: expected increasing stamps but found {_seconds(stamp[at + 1])} s '
-            f'after {_seconds(stamp[at])} s; the bag holds two runs, or two publishers'
+def _ok_readings(message: Any) -> NDArray[np.float64]:
+    """Return the temperatures, NaN where the status is not OK."""
+    status = message.status
+    if len(status) != len(message.temperature):
+        raise BagDataError(
+            f'expected {len(message.temperature)} entries in status but found {len(status)}'
         )
-    return Series(stamp, names.names, np.array(rows, dtype=np.float64))
+    if not status.any():
+        values: NDArray[np.float64] = message.temperature
+        return values
+    return np.where(status == _STATUS_OK, message.temperature, np.nan)
 
 
 def _join(stamp: NDArray[np.int64], moved: Series, average: bool) -> NDArray[np.float64]:

@@ -49,9 +49,10 @@ class SqliteFile:
         BagFormatError
             If the tables of rosbag2 are missing or damaged.
         """
-        definitions = self._definitions()
+        tables = self._tables()
+        definitions = self._definitions() if 'message_definitions' in tables else {}
         columns = {row[1] for row in self._query('PRAGMA table_info(topics)')}
-        optional = [name for name in ('offered_qos_profiles', 'type_description_hash')]
+        optional = ('offered_qos_profiles', 'type_description_hash')
         wanted = ', '.join(name if name in columns else "''" for name in optional)
         for identifier, topic, kind, encoding, qos, type_hash in self._query(
             f'SELECT id, name, type, serialization_format, {wanted} FROM topics ORDER BY id'
@@ -66,13 +67,13 @@ class SqliteFile:
                 type_hash=str(type_hash),
                 message_encoding=str(encoding),
             )
-        blocks = [
-            Block(int(start), int(stop), int(size), partial(self._read, number))
-            for number, start, stop, size in self._query(
-                f'SELECT id / {_ROWS}, min(timestamp), max(timestamp), sum(length(data)) '
-                f'FROM messages GROUP BY id / {_ROWS} ORDER BY 1'
-            )
-        ]
+        blocks = []
+        for row in self._query(
+            f'SELECT id / {_ROWS}, min(timestamp), max(timestamp), sum(length(data)) '
+            f'FROM messages GROUP BY id / {_ROWS} ORDER BY 1'
+        ):
+            number, start, stop, size = self._integers(row)
+            blocks.append(Block(start, stop, size, partial(self._read, number)))
         promised = {channel.topic: 0 for channel in self._channels.values()}
         for identifier, count in self._query(
             'SELECT topic_id, count(*) FROM messages GROUP BY topic_id'
@@ -80,11 +81,30 @@ class SqliteFile:
             promised[self._channel(identifier).topic] += count
         return Contents(list(self._channels.values()), blocks, promised)
 
+    def _tables(self) -> set[str]:
+        """Return the names of the tables; a view could keep a query busy for ever."""
+        tables = {
+            str(name)
+            for name, text in self._query("SELECT name, sql FROM sqlite_master WHERE type='table'")
+            if str(text).upper().startswith('CREATE TABLE')
+        }
+        missing = {'topics', 'messages'} - tables
+        if missing:
+            raise BagFormatError(
+                f'{self.path}: expected a sqlite3 bag of rosbag2 but found no table '
+                f'{", ".join(sorted(missing))}'
+            )
+        return tables
+
+    def _integers(self, row: tuple[object, ...]) -> list[int]:
+        """Return a row of which every entry must be a whole number."""
+        numbers = [value for value in row if isinstance(value, int)]
+        if len(numbers) != len(row):
+            raise BagFormatError(f'{self.path}: expected whole numbers but found {row}')
+        return numbers
+
     def _definitions(self) -> dict[str, tuple[str, str]]:
-        """Return definition and encoding of each type; bags before Jazzy's format have none."""
-        tables = {row[0] for row in self._query('SELECT name FROM sqlite_master')}
-        if 'message_definitions' not in tables:
-            return {}
+        """Return definition and encoding of each type."""
         return {
             str(kind): (str(text), str(encoding))
             for kind, encoding, text in self._query(
@@ -114,7 +134,7 @@ class SqliteFile:
     def _query(self, text: str, *values: object) -> list[Any]:
         try:
             return self._database.execute(text, values).fetchall()
-        except (sqlite3.Error, OverflowError) as error:
+        except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
             raise BagFormatError(
                 f'{self.path}: expected a sqlite3 bag of rosbag2 but found: {error}; '
                 'try the recovery command of sqlite3'

@@ -82,8 +82,8 @@ def message_type(type_name: str) -> Any:
     Examples
     --------
     >>> Time = message_type('builtin_interfaces/msg/Time')
-    >>> Time(sec=1, nanosec=500)
-    builtin_interfaces__msg__Time(sec=1, nanosec=500)
+    >>> Time(sec=1, nanosec=500).nanosec
+    500
     """
     ensure_type(type_name)
     return typestore().types[type_name]

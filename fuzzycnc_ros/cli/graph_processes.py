@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from fuzzycnc_ros.nodes.environment import prepare_environment
+from fuzzycnc_ros.nodes.environment import limit_to_this_host, prepare_environment
 
 STOP_TIMEOUT = 10.0
 """Wall time [s] that a node gets to end by itself before it is killed."""
@@ -92,6 +92,7 @@ class GraphProcesses:
         environment: Mapping[str, str] | None = None,
     ) -> None:
         prepare_environment()
+        limit_to_this_host()
         self._namespace = f'/{machine.strip("/")}'
         self._temporary = None if folder else tempfile.TemporaryDirectory(prefix='fuzzycnc-')
         self.folder = folder or Path(self._temporary.name)  # type: ignore[union-attr]
@@ -199,6 +200,16 @@ class GraphProcesses:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+
+    def outcome(self, name: str) -> dict[str, Any]:
+        """Return what a node said of its run in its last line, empty if it said nothing."""
+        if name not in self._processes:
+            return {}
+        try:
+            said = json.loads(self._last_words(name))
+        except ValueError:
+            return {}
+        return said if isinstance(said, dict) else {}
 
     def _last_words(self, name: str) -> str:
         lines = self.log(name).read_text(errors='replace').strip().splitlines()

@@ -23,9 +23,11 @@ class Durability(Enum):
     """Reliable, volatile; deep on the publisher's side."""
     LATCHED = 'latched'
     """Transient local, depth 1: a late reader gets the newest message."""
+    HISTORY = 'history'
+    """Transient local, deeper: a late reader gets all that was said, for rare events."""
 
 
-STREAM, LATCHED = Durability.STREAM, Durability.LATCHED
+STREAM, LATCHED, HISTORY = Durability.STREAM, Durability.LATCHED, Durability.HISTORY
 
 
 @dataclass(frozen=True)

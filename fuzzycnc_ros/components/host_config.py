@@ -42,3 +42,70 @@ class RecorderConfig(Config):
     lockstep: bool = param(
         False, '-', 'Take turns in a lock-step run, and log by message stamp instead of wall time'
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlayerConfig(Config):
+    """Parameters of `player`."""
+
+    bag: str = param('', '-', 'Bag to play: a directory of rosbag2, or a single .mcap file')
+    topics: str = param(
+        '', '-', 'Regular expression of the recorded topics to play; empty takes all'
+    )
+    exclude: str = param(
+        r'/machine_tick/|/(tick_answer|recorder/progress|diagnostics|rosout|parameter_events|'
+        r'node_configuration|node_event|deadline_fired|transition_event)$|/_',
+        '-',
+        'Regular expression of topics to leave out; /clock is always made by the player',
+    )
+    start: float = param(
+        0.0, 's', 'Where to start, from the beginning of the bag', low=0.0, high=1e9
+    )
+    end: float = param(
+        0.0,
+        's',
+        'Where to stop, from the beginning of the bag; 0 plays to the end',
+        low=0.0,
+        high=1e9,
+    )
+    rate: float = param(1.0, '-', 'Speed without lock-step; 1 is real time', low=0.01, high=1e4)
+    start_delay: float = param(
+        0.5, 's', 'Wall time for readers to find the topics, without lock-step', low=0.0, high=60.0
+    )
+    loop: bool = param(
+        False, '-', 'Start again at the end, until interrupted; needs restamp to have an effect'
+    )
+    restamp: bool = param(
+        False,
+        '-',
+        'Move the header stamps of each repetition on, so that readers take them as new; times '
+        'inside of messages stay',
+    )
+    keep_namespace: bool = param(
+        True, '-', "Publish under the recorded names; otherwise in the player's own namespace"
+    )
+    lockstep: bool = param(
+        False, '-', 'Play as fast as the nodes answer, as the machine of a lock-step run'
+    )
+    tick_period: float = param(
+        0.0,
+        's',
+        'Time between two ticks in lock-step; 0 ticks at every stamp',
+        low=0.0,
+        high=3600.0,
+    )
+    lockstep_nodes: tuple[str, ...] = param(
+        ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator'),
+        '-',
+        'Nodes that get their turn in every tick of a lock-step run, in this order',
+    )
+    lockstep_recorder: bool = param(
+        False, '-', 'Whether a lock-step run waits for the recorder every 500 ticks'
+    )
+    answer_timeout: float = param(
+        1.0,
+        's',
+        'Wall time after which a silent node of a lock-step run is lost',
+        low=0.05,
+        high=60.0,
+    )

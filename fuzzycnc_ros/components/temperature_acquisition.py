@@ -52,7 +52,19 @@ class TemperatureAcquisitionConfig(Config):
     temperature_topics: tuple[str, ...] = param(
         (), '-', 'Topics of sensor_msgs/Temperature as name=topic, for that source'
     )
-    csv_file: str = param('', '-', 'File to read, for the source csv')
+    reading_period: float = param(
+        12.0,
+        's',
+        'Longest wait for all of the temperature_topics before those that are there are taken',
+        low=0.01,
+        high=3600.0,
+    )
+    csv_file: str = param(
+        '',
+        '-',
+        'File to read, for the source csv: a time column in s and one column per sensor in degC',
+    )
+    csv_time: str = param('time', '-', 'Name of the time column of csv_file')
     csv_rate: float = param(
         1.0, '-', 'Speed at which a file is played, 1 is real time', low=1e-3, high=1e6
     )

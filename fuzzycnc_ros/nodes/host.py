@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from fuzzycnc_ros.components.component import (
+    HISTORY,
     LATCHED,
     Answer,
     Component,
@@ -82,7 +83,7 @@ class ComponentNode:
         self._configuration = self._advertise(
             Output('node_configuration', NodeConfiguration, LATCHED), private=True
         )
-        self._events = self._advertise(Output('node_event', NodeEvent), private=True)
+        self._events = self._advertise(Output('node_event', NodeEvent, HISTORY), private=True)
         self._state = self._open_state(host.state_directory)
         self.turns: TurnTaker | None = None
         if host.lockstep and self.takes_turns:

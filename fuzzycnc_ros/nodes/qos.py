@@ -8,10 +8,12 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from fuzzycnc_ros.components.component import LATCHED, Durability
+from fuzzycnc_ros.components.component import HISTORY, LATCHED, Durability
 
 PUBLISHER_DEPTH = 2000
 """A publisher serves its slowest reader: a recorder that pauses for two seconds."""
+HISTORY_DEPTH = 100
+"""A recorder that comes late still learns every request that made a node what it is."""
 SUBSCRIPTION_DEPTH = 10
 LOCKSTEP_DEPTH = 2000
 """In lock-step a node may get hundreds of messages in one turn, none of which may be lost."""
@@ -19,13 +21,15 @@ LOCKSTEP_DEPTH = 2000
 
 def publisher_qos(durability: Durability) -> QoSProfile:
     """Return the QoS of a publisher."""
-    return _latched() if durability is LATCHED else _stream(PUBLISHER_DEPTH)
+    if durability is LATCHED:
+        return _durable(1)
+    return _durable(HISTORY_DEPTH) if durability is HISTORY else _stream(PUBLISHER_DEPTH)
 
 
 def subscription_qos(durability: Durability, *, lockstep: bool = False) -> QoSProfile:
     """Return the QoS of a component's subscription."""
     if durability is LATCHED:
-        return _latched()
+        return _durable(1)
     return _stream(LOCKSTEP_DEPTH if lockstep else SUBSCRIPTION_DEPTH)
 
 
@@ -57,10 +61,10 @@ def routes_matched(
     )
 
 
-def _latched() -> QoSProfile:
+def _durable(depth: int) -> QoSProfile:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=1,
+        depth=depth,
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL,
     )

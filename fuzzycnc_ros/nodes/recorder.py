@@ -55,7 +55,7 @@ class RecorderNode:
         self._exclude = self._pattern('exclude', config.exclude)
         self._subscriptions: dict[str, Any] = {}
         self._skipped: dict[str, str] = {}
-        self._early: list[tuple[str, bytes, int]] = []
+        self._early: list[tuple[str, bytes, int | None]] = []
         self._newest = 0
         self._models: set[str] = set()
         try:
@@ -160,7 +160,7 @@ class RecorderNode:
         configuration = types[0] == NodeConfiguration.TYPE
 
         def on_message(payload: bytes, info: Any) -> None:
-            self._take(topic, payload, info, stamped)
+            self._take(topic, payload, info, stamped, latched)
             if configuration:
                 self._attach_model(payload)
 
@@ -172,8 +172,10 @@ class RecorderNode:
         self._skipped[topic] = reason
         self.node.get_logger().warning(f'{topic} is not recorded: {reason}')
 
-    def _take(self, topic: str, payload: bytes, info: Any, stamped: bool) -> None:
-        sequence = info['publication_sequence_number']
+    def _take(self, topic: str, payload: bytes, info: Any, stamped: bool, latched: bool) -> None:
+        number = info['publication_sequence_number']
+        # Of a latched topic only the newest message is owed: a gap is no loss.
+        sequence = None if latched else number
         if not self._config.lockstep:
             now = int(self.node.get_clock().now().nanoseconds)
             self._thread.put(topic, payload, now, now, sequence)
@@ -187,7 +189,7 @@ class RecorderNode:
             self._release(self._newest)
             self._thread.put(topic, payload, self._newest, self._newest, sequence)
         if self.turns is not None:
-            self.turns.received(topic, sequence)
+            self.turns.received(topic, number)
 
     def _release(self, stamp: int) -> None:
         for topic, payload, sequence in self._early:
@@ -237,9 +239,7 @@ class RecorderNode:
         health = [Health('bag', level, text, values)]
         health += [Health(topic, Level.WARN, text) for topic, text in self._skipped.items()]
         self._diagnostics.publish(
-            diagnostic_array(
-                self.node.get_fully_qualified_name(), '', health, {}, now.to_msg()
-            )
+            diagnostic_array(self.node.get_fully_qualified_name(), '', health, {}, now.to_msg())
         )
 
 

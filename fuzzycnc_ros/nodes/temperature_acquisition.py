@@ -5,9 +5,14 @@
 from fuzzycnc_msgs.srv import SetThermalReference
 from rclpy.node import Node
 
-from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition
+from fuzzycnc_ros.components.temperature_acquisition import (
+    TemperatureAcquisition,
+    TemperatureAcquisitionConfig,
+)
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.host import ComponentNode
+from fuzzycnc_ros.nodes.parameters import ParameterError
+from fuzzycnc_ros.nodes.temperature_sources import open_source
 
 
 class TemperatureAcquisitionNode(ComponentNode):
@@ -15,6 +20,15 @@ class TemperatureAcquisitionNode(ComponentNode):
 
     def __init__(self, node: Node) -> None:
         super().__init__(node, TemperatureAcquisition)
+        config = self.component.configuration
+        assert isinstance(config, TemperatureAcquisitionConfig)
+        if self.settings.lockstep and config.source != 'topic':
+            # A driver brings readings when it has them; turns cannot announce them.
+            raise ParameterError(
+                f'parameter source = {config.source}: in lock-step readings come from the topic '
+                'sensor_readings; import a file with `fuzzycnc import-csv` and play the bag'
+            )
+        self._source = open_source(node, config, self.component.frame('machine'))
         node.create_service(SetThermalReference, 'set_thermal_reference', self._on_reference)
 
     def _on_reference(

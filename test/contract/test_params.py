@@ -84,7 +84,9 @@ def test_value_out_of_bounds_is_refused(record, item):
     """The refusal names the parameter and the value."""
     meta, default = item.metadata, item.default
     if meta['choices']:
-        with pytest.raises(ValueError, match=f'{item.name}: expected one of .* but found nonsense'):
+        with pytest.raises(
+            ValueError, match=f'{item.name}: expected one of .* but found nonsense'
+        ):
             record(**{item.name: 'nonsense'})
     elif meta['low'] is not None:
         for value in (2 * meta['high'] + 1, meta['low'] - 1):

@@ -233,12 +233,13 @@ class GreyModel(ThermalRegressor):
         self.b_ = weight * (1.0 - self.phi_) * (1.0 + self.a_ / 2.0)
         self.condition_ = float(np.linalg.cond(features / column_scale(features)))
         self.recursion_ = linear_recursion(weight, poles[index : index + 1], False, 0.0)
-        at_end = len(poles) > 1 and index in (0, len(poles) - 1)
-        self.problems_ = (
-            (f'the pole {self.phi_:g} is the end of the grid: the lag lies beyond it',)
-            if at_end
-            else ()
-        )
+        # A pole of 0 is a static machine; at the other end the best one may lie beyond.
+        if len(poles) > 1 and index == len(poles) - 1:
+            self.problems_: tuple[str, ...] = (
+                f'the pole {self.phi_:g} is the end of the grid: the lag lies beyond it',
+            )
+        else:
+            self.problems_ = ()
 
 
 def stable_poles(interval: float) -> Array:

@@ -155,9 +155,12 @@ def _default(model: str, judged: dict[str, JudgedCandidate], data: TrainingSet) 
     """Return the candidate of each channel."""
     channels = int(data.displacement.shape[1])
     if model == 'auto':
-        return preferred(
-            [judged[name] for name in ELIGIBLE if name in judged], data.scaled_target()[1]
-        )
+        sound = [
+            judged[name]
+            for name in ELIGIBLE
+            if name in judged and not judged[name].candidate.problems
+        ]
+        return preferred(sound, data.scaled_target()[1])
     problems = judged[model].candidate.problems
     if problems:
         raise ThermalDataError(f'model {model!r} is refused: {"; ".join(problems)}')

@@ -1,0 +1,218 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a player sends, and in which order: messages undecoded, in log order or by stamp.
+
+Arrival order at a recorder carries no meaning, so that a lock-step run is played in the order of
+the stamps.  A message without a header belongs to the newest stamp before it.
+"""
+
+import heapq
+import struct
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from fuzzycnc_ros.bags.errors import BagTopicError, BagTypeError
+from fuzzycnc_ros.bags.metadata import Profiles
+from fuzzycnc_ros.bags.reader import BagReader, Connection
+from fuzzycnc_ros.bags.typestore import type_hash
+
+HELD = 20_000
+"""Messages held back to be put in the order of their stamps: a recorder is read out every 500
+ticks, and lags by no more than what a graph publishes in between."""
+
+_HEADER = 'std_msgs/msg/Header'
+_LATCHED = ('transient_local', 1)  # in words, and as rmw's number in older bags
+_DEPTH_MAX = 2000
+
+
+@dataclass(frozen=True)
+class PlayedTopic:
+    """A topic that is played.
+
+    Parameters
+    ----------
+    topic, type : str
+        Recorded topic and its type.
+    depth : int
+        Depth that was offered, 0 if the bag does not say.
+    latched : bool
+        Whether late readers got the newest message.
+    stamped : bool
+        Whether messages begin with a header.
+    """
+
+    topic: str
+    type: str
+    depth: int
+    latched: bool
+    stamped: bool
+
+
+class PlayedMessage(NamedTuple):
+    """A message to be sent."""
+
+    topic: str
+    log_time: int
+    """When it was recorded [ns]."""
+    stamp: int
+    """Machine time to which it belongs [ns]."""
+    payload: bytes
+
+
+def played_topics(reader: BagReader, topics: Iterable[str]) -> dict[str, PlayedTopic]:
+    """Describe topics of a bag.
+
+    Raises
+    ------
+    BagTypeError
+        If a type is unknown here, or was recorded with another definition: undecoded bytes
+        would be misread.
+    """
+    return {topic: _describe(reader, reader.connections[topic]) for topic in topics}
+
+
+def messages(
+    reader: BagReader,
+    topics: Mapping[str, PlayedTopic],
+    start: int | None = None,
+    stop: int | None = None,
+) -> Iterator[PlayedMessage]:
+    """Yield the messages of a bag in the order of their log time.
+
+    Parameters
+    ----------
+    reader : BagReader
+        The bag.
+    topics : mapping
+        What is played.
+    start, stop : int, optional
+        Log times [ns].  Of a latched topic, the newest message before `start` comes first.
+    """
+    if start is not None:
+        yield from _latched_before(reader, topics, start)
+    any_stamped = any(topic.stamped for topic in topics.values())
+    newest: int | None = None
+    early: list[PlayedMessage] = []
+    for name, _, log_time, payload in reader.messages(set(topics), start, stop, raw=True):
+        topic = topics[name]
+        stamp = stamp_of(payload) if topic.stamped else None
+        if not any_stamped:
+            newest = log_time
+        elif stamp is not None and not topic.latched:
+            # A latched message may be an old fact told again: it says nothing about the time.
+            newest = max(newest or 0, stamp)
+        if stamp is None and newest is None:
+            early.append(PlayedMessage(name, log_time, 0, payload))
+            continue
+        if newest is not None:
+            yield from (item._replace(stamp=newest) for item in early)
+            early.clear()
+        yield PlayedMessage(name, log_time, newest or 0 if stamp is None else stamp, payload)
+    yield from early
+
+
+def by_stamp(source: Iterable[PlayedMessage], held: int = HELD) -> Iterator[PlayedMessage]:
+    """Yield messages in the order of their stamps, equal ones as they came.
+
+    Parameters
+    ----------
+    source : iterable of PlayedMessage
+        Messages in log order.
+    held : int
+        How many are held back; a message later than that goes with the stamp being played.
+    """
+    queue: list[tuple[int, int, PlayedMessage]] = []
+    reached = 0
+    for number, message in enumerate(source):
+        heapq.heappush(queue, (max(message.stamp, reached), number, message))
+        if len(queue) > held:
+            reached, _, first = heapq.heappop(queue)
+            yield first._replace(stamp=reached)
+    while queue:
+        stamp, _, message = heapq.heappop(queue)
+        yield message._replace(stamp=stamp)
+
+
+def stamp_of(payload: bytes) -> int:
+    r"""Return the stamp of the header with which a message begins [ns].
+
+    Examples
+    --------
+    >>> stamp_of(b'\x00\x01\x00\x00' + (2).to_bytes(4, 'little') + (5).to_bytes(4, 'little'))
+    2000000005
+    """
+    seconds, rest = struct.unpack_from(_time_layout(payload), payload, 4)
+    return int(seconds) * 10**9 + int(rest)
+
+
+def restamped(payload: bytes, shift: int) -> bytes:
+    r"""Return a message that begins with a header, with its stamp moved by `shift` [ns].
+
+    Examples
+    --------
+    >>> message = b'\x00\x01\x00\x00' + bytes(8) + b'rest'
+    >>> stamp_of(restamped(message, 1_500_000_000))
+    1500000000
+    """
+    moved = bytearray(payload)
+    seconds, rest = divmod(stamp_of(payload) + shift, 10**9)
+    struct.pack_into(_time_layout(payload), moved, 4, seconds, rest)
+    return bytes(moved)
+
+
+def _time_layout(payload: bytes) -> str:
+    # CDR: the second byte of the encapsulation says the byte order; the stamp stands first.
+    return '<iI' if payload[1] & 1 else '>iI'
+
+
+def _describe(reader: BagReader, connection: Connection) -> PlayedTopic:
+    known = type_hash(connection.type)
+    if connection.type_hash and connection.type_hash != known:
+        raise BagTypeError(
+            f'{reader.path}: expected {connection.topic} to be {connection.type} as installed '
+            'here but it was recorded with another definition; play it with the fuzzycnc that '
+            'recorded it, or leave the topic out'
+        )
+    _, fields = reader.decoder.store(connection.type).fielddefs[connection.type]
+    depth, latched = _offered(connection.profiles)
+    first = fields[0][1][1] if fields else ''
+    return PlayedTopic(connection.topic, connection.type, depth, latched, first == _HEADER)
+
+
+def _offered(profiles: Profiles) -> tuple[int, bool]:
+    depths = [p['depth'] for p in profiles if isinstance(p.get('depth'), int)]
+    latched = bool(profiles) and all(p.get('durability') in _LATCHED for p in profiles)
+    return min(max(depths, default=0), _DEPTH_MAX), latched
+
+
+def _latched_before(
+    reader: BagReader, topics: Mapping[str, PlayedTopic], start: int
+) -> Iterator[PlayedMessage]:
+    latched = {name for name, topic in topics.items() if topic.latched}
+    if not latched:
+        return
+    newest: dict[str, bytes] = {}
+    for topic, _, _, payload in reader.messages(latched, None, start, raw=True):
+        newest[topic] = payload
+    for topic, payload in newest.items():
+        yield PlayedMessage(topic, start, 0, payload)
+
+
+def require_topics(reader: BagReader, topics: Iterable[str], wanted: str) -> list[str]:
+    """Return those of `topics` that hold messages.
+
+    Raises
+    ------
+    BagTopicError
+        If none does; the text says what was `wanted` and lists what is there.
+    """
+    found = {topic: c.message_count for topic, c in reader.connections.items() if c.message_count}
+    kept = [topic for topic in topics if topic in found]
+    if not kept:
+        there = ', '.join(f'{topic} ({count})' for topic, count in found.items())
+        raise BagTopicError(
+            f'{reader.path}: expected topics {wanted} but the bag has '
+            f'{there or "no messages at all"}'
+        )
+    return kept

@@ -1,0 +1,141 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What all subcommands share: tables, progress, files of figures."""
+
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Optional
+
+import typer
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.report import Table
+
+JsonFile = Annotated[
+    Optional[Path],  # noqa: UP045  typer 0.9 reads this form on every Python
+    typer.Option('--json', metavar='FILE', help='Write the figures to this file as JSON.'),
+]
+
+Tell = Callable[[str, int, int], None]
+"""Told what is going on, steps done and in all."""
+
+
+def show(table: 'Table') -> None:
+    """Print a table: with emphasis on a terminal, as plain text elsewhere."""
+    if not sys.stdout.isatty():
+        print(table.to_text())
+        return
+    from rich.console import Console
+
+    Console().print(table.to_rich())
+
+
+def say(text: str) -> None:
+    """Print a line of the result."""
+    print(text, flush=True)
+
+
+@contextmanager
+def progress_bar(title: str) -> Iterator[Tell]:
+    """Show the progress of long work on standard error, if that is a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda text, done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn('{task.description}'), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=None)
+
+        def tell(text: str, done: int, total: int) -> None:
+            bar.update(task, description=text, completed=done, total=total)
+
+        yield tell
+
+
+def write_json(path: Path | None, document: Any) -> None:
+    """Write figures to a file; numbers that JSON does not know become null."""
+    if path is not None:
+        write_text(path, json.dumps(_plain(document), indent=2, allow_nan=False) + '\n')
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file as a whole: after an error or a kill it is the old one or none.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    check_folder(path)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
+    try:
+        with os.fdopen(handle, 'w', encoding='utf-8') as file:
+            file.write(text)
+        os.chmod(name, 0o666 & ~_umask())
+        os.replace(name, path)
+    except BaseException:
+        with suppress(FileNotFoundError):
+            os.unlink(name)
+        raise
+
+
+def check_new(path: Path | None, *, force: bool = False) -> None:
+    """Refuse an output that would overwrite something, before the work begins.
+
+    Raises
+    ------
+    ValueError
+        If it exists and `force` is not set, or its folder does not exist.
+    """
+    if path is None:
+        return
+    if path.exists() and not force:
+        raise ValueError(
+            f'{path}: expected a new file but it exists; choose another name or add --force'
+        )
+    check_folder(path)
+
+
+def check_folder(path: Path | None) -> None:
+    """Refuse an output whose folder does not exist.
+
+    Raises
+    ------
+    ValueError
+        If there is no such folder.
+    """
+    if path is not None and not path.absolute().parent.is_dir():
+        raise ValueError(f'{path}: expected an existing folder but found no {path.parent}')
+
+
+def words(texts: list[str]) -> tuple[str, ...]:
+    """Return the parts of options that may be repeated or hold several, with commas between."""
+    return tuple(part.strip() for text in texts for part in text.split(',') if part.strip())
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if hasattr(value, 'tolist'):  # numpy
+        return _plain(value.tolist())
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, float) and not isfinite(value):
+        return None
+    return value

@@ -1,0 +1,187 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What every interface definition says of itself: units, invalid values, enums, users."""
+
+import re
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from fuzzycnc_ros.components.registry import COMPONENTS
+
+sys.path.insert(0, str(Path(__file__).parent))
+import interfaces
+from interfaces import FILES, FOLDER, Field
+
+UNITS = {'-', 'm', 'm/s', 'rad/s', 's', 'degC', 'K'}
+NODES = {*COMPONENTS, 'recorder', 'player'}
+PLANNED = {'deformation_compensator', 'feedrate_scheduler', 'servo_controller', 'linuxcnc_bridge'}
+"""Nodes whose messages are fixed before they are there."""
+
+MESSAGES = [pytest.param(path, id=path.name) for path in FILES['msg'].values()]
+CALLS = [
+    pytest.param(path, id=path.name) for kind in ('srv', 'action') for path in FILES[kind].values()
+]
+EVERY_FIELD = [
+    pytest.param(path, item, id=f'{path.name}-{item.name}')
+    for kind in FILES
+    for path in FILES[kind].values()
+    for part in interfaces.parts(path)
+    for item in part
+]
+NUMBERS = [p for p in EVERY_FIELD if p.values[1].is_number]
+FLOATS = [p for p in EVERY_FIELD if p.values[1].is_float]
+ENUMS = [p for p in EVERY_FIELD if (p.values[1].tag or '').startswith('enum')]
+
+
+def users(path: Path, role: str) -> str:
+    """Return what stands after `Published by:` and the like."""
+    found = re.search(rf'{role}: (.+?)(?:\s{{2,}}\w+ by:|$)', interfaces.head(path), re.M)
+    assert found, f'{path.name}: no line "{role}: ..."'
+    return found.group(1)
+
+
+def test_the_definitions_were_found():
+    assert {'Temperatures', 'Compensation', 'ThermalError'} <= set(FILES['msg'])
+    assert FILES['srv']
+    assert FILES['action']
+
+
+@pytest.mark.parametrize('path', [*MESSAGES, *CALLS])
+def test_line_one_says_what_it_is(path):
+    first = path.read_text().splitlines()[0]
+    assert re.fullmatch(r'# [A-Z].{10,}\.', first)
+
+
+@pytest.mark.parametrize('path', [*MESSAGES, *CALLS])
+def test_every_field_is_explained(path):
+    silent = [i.name for part in interfaces.parts(path) for i in part if len(i.comment) < 6]
+    assert not silent
+
+
+@pytest.mark.parametrize(('path', 'item'), NUMBERS)
+def test_number_has_its_unit(path, item: Field):
+    assert item.tag, f'expected "# [unit] ..." but found {item.comment!r}'
+    if not item.tag.startswith('enum '):
+        assert item.tag in UNITS
+
+
+@pytest.mark.parametrize(('path', 'item'), FLOATS)
+def test_float_says_what_an_invalid_value_is(path, item: Field):
+    """Either NaN stands for one, or there is none."""
+    assert re.search(r'\bNaN\b|always finite|in \[-?\d', item.comment)
+
+
+@pytest.mark.parametrize(('path', 'item'), ENUMS)
+def test_enum_has_constants(path, item: Field):
+    prefix = item.tag.removeprefix('enum ')
+    named = [i for part in interfaces.parts(path) for i in part if i.value is not None]
+    own = [i for i in named if i.name.startswith(f'{prefix}_')]
+    assert own
+    assert all(i.tag == item.tag for i in own)
+    assert [int(i.value) for i in own] == list(range(len(own)))
+
+
+@pytest.mark.parametrize('path', MESSAGES)
+def test_every_constant_belongs_to_an_enum(path):
+    part = interfaces.parts(path)[0]
+    used = {i.tag for i in part if i.value is None and (i.tag or '').startswith('enum ')}
+    declared = {i.tag for i in part if i.value is not None}
+    # The geometry of a path is described under its kinds.
+    assert declared == used
+
+
+@pytest.mark.parametrize('path', MESSAGES)
+def test_message_begins_with_a_header_that_says_stamp_and_frame(path):
+    first = interfaces.parts(path)[0]
+    fields = [item for item in first if item.value is None]
+    if path.stem == 'SensorCluster':
+        assert 'inside SensorSelection' in interfaces.head(path)
+        return
+    assert (fields[0].type, fields[0].name) == ('std_msgs/Header', 'header')
+    assert fields[0].comment.startswith('stamp: ')
+    assert re.search(r'frame_id: (<machine>/(machine|workpiece|tool)|empty)', fields[0].comment)
+
+
+@pytest.mark.parametrize('path', [*MESSAGES, *CALLS])
+def test_parallel_arrays_name_an_array(path):
+    for part in interfaces.parts(path):
+        arrays = {item.name for item in part if item.is_array}
+        for item in part:
+            for name in re.findall(r'parallel to `(\w+)`', item.comment):
+                assert item.is_array
+                assert name in arrays - {item.name}
+
+
+@pytest.mark.parametrize('path', MESSAGES)
+def test_axis_arrays_carry_iso_841_names(path):
+    for item in interfaces.parts(path)[0]:
+        if item.name == 'axis':
+            assert item.type == 'string[]'
+            assert 'ISO 841' in item.comment
+
+
+@pytest.mark.parametrize('path', MESSAGES)
+def test_error_and_offset_state_their_sign(path):
+    if path.stem in ('ThermalError', 'Compensation', 'Displacement'):
+        assert 'Sign: ' in interfaces.head(path)
+
+
+@pytest.mark.parametrize('path', MESSAGES)
+def test_message_names_its_users(path):
+    for role in ('Published by', 'Read by'):
+        text = re.sub(r'\(.*?\)|topic \w+', '', users(path, role))
+        unknown = set(re.findall(r'\b[a-z]+(?:_[a-z]+)+\b', text)) - NODES - PLANNED
+        assert not unknown
+
+
+@pytest.mark.parametrize('path', CALLS)
+def test_call_names_its_users(path):
+    assert users(path, 'Served by') in NODES
+    assert users(path, 'Called by')
+
+
+@pytest.mark.parametrize('path', CALLS)
+def test_call_answers_whether_and_why(path):
+    answer = interfaces.parts(path)[1]
+    assert [(item.type, item.name) for item in answer[:2]] == [
+        ('bool', 'success'),
+        ('string', 'message'),
+    ]
+
+
+@pytest.mark.parametrize('component', COMPONENTS.values(), ids=list(COMPONENTS))
+def test_definition_names_the_nodes_that_declare_it(component):
+    for declared, role in ((component.OUTPUTS, 'Published by'), (component.INPUTS, 'Read by')):
+        for item in declared:
+            path = FILES['msg'][item.record.TYPE.split('/')[-1]]
+            assert component.NAME in interfaces.head(path).split(f'{role}:')[1]
+
+
+def test_build_takes_every_definition():
+    text = (FOLDER / 'CMakeLists.txt').read_text()
+    patterns = re.findall(r'"([\w*./]+\.(?:msg|srv|action))"', text)
+    built = {path for pattern in patterns for path in FOLDER.glob(pattern)}
+    assert built == {path for kind in FILES for path in FILES[kind].values()}
+    assert built == {
+        path for path in FOLDER.rglob('*') if path.suffix in ('.msg', '.srv', '.action')
+    }
+
+
+def test_packages_of_field_types_are_declared():
+    used = {
+        item.type.split('/')[0]
+        for kind in FILES
+        for path in FILES[kind].values()
+        for part in interfaces.parts(path)
+        for item in part
+        if '/' in item.type
+    }
+    manifest = ET.parse(FOLDER / 'package.xml').getroot()
+    declared = {item.text for item in manifest if item.tag.endswith('depend')}
+    assert used <= declared
+    cmake = (FOLDER / 'CMakeLists.txt').read_text()
+    depends = re.search(r'DEPENDENCIES ([\w\s]+)\)', cmake).group(1).split()
+    assert used <= set(depends)

@@ -1,0 +1,333 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Selection, training and evaluation on a small machine with three heated parts."""
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.core.thermal import (
+    CANDIDATES,
+    GreyModel,
+    ModelMismatchError,
+    ThermalDataError,
+    ThermalRun,
+    evaluate,
+    select_sensors,
+    sensor_count_curve,
+    train_model,
+)
+from fuzzycnc_ros.core.thermal.candidates import Candidate, JudgedCandidate, preferred
+from fuzzycnc_ros.core.thermal.folds import selection_folds, training_folds
+from fuzzycnc_ros.core.thermal.ranking import grey_relational_grade
+from fuzzycnc_ros.core.thermal.recursion import LinearRecursion, first_order_lags
+from fuzzycnc_ros.core.thermal.refinement import REFINE_SWEEPS
+
+PARTS = (300.0, 1800.0, 14400.0)
+SENSORS = tuple(f'{part}{number}' for part in 'ABC' for number in range(4)) + ('cold',)
+
+
+def machine_run(name, seed, samples=150, interval=60.0, probing=1):
+    """Return a run of a machine whose three parts warm up at different speeds."""
+    rng = np.random.default_rng(seed)
+    heat = np.repeat(rng.choice([0.0, 0.5, 1.0, 1.5], samples // 15 + 1), 15)[:samples]
+    pole = np.exp(-interval / np.array(PARTS))
+    parts = first_order_lags(pole, (1.0 - pole) * heat[:, np.newaxis] * [12.0, 8.0, 40.0])
+    gains = np.repeat([[1.0, 0.95, 0.9, 0.85]], 3, axis=0).ravel()
+    rise = np.repeat(parts, 4, axis=1) * gains
+    displacement = np.column_stack([parts @ [1e-6, 0.5e-6, 2e-6], parts @ [0.2e-6, 1e-6, -1e-6]])
+    displacement += 0.1e-6 * rng.normal(size=displacement.shape)
+    displacement[np.arange(samples) % probing != 0] = np.nan
+    return ThermalRun(
+        name=name,
+        time=interval * np.arange(samples),
+        sensor=SENSORS,
+        temperature=np.column_stack(
+            [20.0 + rise + 0.05 * rng.normal(size=rise.shape), np.full(samples, 20.0)]
+        ),
+        channel=('Y', 'Z'),
+        axis=('Y', 'Z'),
+        displacement=displacement,
+    )
+
+
+@pytest.fixture(scope='module')
+def runs():
+    return [machine_run(name, seed) for seed, name in enumerate(('a', 'b', 'c'))]
+
+
+@pytest.fixture(scope='module')
+def unseen():
+    return machine_run('unseen', 9)
+
+
+def test_clusters_are_the_machine_s_parts(runs):
+    selection = select_sensors(runs, n_clusters=3)
+    groups = sorted({''.join(sorted({n[0] for n in c.member})) for c in selection.clusters})
+    assert groups == ['A', 'B', 'C']
+    assert selection.dropped == ('cold',)
+    assert selection.calibration == ('a', 'b', 'c')
+    for cluster in selection.clusters:
+        assert cluster.chosen in cluster.member
+        assert list(cluster.score) == sorted(cluster.score, reverse=True)
+        assert set(cluster.substitute) == set(cluster.member) - {cluster.chosen}
+        assert list(cluster.correlation) == sorted(cluster.correlation, reverse=True)
+
+
+def test_gains_turn_a_mate_into_the_chosen_sensor(runs):
+    for cluster in select_sensors(runs, n_clusters=3).clusters:
+        for mate, gain in zip(cluster.substitute, cluster.gain, strict=True):
+            rise = np.concatenate([run.rise() for run in runs])
+            own = rise[:, SENSORS.index(cluster.chosen)]
+            other = rise[:, SENSORS.index(mate)]
+            assert np.sqrt(np.mean((own - gain * other) ** 2)) < 0.2
+            assert gain == pytest.approx(other @ own / (other @ other))
+
+
+@pytest.mark.parametrize('method', ['correlation', 'grey_grade'])
+def test_sensor_order_does_not_matter(runs, method):
+    order = np.random.default_rng(0).permutation(len(SENSORS))
+    shuffled = [
+        ThermalRun(
+            run.name,
+            run.time,
+            [SENSORS[i] for i in order],
+            run.temperature[:, order],
+            run.channel,
+            run.axis,
+            run.displacement,
+        )
+        for run in runs
+    ]
+    one = select_sensors(runs, n_clusters=3, method=method)
+    other = select_sensors(shuffled, n_clusters=3, method=method)
+    assert {frozenset(c.member) for c in one.clusters} == {
+        frozenset(c.member) for c in other.clusters
+    }
+    assert set(one.chosen) == set(other.chosen)
+
+
+def test_refinement_never_raises_the_held_out_error(runs):
+    def held_out(selection):
+        total = 0.0
+        for left_out in runs:
+            rest = [run for run in runs if run is not left_out]
+            rise = np.concatenate([r.rise()[:, r.columns(selection.chosen)] for r in rest])
+            label = np.repeat(np.arange(len(rest)), [len(r.time) for r in rest])
+            for channel in range(2):
+                y = np.concatenate([r.displacement[:, channel] for r in rest])
+                model = GreyModel('stable').fit(rise, y, runs=label)
+                unseen = left_out.rise()[:, left_out.columns(selection.chosen)]
+                residual = left_out.displacement[:, channel] - model.predict(unseen)
+                total += float(np.mean(residual**2))
+        return total
+
+    plain = held_out(select_sensors(runs, n_clusters=4, refine=False))
+    assert held_out(select_sensors(runs, n_clusters=4)) <= plain * (1.0 + 1e-9)
+
+
+def test_grey_grade_prefers_the_same_shape():
+    time = np.linspace(0.0, 1.0, 50)
+    series = np.column_stack([time, -time, time**3, np.sin(12.0 * time)])
+    grade = grey_relational_grade(series, 5.0 * time + 2.0)
+    assert grade[0] == grade[1] == pytest.approx(1.0)
+    assert 1.0 > grade[2] > grade[3] > 0.0
+
+
+def test_selection_refusals(runs):
+    with pytest.raises(ValueError, match='method: expected one of'):
+        select_sensors(runs, method='best')
+    with pytest.raises(ThermalDataError, match=r'n_clusters: expected 1 to 12 .* found 13'):
+        select_sensors(runs, n_clusters=13)
+    with pytest.raises(ValueError, match='m: expected a fuzzifier above 1'):
+        select_sensors(runs, m=1.0)
+
+
+def test_count_curve_falls_where_sensors_help(runs, unseen):
+    told = []
+    curve = sensor_count_curve(
+        runs, unseen, counts=(1, 3), progress=lambda *args: told.append(args)
+    )
+    assert [point.count for point in curve] == [1, 3]
+    assert [len(point.chosen) for point in curve] == [1, 3]
+    assert (curve[1].rms < 0.6 * curve[0].rms).all()
+    assert (curve[0].largest >= curve[0].rms).all()
+    assert told == [('sensor_count', '1', 1, 2), ('sensor_count', '3', 2, 2)]
+
+
+def test_folds_never_judge_on_what_they_trained(runs):
+    for cut in (selection_folds, training_folds):
+        for group in (runs, runs[:1]):
+            block, folds = cut(group)
+            assert len(block) == sum(len(run.time) for run in group)
+            for fold in folds:
+                assert not set(fold.train) & set(fold.test)
+    _, forward = selection_folds(runs[:1])
+    assert all(max(fold.train) < min(fold.test) for fold in forward)
+    block, folds = training_folds(runs)
+    assert [fold.test for fold in folds] == [(0,), (1,), (2,)]
+
+
+def test_training_beats_the_uncompensated_machine_on_an_unseen_run(runs, unseen):
+    model = train_model(runs, n_clusters=3, sensors='clusters')
+    result = evaluate(model, unseen)
+    assert set(result.rms) == {'uncompensated', 'default', *CANDIDATES}
+    assert (result.rms['default'] < 0.1 * result.rms['uncompensated']).all()
+    assert (result.rms['default'] <= result.largest['default']).all()
+    assert model.inputs == model.selection.chosen
+    assert model.runs == ('a', 'b', 'c')
+    # Residuals of unseen samples stay near what held-out runs promised.
+    assert (result.rms['default'] < 3.0 * model.residual_deviation).all()
+
+
+def test_few_sensors_are_all_used(runs):
+    model = train_model(runs)
+    assert model.selection.method == 'all'
+    assert model.inputs == SENSORS[:-1]
+    assert all(len(cluster.substitute) <= 4 for cluster in model.selection.clusters)
+
+
+def test_a_single_run_suffices(runs, unseen):
+    model = train_model(runs[:1], n_clusters=3, sensors='clusters')
+    result = evaluate(model, unseen)
+    assert (result.rms['default'] < 0.3 * result.rms['uncompensated']).all()
+
+
+def test_states_warm_up_before_the_judged_window(runs):
+    model = train_model(runs, n_clusters=3, sensors='clusters')
+    whole = evaluate(model, runs[0])
+    late = evaluate(model, runs[0], start=3000.0, stop=6000.0)
+    assert late.samples == 51
+    rise = model.rises(runs[0])
+    inside = runs[0].inside(3000.0, 6000.0)
+    residual = (model.predict(rise) - runs[0].displacement)[inside]
+    assert np.allclose(late.rms['default'], np.sqrt((residual**2).mean(axis=0)))
+    assert (late.largest['default'] <= whole.largest['default']).all()
+
+
+def test_faster_runs_are_averaged(runs):
+    fast = [machine_run(run.name, seed, 600, 15.0) for seed, run in enumerate(runs)]
+    model = train_model(fast, n_clusters=3, sensors='clusters')
+    assert model.interval == pytest.approx(60.0)
+    assert evaluate(model, fast[0]).samples == 150
+
+
+def test_slower_runs_are_refused():
+    slow = [machine_run('slow', 0, interval=600.0)]
+    with pytest.raises(ThermalDataError, match=r'every 60 s.*one every 600 s.*interval=600'):
+        train_model(slow)
+    assert train_model(slow, interval=600.0).interval == pytest.approx(600.0)
+
+
+def test_sparse_probing_trains_all_but_the_forms_that_accumulate():
+    runs = [machine_run(name, seed, 300, probing=10) for seed, name in enumerate('abc')]
+    model = train_model(runs, n_clusters=3, sensors='clusters')
+    assert 'use the stable form' in model.omitted['classical_grey']
+    assert {'stable_grey', 'lag_ridge'} <= set(model.candidates)
+    result = evaluate(model, machine_run('unseen', 9, 300, probing=10))
+    assert (result.rms['default'] < 0.1 * result.rms['uncompensated']).all()
+    with pytest.raises(ThermalDataError, match="'classical_grey': y: expected a value in every"):
+        train_model(runs, model='classical_grey', sensors='clusters', n_clusters=3)
+    with pytest.raises(ValueError, match='classical_grey.*left out'):
+        model.start('classical_grey')
+
+
+def test_a_named_model_is_used_for_every_channel(runs):
+    for name in ('lag_ridge', 'stable_grey', 'static_ridge', 'least_squares'):
+        assert train_model(runs, model=name, n_clusters=3).default == (name, name)
+    with pytest.raises(ValueError, match="model: expected auto or one of .* found 'anfis'"):
+        train_model(runs, model='anfis')
+    with pytest.raises(ValueError, match='sensors: expected auto, clusters or all'):
+        train_model(runs, sensors='some')
+
+
+def test_an_unstable_model_is_flagged_and_refused():
+    time = 60.0 * np.arange(60)
+    growing = ThermalRun(
+        'growing',
+        time,
+        ('T',),
+        20.0 + np.minimum(time, 600.0)[:, np.newaxis] / 600.0,
+        ('Y',),
+        ('Y',),
+        1e-6 * np.exp(time / 900.0)[:, np.newaxis],
+    )
+    model = train_model([growing], sensors='all')
+    assert 'not positive' in model.candidates['classical_grey'].problems[0]
+    assert 'classical_grey' not in model.default
+    with pytest.raises(ThermalDataError, match=r"'classical_grey' is refused: a = -"):
+        train_model([growing], model='classical_grey', sensors='all')
+
+
+def test_progress_is_told_to_the_end(runs):
+    told = []
+    train_model(runs, n_clusters=3, sensors='clusters', progress=lambda *step: told.append(step))
+    selecting = [step for step in told if step[0] == 'select_sensors']
+    fitting = [step for step in told if step[0] == 'fit']
+    assert selecting[-1][2] == selecting[-1][3] == REFINE_SWEEPS * 12
+    assert [step[1] for step in fitting] == list(CANDIDATES)
+    assert fitting[-1][2:] == (5, 5)
+
+
+def test_cancelling_comes_through_and_changes_nothing(runs):
+    class Cancelled(Exception):
+        pass
+
+    def cancel(stage, candidate, done, total):
+        if stage == 'fit':
+            raise Cancelled
+
+    before = [run.temperature.copy() for run in runs]
+    with pytest.raises(Cancelled):
+        train_model(runs, progress=cancel)
+    assert all(np.array_equal(b, run.temperature) for b, run in zip(before, runs, strict=True))
+
+
+def test_training_is_reproducible(runs):
+    one = train_model(runs, n_clusters=3, sensors='clusters')
+    other = train_model(runs, n_clusters=3, sensors='clusters')
+    assert one.to_json() == other.to_json()
+
+
+def test_evaluation_refusals(runs, unseen):
+    model = train_model(runs, n_clusters=3, sensors='clusters')
+    with pytest.raises(ThermalDataError, match='measured displacements in the window'):
+        evaluate(model, unseen, start=1e6)
+    other = ThermalRun(
+        'other',
+        unseen.time,
+        [f'other {name}' if name == model.inputs[0] else name for name in SENSORS],
+        unseen.temperature,
+        ('Y', 'Z'),
+        ('Y', 'Z'),
+        unseen.displacement,
+    )
+    with pytest.raises(ModelMismatchError, match=f'no {model.inputs[0]}'):
+        evaluate(model, other)
+    renamed = ThermalRun(
+        'renamed',
+        unseen.time,
+        SENSORS,
+        unseen.temperature,
+        ('Y', 'X'),
+        ('Y', 'X'),
+        unseen.displacement,
+    )
+    with pytest.raises(ThermalDataError, match='expected the channels Y, Z'):
+        evaluate(model, renamed)
+
+
+def judged(name, fold_error):
+    errors = np.array(fold_error, dtype=float)
+    recursion = LinearRecursion(
+        np.empty(0), np.empty((0, 1)), np.empty((2, 0)), np.ones((2, 1)), np.zeros(2)
+    )
+    rms = np.sqrt(errors.mean(axis=0))
+    return JudgedCandidate(Candidate(name, {}, recursion, (), rms, rms), errors)
+
+
+def test_the_overall_best_is_kept_unless_a_rival_is_better_beyond_chance():
+    best = judged('lag_ridge', [[1.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
+    lucky = judged('stable_grey', [[0.1, 9.0], [1.6, 9.0], [1.2, 9.0]])
+    better = judged('stable_grey', [[0.5, 9.0], [0.6, 9.0], [0.4, 9.0]])
+    assert preferred([best, lucky], np.ones(2)) == ('lag_ridge', 'lag_ridge')
+    assert preferred([best, better], np.ones(2)) == ('stable_grey', 'lag_ridge')
