@@ -81,7 +81,7 @@ def decode(record_type: type[R], message: Any) -> R:
     message : object
         A message of the type `record_type.TYPE`, from rclpy or rosbags.
     """
-    values = {name: read(getattr(message, name)) for name, read, _ in _fields(record_type)}
+    values = {name: read(getattr(message, name)) for name, read, _ in _plan(record_type)}
     if issubclass(record_type, Record):
         header = message.header
         values['stamp'] = stamp_of(header.stamp)
@@ -91,9 +91,7 @@ def decode(record_type: type[R], message: Any) -> R:
 
 def encode(record: Any, target: Target) -> Any:
     """Return the message of a record, made by `target`."""
-    values = {
-        name: write(getattr(record, name), target) for name, _, write in _fields(type(record))
-    }
+    values = {name: write(getattr(record, name), target) for name, _, write in _plan(type(record))}
     if isinstance(record, Record):
         values['header'] = target.header(record.stamp, record.frame_id)
     return target.factory(record.TYPE)(**values)
@@ -139,8 +137,18 @@ def _codec(hint: Any) -> tuple[Decoder, Encoder]:
     return _array_codec(get_args(get_args(hint)[1])[0])
 
 
-@cache
-def _fields(record_type: type) -> tuple[tuple[str, Decoder, Encoder], ...]:
+_plans: dict[type, tuple[tuple[str, Decoder, Encoder], ...]] = {}
+
+
+def _plan(record_type: type) -> tuple[tuple[str, Decoder, Encoder], ...]:
+    """Return how to read and write each field of a record."""
+    plan = _plans.get(record_type)
+    if plan is None:
+        plan = _plans[record_type] = _make_plan(record_type)
+    return plan
+
+
+def _make_plan(record_type: type) -> tuple[tuple[str, Decoder, Encoder], ...]:
     hints = get_type_hints(record_type, include_extras=True)
     spread = ('stamp', 'frame_id') if issubclass(record_type, Record) else ()
     names = [item.name for item in fields(record_type) if item.name not in spread]

@@ -114,6 +114,7 @@ def run(what: str, *command: str | Path) -> None:
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
+        close_fds=False,  # the lock stays held while a child of a killed set-up still works
         text=True,
         check=False,
     )
@@ -174,15 +175,15 @@ class Environment:
         self.finish('dependencies', wanted)
         return wanted
 
-    def ensure_messages(self, above: str) -> str:
+    def ensure_messages(self, above: str) -> None:
         """Compile and install fuzzycnc_msgs unless it is current."""
         wanted = fingerprint('msg_defs/**/*', above=above)
-        if not self.is_current('messages', wanted):
-            check_tools()
-            options = ('--no-deps', '--no-build-isolation', '--force-reinstall')
-            self.pip('messages (fuzzycnc_msgs)', *options, ROOT / 'msg_defs')
-            self.finish('messages', wanted)
-        return wanted
+        if self.is_current('messages', wanted):
+            return
+        check_tools()
+        options = ('--no-deps', '--no-build-isolation', '--force-reinstall')
+        self.pip('messages (fuzzycnc_msgs)', *options, ROOT / 'msg_defs')
+        self.finish('messages', wanted)
 
     def ensure_package(self, above: str) -> None:
         """Install the package, editable, with its ament index entries, unless it is current."""
@@ -253,6 +254,7 @@ def main() -> int:
             return 0
         version = sys.version.split()[0]
         with (ROOT / 'setup.py').open() as guard:
+            os.set_inheritable(guard.fileno(), True)
             fcntl.flock(guard, fcntl.LOCK_EX)  # two starts at once: the second waits, then skips
             if command == 'floor':
                 lock = ROOT / 'requirements' / 'floor.txt'
@@ -260,11 +262,15 @@ def main() -> int:
             else:
                 lock = ROOT / 'requirements' / 'environment.txt'
                 environment = Environment(ROOT / '.venv', lock)
-                messages = environment.ensure_messages(environment.ensure_dependencies(version))
-                environment.ensure_package(messages)
+                dependencies = environment.ensure_dependencies(version)
+                environment.ensure_messages(dependencies)
+                environment.ensure_package(dependencies)
     except SetupError as error:
         print(f'set-up: {error}', file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print('set-up: interrupted; the next start tries again', file=sys.stderr)
+        return 130
     return 0
 
 

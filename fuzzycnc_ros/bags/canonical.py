@@ -21,7 +21,7 @@ import numpy as np
 
 from fuzzycnc_ros.bags.definitions import SEPARATOR
 from fuzzycnc_ros.bags.reader import BagMessage, BagReader
-from fuzzycnc_ros.bags.typestore import deserialize, message_definition, serialize
+from fuzzycnc_ros.bags.typestore import PACKAGE, deserialize, message_definition, serialize
 
 EXCLUDED = (
     'diagnostics',
@@ -30,10 +30,13 @@ EXCLUDED = (
     'clock',
     'machine_tick',
     'tick_answer',
+    'node_configuration',
+    'node_event',
     'recorder/progress',
     'deadline_fired',
 )
-"""Topics, in whatever namespace, that say how a run was carried out, not what came of it."""
+"""Topics, in whatever namespace and with all below them, that say how a run was carried out, not
+what came of it."""
 
 _WALL = re.compile(r'^\s*(\S+)\s+([A-Za-z]\w*)[^#\n]*#.*\[wall\]')
 
@@ -65,8 +68,8 @@ def topic_hashes(
     if isinstance(source, (str, os.PathLike)):
         with BagReader(source) as reader:
             topics = [topic for topic in reader.connections if not excluded(topic, exclude)]
-            return _hashes(reader.messages(topics))
-    return _hashes(item for item in source if not excluded(item[0], exclude))
+            return _hashes(reader.messages(topics), reader)
+    return _hashes((item for item in source if not excluded(item[0], exclude)), None)
 
 
 def combined_hash(hashes: Mapping[str, str]) -> str:
@@ -86,37 +89,73 @@ def excluded(topic: str, exclude: Collection[str] = EXCLUDED) -> bool:
 
     Examples
     --------
-    >>> excluded('/mill/recorder/progress'), excluded('/mill/compensation')
+    >>> excluded('/mill/machine_tick/compensator'), excluded('/mill/compensation')
     (True, False)
     """
-    return any(f'/{topic}'.endswith(f'/{name.lstrip("/")}') for name in exclude)
+    return any(f'/{name.strip("/")}/' in f'/{topic}/' for name in exclude)
 
 
 def canonical_message(message: Any, type_name: str) -> bytes:
-    """Return the canonical bytes of a decoded message or of undecoded bytes."""
-    if isinstance(message, (bytes, bytearray, memoryview)):
-        message = deserialize(bytes(message), type_name)
-    for path in wall_fields(type_name):
+    """Return the canonical bytes of a decoded message or of undecoded bytes.
+
+    Parameters
+    ----------
+    message : object or bytes
+        The message.
+    type_name : str
+        Its type, which must be known on this machine.
+
+    Raises
+    ------
+    BagDataError
+        If the message does not fit its type.
+    """
+    return _canonical(_decoded(message, type_name), type_name, None, wall_fields(type_name))
+
+
+def _canonical(
+    message: Any, type_name: str, store: Any, wall: tuple[tuple[str, ...], ...]
+) -> bytes:
+    for path in wall:
         message = _without(message, path)
-    return serialize(message, type_name)
+    return serialize(message, type_name, store)
 
 
-def _hashes(messages: Iterable[BagMessage | tuple[str, str, int, Any]]) -> dict[str, str]:
+def _decoded(message: Any, type_name: str) -> Any:
+    if isinstance(message, (bytes, bytearray, memoryview)):
+        return deserialize(bytes(message), type_name)
+    return message
+
+
+def _hashes(
+    messages: Iterable[BagMessage | tuple[str, str, int, Any]], reader: BagReader | None
+) -> dict[str, str]:
     found: dict[str, list[tuple[int, bytes]]] = defaultdict(list)
-    types: dict[str, str] = {}
+    types: dict[str, tuple[str, Any, tuple[tuple[str, ...], ...]]] = {}
     for topic, type_name, log_time, message in messages:
-        if isinstance(message, (bytes, bytearray, memoryview)):
-            message = deserialize(bytes(message), type_name)
-        types[topic] = type_name
-        found[topic].append((_stamp(message, log_time), canonical_message(message, type_name)))
+        if topic not in types:
+            types[topic] = (type_name, *_definition(topic, type_name, reader))
+        decoded = _decoded(message, type_name)
+        found[topic].append((_stamp(decoded, log_time), _canonical(decoded, *types[topic])))
     result = {}
     for topic in sorted(found):
-        digest = hashlib.sha256(f'{types[topic]}\n'.encode())
+        digest = hashlib.sha256(f'{types[topic][0]}\n'.encode())
         for _, payload in sorted(found[topic]):
             digest.update(len(payload).to_bytes(8, 'little'))
             digest.update(payload)
         result[topic] = digest.hexdigest()
     return result
+
+
+def _definition(
+    topic: str, type_name: str, reader: BagReader | None
+) -> tuple[Any, tuple[tuple[str, ...], ...]]:
+    """Return the store of a type and its fields tagged `[wall]`."""
+    # Messages of our own package are always of the current set, whatever the bag's was.
+    if reader is None or type_name.startswith(f'{PACKAGE}/'):
+        return None, wall_fields(type_name)
+    text = reader.connections[topic].definition or message_definition(type_name)
+    return reader.decoder.store(type_name), tagged_fields(text, type_name)
 
 
 def _stamp(message: Any, log_time: int) -> int:

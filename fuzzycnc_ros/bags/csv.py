@@ -41,6 +41,9 @@ DISPLACEMENT_MIN = 0.5e-6
 WARM = 5.0
 """Rise that is bound to move a machine [K]."""
 
+GRID_MAX = 10_000_000
+"""Most samples that resampling makes; a week at 10 Hz has 6 million."""
+
 GAP_MAX = 3.0
 """Longest gap that resampling bridges, in intervals; further apart nothing was measured."""
 
@@ -138,6 +141,11 @@ def import_csv(
     else:
         recording = _resampled(path, recording, mapping.resample)
     start = mapping.epoch if mapping.epoch is not None else (1.0 if date is None else date)
+    if start < 0.0 or start + time[-1] >= 2**31:
+        raise CsvError(
+            f'{path}: expected times between 1970 and 2038 but the recording lasts from '
+            f'{start:.6g} to {start + time[-1]:.6g} s; check the unit of {mapping.time!r}'
+        )
     stamps = np.rint((start + recording.time) * 1e9).astype(np.int64)
     if date is not None:  # a date in ns has more digits than a float
         stamps = round(start * 1e6) * 1000 + np.rint(recording.time * 1e9).astype(np.int64)
@@ -302,6 +310,12 @@ def _resampled(path: Path, recording: _Recording, interval: float) -> _Recording
         raise CsvError(
             f'{path}: expected at least {SAMPLES_MIN} samples but --resample {interval:g} leaves '
             f'{count} of {recording.time[-1]:.6g} s'
+        )
+    if count * block > GRID_MAX:
+        raise CsvError(
+            f'{path}: expected a recording without long gaps but --resample {interval:g} would '
+            f'make {count * block} samples of {len(recording.time)} rows; import the parts one '
+            'by one with --rows'
         )
     grid = np.arange(count * block, dtype=np.float64) * fine
     after = np.clip(np.searchsorted(recording.time, grid - 1e-9 * step), 1, None)

@@ -24,6 +24,9 @@ _BASE, _NAME, _SEQUENCE = 1, 2, 4  # rosbags.interfaces.Nodetype
 _HEAD = b'\x00\x01'  # CDR, little endian
 _LENGTH = struct.Struct('<I')
 _STAMP = struct.Struct('<iI')
+_TIME, _HEADER = 'builtin_interfaces/msg/Time', 'std_msgs/msg/Header'
+_TIME_FIELDS = [('sec', (_BASE, ('int32', 0))), ('nanosec', (_BASE, ('uint32', 0)))]
+_HEADER_FIELDS = [('stamp', (_NAME, _TIME)), ('frame_id', (_BASE, ('string', 0)))]
 _NUMBERS = {
     'bool': ('?', np.bool_),
     'int8': ('b', np.int8),
@@ -90,10 +93,13 @@ def _step(store: Any, desc: Any) -> Step | None:
         return _string
     if kind == _BASE and detail[0] in _NUMBERS:
         return _number(detail[0])
-    if kind == _NAME and detail == 'builtin_interfaces/msg/Time':
-        return _time(store.types[detail])
-    if kind == _NAME and detail == 'std_msgs/msg/Header':
-        return _header(store.types[detail], store.types['builtin_interfaces/msg/Time'])
+    # A bag may bring a type of the same name with other fields: ROS 1 had another header.
+    if kind != _NAME or store.fielddefs.get(_TIME, ((), ()))[1] != _TIME_FIELDS:
+        return None
+    if detail == _TIME:
+        return _time(store.types[_TIME])
+    if detail == _HEADER and store.fielddefs[_HEADER][1] == _HEADER_FIELDS:
+        return _header(store.types[_HEADER], store.types[_TIME])
     return None
 
 

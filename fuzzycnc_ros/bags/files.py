@@ -43,18 +43,8 @@ def bag_files(folder: Path, metadata: Metadata) -> list[Path]:
     return files
 
 
-def unlisted_files(folder: Path) -> list[Path]:
-    """Return the storage files of a directory without `metadata.yaml`, in recording order.
-
-    Raises
-    ------
-    BagFormatError
-        If there is none.
-    """
+def storage_files(folder: Path) -> list[Path]:
+    """Return the storage files that lie in a directory, in recording order."""
     files = [*folder.glob('*.mcap'), *folder.glob('*.db3')]
-    if not files:
-        raise BagFormatError(
-            f'{folder}: expected a bag but found neither metadata.yaml nor storage files'
-        )
     # rosbag2 numbers the files of a split recording: bag_2 comes before bag_10.
     return sorted(files, key=lambda path: (len(path.name), path.name))

@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from types import TracebackType
 
-from fuzzycnc_ros.bags.errors import BagFormatError
+from fuzzycnc_ros.bags.errors import BagFormatError, MissingLibraryError
 from fuzzycnc_ros.bags.libraries import load
 from fuzzycnc_ros.bags.mcap_record import Cursor, decompress, decompression_errors
 from fuzzycnc_ros.bags.storage import (
@@ -271,6 +271,9 @@ class McapFile:
         while not footer:
             head = self._bytes(position, 9)
             length = int.from_bytes(head[1:], 'little')
+            if not head:
+                self.tear = Tear(position, 'the file ends without its index')
+                return
             if len(head) < 9 or length > self.size - position - 9:
                 self.tear = Tear(position, 'the file ends inside of a record')
                 return
@@ -395,6 +398,8 @@ class McapFile:
     def _decompressed(self, chunk: Chunk, data: bytes) -> bytes:
         try:
             data = decompress(data, chunk.compression, chunk.size)
+        except MissingLibraryError:
+            raise
         except decompression_errors() as error:
             raise self._damaged(chunk, f'it cannot be decompressed ({error})') from error
         if len(data) != chunk.size:

@@ -17,7 +17,7 @@ from fuzzycnc_ros.bags.errors import (
     BagTopicError,
     BagTruncatedError,
 )
-from fuzzycnc_ros.bags.files import bag_files, unlisted_files
+from fuzzycnc_ros.bags.files import bag_files, storage_files
 from fuzzycnc_ros.bags.mcapfile import McapFile
 from fuzzycnc_ros.bags.metadata import (
     MESSAGE_SET_KEY,
@@ -30,8 +30,8 @@ from fuzzycnc_ros.bags.metadata import (
 )
 from fuzzycnc_ros.bags.sqlitefile import SqliteFile
 from fuzzycnc_ros.bags.storage import Attachment, Block, Contents, RawMessage
-from fuzzycnc_ros.bags.typestore import MESSAGE_SET_VERSION
 from fuzzycnc_ros.bags.upgrade import UPGRADERS, Upgraders
+from fuzzycnc_ros.components.provenance import MESSAGE_SET
 
 OVERLAP_MAX = 1024 * 1024 * 1024
 """Most bytes of chunks overlapping in time that are sorted together; more is no recording."""
@@ -269,8 +269,22 @@ class BagReader:
         if not self.path.is_dir():
             return [self.path]
         if self.metadata:
-            return bag_files(self.path, self.metadata)
-        files = unlisted_files(self.path)
+            files = bag_files(self.path, self.metadata)
+            unlisted = {path.name for path in storage_files(self.path)} - {f.name for f in files}
+            if unlisted:
+                self._report(
+                    BagCountError(
+                        f'{self.path}: expected all storage files in metadata.yaml but found '
+                        f'{", ".join(sorted(unlisted))} beside them; remove what does not '
+                        'belong there, or run `fuzzycnc info --repair`'
+                    )
+                )
+            return files
+        files = storage_files(self.path)
+        if not files:
+            raise BagFormatError(
+                f'{self.path}: expected a bag but found neither metadata.yaml nor storage files'
+            )
         self.problems.append(f'{self.path}: metadata.yaml is missing')
         return files
 
@@ -307,7 +321,7 @@ class BagReader:
         if self.metadata and MESSAGE_SET_KEY in self.metadata.custom:
             stated.append(self.metadata.custom[MESSAGE_SET_KEY])
         try:
-            return max((int(text) for text in stated), default=MESSAGE_SET_VERSION)
+            return max((int(text) for text in stated), default=MESSAGE_SET)
         except ValueError as error:
             raise BagFormatError(
                 f'{self.path}: expected a message-set version but found {stated}'
@@ -339,6 +353,9 @@ class BagReader:
 
     def _check_metadata(self, metadata: Metadata) -> None:
         """Compare `metadata.yaml` with the files: neither may promise what the other lacks."""
+        if metadata.custom.get(STATE_KEY) == STATE_RECORDING:
+            self.problems.append(f'{self.path}: the recorder did not finish metadata.yaml')
+            return
         stated = {topic.name: topic.message_count for topic in metadata.topics}
         for topic in stated.keys() | self.connections.keys():
             found = self.connections[topic].message_count if topic in self.connections else 0

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fuzzycnc_ros.bags.errors import BagFormatError, BagTopicError
-from fuzzycnc_ros.bags.files import bag_files, unlisted_files
+from fuzzycnc_ros.bags.files import bag_files, storage_files
 from fuzzycnc_ros.bags.mcapfile import McapFile
 from fuzzycnc_ros.bags.metadata import Metadata, parse_qos, read_metadata
 from fuzzycnc_ros.bags.storage import Attachment, Channel, RawMessage
-from fuzzycnc_ros.bags.typestore import MESSAGE_SET_VERSION
 from fuzzycnc_ros.bags.writer import METADATA_RECORD, BagWriter
+from fuzzycnc_ros.components.provenance import MESSAGE_SET
 
 
 @dataclass(frozen=True)
@@ -62,13 +62,14 @@ class RepairReport:
         """Return the report as lines of text."""
         lines = [f'{self.source} -> {self.path}', *(f'  damage: {d}' for d in self.damage)]
         for name, topic in self.topics.items():
-            lost = 'unknown' if topic.lost is None else str(topic.lost)
-            behind = (
+            lost = 'whatever came later' if topic.lost is None else str(topic.lost)
+            until = (
                 ''
                 if topic.last is None
-                else f', the last {(self.stop - topic.last) / 1e9:.3f} s before the end'
+                else f', up to {topic.last / 1e9:.3f} s ({(self.stop - topic.last) / 1e9:.3f} s '
+                'before the last of all)'
             )
-            lines.append(f'  {name}: {topic.kept} messages kept{behind}; lost: {lost}')
+            lines.append(f'  {name}: {topic.kept} messages kept{until}; lost: {lost}')
         return '\n'.join(lines)
 
 
@@ -139,7 +140,7 @@ class _Copy:
             target,
             flush_interval=None,
             custom={**facts, 'repaired_from': source.name},
-            message_set=int(version) if version.isdecimal() else MESSAGE_SET_VERSION,
+            message_set=int(version) if version.isdecimal() else MESSAGE_SET,
         )
 
     def take(self, file: McapFile) -> None:
@@ -153,9 +154,10 @@ class _Copy:
                     self._lost.update(file.topic_counts(chunk.counts))
         if file.tear:
             self._torn = True
+            rest = file.size - file.tear.offset
             self._damage.append(
-                f'{file.path.name} was cut off at byte {file.tear.offset} ({file.tear.reason}); '
-                f'{file.size - file.tear.offset} bytes after it are lost or salvaged in part'
+                f'{file.path.name} was cut off at byte {file.tear.offset}: {file.tear.reason}'
+                + (f'; of {rest} bytes after it only whole messages are kept' if rest else '')
             )
             self._write(file.salvage())
         for channel in file.channels:
@@ -241,10 +243,15 @@ def _files(source: Path, metadata: Metadata | None) -> list[Path]:
         raise BagFormatError(f'{source}: expected a bag but nothing is there')
     if not source.is_dir():
         return [source]
+    listed: list[Path] = []
     if metadata is not None:
         with suppress(BagFormatError):  # a list that is wrong gives way to what lies there
-            return bag_files(source, metadata)
-    return unlisted_files(source)
+            listed = bag_files(source, metadata)
+    there = storage_files(source)
+    files = listed + [path for path in there if path not in listed]
+    if not files:
+        raise BagFormatError(f'{source}: expected a bag but found no storage files')
+    return files
 
 
 def _open(paths: list[Path], damage: list[str]) -> list[McapFile]:

@@ -91,7 +91,8 @@ def read_run(
     source = Path(path)
     with BagReader(source) as reader:
         topic = find_topic(reader, temperatures, TEMPERATURES_TYPE, namespace)
-        machine = topic[: -len(temperatures)] if topic.endswith(temperatures) else '/'
+        depth = temperatures.strip('/').count('/') if not temperatures.startswith('/') else 0
+        machine = topic.rsplit('/', depth + 1)[0] if '/' in topic else ''
         other = find_topic(
             reader, displacement, DISPLACEMENT_TYPE, machine if namespace is None else namespace
         )
@@ -99,7 +100,7 @@ def read_run(
         moving = _Samples(source, other, ('axis', 'channel'), 'channel')
         for kind, _, _, message in reader.messages([topic, other]):  # one pass over the file
             if kind == topic:
-                temperature.add(message, _ok_readings(message))
+                temperature.add(message, message.temperature, message.status == _STATUS_OK)
             else:
                 if message.includes_compensation and not compensated:
                     raise RunError(
@@ -159,11 +160,11 @@ def find_topic(reader: BagReader, name: str, type_name: str, namespace: str | No
     BagTopicError
         If there is no such topic with messages, several, or it has another type.
     """
-    if name.startswith('/'):
-        wanted = [name]
-    elif namespace is not None:
-        wanted = [f'/{namespace.strip("/")}/{name}'.replace('//', '/')]
+    if name.startswith('/') or namespace is not None:
+        absolute = _absolute(name if name.startswith('/') else f'{namespace}/{name}')
+        wanted = [topic for topic in reader.connections if _absolute(topic) == absolute]
     else:
+        absolute = name
         wanted = [
             topic
             for topic, connection in reader.connections.items()
@@ -176,7 +177,7 @@ def find_topic(reader: BagReader, name: str, type_name: str, namespace: str | No
             f'{reader.path}: expected one topic {name} but found {", ".join(sorted(wanted))}; '
             'name the namespace'
         )
-    topic = wanted[0] if wanted else name
+    topic = wanted[0] if wanted else absolute
     reader.require({topic: type_name})
     return topic
 
@@ -192,18 +193,23 @@ class _Samples:
         self._stamps: list[int] = []
         self._rows: list[NDArray[np.float64]] = []
 
-    def add(self, message: Any, values: NDArray[np.float64]) -> None:
-        """Take a message and its values, parallel to the names."""
+    def add(
+        self, message: Any, values: NDArray[np.float64], valid: NDArray[np.bool_] | None = None
+    ) -> None:
+        """Take a message, its values, and which of them are valid, all parallel to the names."""
         names = [getattr(message, field) for field in self._fields]
         if names != self._names:
             self._check_names(message, names)
             self._names = names
-        for entry in (values, *names):
+        for entry in (values, *names, *(() if valid is None else (valid,))):
             if len(entry) != len(names[0]):
                 raise BagDataError(
                     f'{self._where}: expected {len(names[0])} entries, one per '
-                    f'{self._fields[0]}, but found {len(entry)}'
+                    f'{self._fields[0]}, but found {len(entry)} at stamp '
+                    f'{_seconds(_stamp(message))} s'
                 )
+        if valid is not None and not valid.all():
+            values = np.where(valid, values, np.nan)
         self._stamps.append(_stamp(message))
         self._rows.append(values)
 
@@ -238,17 +244,9 @@ class _Samples:
         return Series(stamp, names, np.array(self._rows, dtype=np.float64))
 
 
-def _ok_readings(message: Any) -> NDArray[np.float64]:
-    """Return the temperatures, NaN where the status is not OK."""
-    status = message.status
-    if len(status) != len(message.temperature):
-        raise BagDataError(
-            f'expected {len(message.temperature)} entries in status but found {len(status)}'
-        )
-    if not status.any():
-        values: NDArray[np.float64] = message.temperature
-        return values
-    return np.where(status == _STATUS_OK, message.temperature, np.nan)
+def _absolute(topic: str) -> str:
+    """Return a topic with one slash in front and between its parts."""
+    return '/' + '/'.join(part for part in topic.split('/') if part)
 
 
 def _join(stamp: NDArray[np.int64], moved: Series, average: bool) -> NDArray[np.float64]:

@@ -15,9 +15,6 @@ from fuzzycnc_ros.bags import definitions
 from fuzzycnc_ros.bags.errors import BagDataError, BagTypeError
 from fuzzycnc_ros.bags.libraries import load
 
-MESSAGE_SET_VERSION = 1
-"""Version of the message set; every bag records it, `upgrade.py` reads older ones."""
-
 PACKAGE = 'fuzzycnc_msgs'
 """The package of the messages of fuzzycnc."""
 
@@ -149,7 +146,7 @@ def serialize(message: Any, type_name: str | None = None, store: Any = None) -> 
     name = type_name or message.__msgtype__
     try:
         return bytes((store or typestore()).serialize_cdr(message, name))
-    except (AttributeError, TypeError, ValueError, struct.error) as error:
+    except (AttributeError, TypeError, ValueError, KeyError, struct.error) as error:
         raise BagDataError(f'expected a message that fits {name} but found: {error}') from error
 
 

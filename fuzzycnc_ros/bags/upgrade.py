@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fuzzycnc_ros.bags.errors import BagVersionError
-from fuzzycnc_ros.bags.typestore import MESSAGE_SET_VERSION
+from fuzzycnc_ros.components.provenance import MESSAGE_SET
 
 Upgrader = Callable[[Any], Any]
 """Takes a message of one version and returns what the next version has in its place.
@@ -35,7 +35,7 @@ class Upgraders:
     'WARM'
     """
 
-    current: int = MESSAGE_SET_VERSION
+    current: int = MESSAGE_SET
     _steps: dict[tuple[str, int], Upgrader] = field(default_factory=dict)
 
     def register(self, type_name: str, version: int) -> Callable[[Upgrader], Upgrader]:

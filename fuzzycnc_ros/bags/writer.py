@@ -12,16 +12,22 @@ from types import TracebackType
 from typing import Any
 
 from fuzzycnc_ros.bags import metadata as rosbag2
-from fuzzycnc_ros.bags.errors import BagError, BagExistsError, BagTopicError, BagWriteError
+from fuzzycnc_ros.bags.errors import (
+    BagError,
+    BagExistsError,
+    BagTopicError,
+    BagWriteError,
+    MissingLibraryError,
+)
 from fuzzycnc_ros.bags.libraries import load
 from fuzzycnc_ros.bags.metadata import Metadata, Profiles, Qos, TopicInfo
 from fuzzycnc_ros.bags.sink import Sink
 from fuzzycnc_ros.bags.typestore import (
-    MESSAGE_SET_VERSION,
     message_definition,
     serialize,
     type_hash,
 )
+from fuzzycnc_ros.components.provenance import MESSAGE_SET
 
 CHUNK_SIZE = 16384
 """Uncompressed size at which a chunk is closed [bytes]; what is in an open chunk dies with us."""
@@ -32,7 +38,7 @@ FLUSH_INTERVAL = 0.5
 METADATA_RECORD = 'fuzzycnc'
 """Name of the MCAP metadata record that holds the message-set version."""
 
-_TOPIC = re.compile(r'[A-Za-z0-9_/~{}]+')
+_TOPIC = re.compile(r'[!-~]{1,512}')
 _TIME_MAX = 2**63 - 1
 
 
@@ -62,7 +68,7 @@ class BagWriter:
     BagExistsError
         If `path` exists.
     MissingLibraryError
-        If mcap or zstandard is not installed.
+        If mcap or zstandard is not installed, or mcap is older than 1.5.
     BagWriteError
         If the directory cannot be made or written.
 
@@ -81,13 +87,18 @@ class BagWriter:
         flush_interval: float | None = FLUSH_INTERVAL,
         compression: str = 'zstd',
         custom: Mapping[str, str] | None = None,
-        message_set: int = MESSAGE_SET_VERSION,
+        message_set: int = MESSAGE_SET,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         if compression not in ('zstd', 'none'):
             raise ValueError(f'compression: expected zstd or none but found {compression!r}')
         self.path = Path(path)
         self._module = load('mcap.writer')
+        if not hasattr(self._module.Writer, 'flush'):
+            raise MissingLibraryError(
+                'expected mcap 1.5 or newer, which can close a chunk by time, but found an older '
+                "one; update it with: pip install 'fuzzycnc_ros[bags]'"
+            )
         if compression == 'zstd':
             load('zstandard')
         load('yaml')

@@ -19,7 +19,12 @@ if TYPE_CHECKING:
 
 JsonFile = Annotated[
     Optional[Path],  # noqa: UP045  typer 0.9 reads this form on every Python
-    typer.Option('--json', metavar='FILE', help='Write the figures to this file as JSON.'),
+    typer.Option(
+        '--json',
+        show_default=False,
+        metavar='FILE',
+        help='Write the figures to this file as JSON.',
+    ),
 ]
 
 Tell = Callable[[str, int, int], None]
@@ -87,19 +92,17 @@ def write_text(path: Path, text: str) -> None:
         raise
 
 
-def check_new(path: Path | None, *, force: bool = False) -> None:
+def check_new(path: Path | None, remedy: str = 'remove it') -> None:
     """Refuse an output that would overwrite something, before the work begins.
 
     Raises
     ------
     ValueError
-        If it exists and `force` is not set, or its folder does not exist.
+        If it exists, or its folder does not.
     """
-    if path is None:
-        return
-    if path.exists() and not force:
+    if path is not None and path.exists():
         raise ValueError(
-            f'{path}: expected a new file but it exists; choose another name or add --force'
+            f'{path}: expected a new name but it exists; choose another one or {remedy}'
         )
     check_folder(path)
 
@@ -114,6 +117,18 @@ def check_folder(path: Path | None) -> None:
     """
     if path is not None and not path.absolute().parent.is_dir():
         raise ValueError(f'{path}: expected an existing folder but found no {path.parent}')
+
+
+def check_at_least(option: str, value: float | None, low: float) -> None:
+    """Refuse a number below its bound.
+
+    Raises
+    ------
+    ValueError
+        If it is below.
+    """
+    if value is not None and not value >= low:
+        raise ValueError(f'{option}: expected {low:g} or more but found {value:g}')
 
 
 def words(texts: list[str]) -> tuple[str, ...]:

@@ -24,16 +24,6 @@ from fuzzycnc_ros.cli.up import BANNER, node_specs
 MACHINE = 'mill'
 CALIBRATION = ('D0', 'D0b', 'T1')
 UNSEEN = ('T2', 'T3')
-SHOWN = (
-    'uncompensated',
-    'least_squares',
-    'static_ridge',
-    'classical_grey',
-    'stable_grey',
-    'lag_ridge',
-    'default',
-)
-"""Rows of the table."""
 CURVE_COUNTS = (1, 2, 3, 5, 8, 10)
 RUN_TIMEOUT = 300.0
 
@@ -73,9 +63,10 @@ def demo(
     started = time.monotonic()
     _renew(out)
     with _progress(console) as progress:
-        result, table = _run(out, seed, progress, started)
+        result, tables = _run(out, seed, progress, started)
     (out / 'summary.json').write_text(json.dumps(vars(result), indent=2) + '\n', encoding='utf-8')
-    console.print(table)
+    for table in tables:
+        console.print(table)
     _print_facts(console, out, result)
     if result.degraded or not result.replay_identical:
         raise GraphError('the run was degraded or its replay differs; see the notes in the report')
@@ -123,7 +114,7 @@ class _Bar:
         self.progress.update(self.task, completed=done, total=total)
 
 
-def _run(out: Path, seed: int, progress: _Steps, started: float) -> tuple[DemoResult, Any]:
+def _run(out: Path, seed: int, progress: _Steps, started: float) -> tuple[DemoResult, list[Any]]:
     from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.cli.latency import measure_latency
     from fuzzycnc_ros.components.compensator import CompensatorConfig
@@ -150,9 +141,8 @@ def _run(out: Path, seed: int, progress: _Steps, started: float) -> tuple[DemoRe
     with progress.step('wrote the report'):
         log = ShiftLog.from_bag(out / 'bag')
         runs = compensation_runs(log, model, UNSEEN, offset_max=CompensatorConfig().offset_max)
-        document = summary_document(runs)
         result = DemoResult(
-            runs={run: {n: s for n, s in rows.items() if s} for run, rows in document.items()},
+            runs=summary_document(runs),
             latency_ms={
                 'median': 1e3 * float(np.median(latency)),
                 'p99': 1e3 * float(np.quantile(latency, 0.99)),
@@ -169,7 +159,7 @@ def _run(out: Path, seed: int, progress: _Steps, started: float) -> tuple[DemoRe
         )
         _write_report(out, runs, calibration.runs, latency, result, replayed.notes)
     result.wall_s = round(time.monotonic() - started, 2)
-    return result, summary_table(runs).to_rich()
+    return result, [summary_table([item]).to_rich() for item in runs]
 
 
 def _run_live(

@@ -115,7 +115,7 @@ class _Probe:
             if warming_up:
                 continue
             if stamp not in self._answered:
-                raise GraphError(f'no compensation within {ANSWER_TIMEOUT:g} s of its temperatures')
+                raise GraphError(f'no compensation within {ANSWER_TIMEOUT:g} s of temperatures')
             latencies.append(self._answered[stamp] - sent)
         return latencies
 

@@ -2,49 +2,61 @@
 # SPDX-License-Identifier: Apache-2.0
 """Entry point of the command `fuzzycnc`: its subcommands, and what becomes of their errors."""
 
+import inspect
 import sys
 import traceback
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any
 
 import typer
 
 from fuzzycnc_ros import __version__
-from fuzzycnc_ros.cli import evaluate, import_csv, info, record, replay, simulate, train
+from fuzzycnc_ros.cli.demo import demo
+from fuzzycnc_ros.cli.evaluate import evaluate
+from fuzzycnc_ros.cli.graph_processes import GraphError
+from fuzzycnc_ros.cli.import_csv import import_csv
+from fuzzycnc_ros.cli.info import info
+from fuzzycnc_ros.cli.record import record
+from fuzzycnc_ros.cli.replay import replay
+from fuzzycnc_ros.cli.simulate import simulate
+from fuzzycnc_ros.cli.train import train
+from fuzzycnc_ros.cli.up import up
 
-HELP = """Measure, predict and compensate the errors of a CNC machine.
+HELP = """Measure, predict and compensate the thermal error of a CNC machine.
 
 Try it without a machine: train on three simulated shifts, compensate two others.
 
-\b
-  fuzzycnc simulate --report shift.html
+    fuzzycnc demo
+    fuzzycnc simulate --report shift.html
 
 From your own recording to a judged model:
 
-\b
-  fuzzycnc import-csv shift.csv --out shift --time t --temperature 't*' --displacement ch1=Z:um
-  fuzzycnc train shift --end 86400 --out model.json
-  fuzzycnc evaluate shift --start 86400 --model model.json
+    fuzzycnc import-csv shift.csv --out shift --time t \\
+        --temperature 't*' --displacement ch1=Z:um
+    fuzzycnc train shift --end 86400 --out model.json
+    fuzzycnc evaluate shift --start 86400 --model model.json
 
 `fuzzycnc COMMAND --help` explains each command with examples.
 """
 
 EPILOG = (
-    'Exit codes: 0 done, 1 done and something differs, 2 refused with one line on standard '
-    'error, 130 interrupted. --debug, anywhere on the line, shows the traceback of an error. '
+    'Exit codes: 0 done; 1 done, and something differs; 2 refused, with one line on standard '
+    'error; 130 interrupted. --debug, anywhere on the line, shows the traceback of an error. '
     'Not a safety function: e-stop, limit switches and drive limits stay in hardware.'
 )
 
-COMMANDS = (
-    simulate,
-    record,
-    replay,
-    train,
-    evaluate,
-    import_csv,
-    info,
-)
-"""Modules of the subcommands, in the order of the help; each has a function `register`."""
+COMMANDS: dict[str, Callable[..., Any]] = {
+    'demo': demo,
+    'up': up,
+    'simulate': simulate,
+    'record': record,
+    'replay': replay,
+    'train': train,
+    'evaluate': evaluate,
+    'import-csv': import_csv,
+    'info': info,
+}
+"""The subcommands in the order of the help; each one's docstring is its manual."""
 
 INTERRUPTED = 130
 
@@ -53,9 +65,19 @@ _Refusal: type[Exception] = next(
     kind for kind in reversed(typer.BadParameter.__mro__) if hasattr(kind, 'format_message')
 )
 
+
+def manual(text: str) -> str:
+    """Return a help text whose indented paragraphs, such as examples, keep their lines."""
+    paragraphs = inspect.cleandoc(text).split('\n\n')
+    return '\n\n'.join(
+        f'\b\n{paragraph}' if paragraph.startswith('    ') else paragraph
+        for paragraph in paragraphs
+    )
+
+
 app = typer.Typer(
     name='fuzzycnc',
-    help=HELP,
+    help=manual(HELP),
     epilog=EPILOG,
     add_completion=False,
     no_args_is_help=True,
@@ -63,8 +85,10 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={'help_option_names': ['-h', '--help']},
 )
-for _module in COMMANDS:
-    _module.register(app)
+for _name, _command in COMMANDS.items():
+    _text = manual(_command.__doc__ or '')
+    # The whole first paragraph: typer would cut it at 45 characters.
+    app.command(_name, help=_text, short_help=' '.join(_text.split('\n\n')[0].split()))(_command)
 
 
 @app.callback()
@@ -87,13 +111,14 @@ def run(arguments: Sequence[str]) -> int:
     try:
         code = app(words or ['--help'], prog_name='fuzzycnc', standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
-        print('interrupted', file=sys.stderr)
-        return INTERRUPTED
+        code = INTERRUPTED
     except Exception as error:  # the one place where every error becomes a line for people
         if debug:
             traceback.print_exc()
         print(f'error: {_line(error)}', file=sys.stderr)
         return 2
+    if code == INTERRUPTED:  # newer versions of typer return it themselves
+        print('interrupted', file=sys.stderr)
     return code if isinstance(code, int) else 0
 
 
@@ -116,7 +141,7 @@ def _line(error: Exception) -> str:
         context = getattr(error, 'ctx', None)
         command = context.command_path if context is not None else 'fuzzycnc'
         text = f'{text.rstrip(".")}; see `{command} --help`'
-    elif isinstance(error, (ValueError, OSError, ModuleNotFoundError)):
+    elif isinstance(error, (ValueError, OSError, ModuleNotFoundError, GraphError)):
         text = str(error)
     else:
         text = (

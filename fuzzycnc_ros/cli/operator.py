@@ -9,11 +9,11 @@ from types import TracebackType
 from typing import Any
 
 import rclpy
-from fuzzycnc_msgs.action import TrainThermalModel
-from fuzzycnc_msgs.srv import SelectSensors
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 
+from fuzzycnc_msgs.action import TrainThermalModel
+from fuzzycnc_msgs.srv import SelectSensors
 from fuzzycnc_ros.cli.graph_processes import GraphError
 from fuzzycnc_ros.nodes.environment import prepare_environment
 

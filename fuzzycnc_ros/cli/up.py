@@ -93,15 +93,15 @@ def up(
         ),
     ] = '',
     model: Annotated[
-        Optional[Path],  # noqa: UP007, UP045 - typer 0.9 does not read the newer form
+        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
         typer.Option(help='Model file of the predictor, made by `fuzzycnc train`.'),
     ] = None,
     record: Annotated[
-        Optional[Path],  # noqa: UP007, UP045
+        Optional[Path],  # noqa: UP045
         typer.Option(help='Record everything into this new bag.'),
     ] = None,
     params: Annotated[
-        Optional[Path],  # noqa: UP007, UP045
+        Optional[Path],  # noqa: UP045
         typer.Option(help='Folder with parameter files <node>.yaml.'),
     ] = None,
     rate: Annotated[
@@ -119,11 +119,11 @@ def up(
         typer.Option(help='Activate the compensator; without it a lifecycle manager or you do.'),
     ] = False,
     state_directory: Annotated[
-        Optional[Path],  # noqa: UP007, UP045
+        Optional[Path],  # noqa: UP045
         typer.Option(help='Where nodes keep what must survive a restart.'),
     ] = None,
     json_file: Annotated[
-        Optional[Path],  # noqa: UP007, UP045
+        Optional[Path],  # noqa: UP045
         typer.Option('--json', help='Write how the run ended to this file.'),
     ] = None,
 ) -> None:

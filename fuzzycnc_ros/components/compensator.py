@@ -24,6 +24,7 @@ from fuzzycnc_ros.components.component import (
 )
 from fuzzycnc_ros.components.records import (
     SECOND,
+    AppliedStatus,
     Compensation,
     CompensationApplied,
     CompensationState,
@@ -138,7 +139,7 @@ class Compensator(Component):
         if not self._active:
             return
         if self._epoch == 0:
-            self._why = 'no read-back (compensation_applied) from the machine yet'
+            self._why = 'no finite read-back (compensation_applied) from the machine yet'
             return
         self._why = self._refusal(error)
         if not self._why:
@@ -186,6 +187,11 @@ class Compensator(Component):
         }
         text = self._state.name.lower() + (f': {self._why}' if self._why else '')
         items = [Health('state', level, text, values)]
+        applied = self._newest.get('compensation_applied')
+        if isinstance(applied, CompensationApplied) and applied.status == AppliedStatus.REFUSED:
+            items.append(
+                Health('read-back', Level.ERROR, f'refused by the machine: {applied.reason}')
+            )
         for title, flags in (('size limit', self._at_limit), ('slew limit', self._slewing)):
             if flags.any():
                 named = ', '.join(np.array(self._axes)[flags])
@@ -215,6 +221,8 @@ class Compensator(Component):
 
     def _take_over(self, applied: CompensationApplied) -> None:
         """Start from what the machine applies, as a new owner: no step at a restart."""
+        if not np.all(np.isfinite(applied.offset)):
+            return
         in_force = dict(zip(applied.axis, applied.offset, strict=True))
         self._offset = np.array([in_force.get(axis, 0.0) for axis in self._axes])
         self._target = self._offset.copy()
@@ -230,10 +238,10 @@ class Compensator(Component):
             return 'no fresh machine_state'
         if not (machine.offsets_allowed and machine.homed):
             return 'machine does not allow offsets' if machine.homed else 'machine is not homed'
+        if not error.valid:
+            return f'thermal error invalid: {_reason_text(error.reason)}'
         if not error.in_domain:
             return 'temperatures lie outside what the model was trained on'
-        if not error.valid:
-            return f'thermal error invalid: {Reason(error.reason).name.lower().replace("_", " ")}'
         if not np.all(np.isfinite(error.error)):
             return 'thermal error is not finite'
         missing = [axis for axis in self._axes if axis not in error.axis]
@@ -305,8 +313,9 @@ class Compensator(Component):
         if self._state is CompensationState.HOLDING and self._bad_since is not None:
             release = self._bad_since + nanoseconds(self._config.hold_time)
             return max(stamp + 1, min(release, stamp + nanoseconds(self._config.validity / 2)))
+        # Errors may come more slowly than a command expires on the machine.
         late = (self._good_at or stamp) + nanoseconds(self._config.stale_after) + 1
-        return max(stamp + 1, late)
+        return max(stamp + 1, min(late, stamp + nanoseconds(self._config.validity / 2)))
 
     def _message(self, stamp: int) -> Compensation:
         size = len(self._axes)
@@ -324,3 +333,9 @@ class Compensator(Component):
             valid_until=stamp + nanoseconds(self._config.validity),
             source=('thermal_error',),
         )
+
+
+def _reason_text(reason: int) -> str:
+    """Return a reason in words; a newer sender may know more of them."""
+    known = {item.value: item.name.lower().replace('_', ' ') for item in Reason}
+    return known.get(reason, f'reason {reason}')

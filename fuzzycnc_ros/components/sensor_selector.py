@@ -32,8 +32,8 @@ from fuzzycnc_ros.components.records import (
     Temperatures,
 )
 from fuzzycnc_ros.core.config import Config, param
-from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalRun, select_sensors
 from fuzzycnc_ros.core.thermal import SensorSelection as Selection
+from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalRun, select_sensors
 
 RunReader = Callable[[str], ThermalRun]
 """Reads the run in a bag."""

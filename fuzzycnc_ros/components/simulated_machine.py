@@ -40,6 +40,9 @@ class SimulatedMachineConfig(Config):
     duties: tuple[str, ...] = param(
         ('T2',), '-', 'Duties to run, one a day, each from cold: D0, D0b, T1, T2, T3'
     )
+    duty_duration: float = param(
+        0.0, 's', 'Time after which each duty is cut off; 0 runs it whole', low=0.0, high=864000.0
+    )
     seed: int = param(0, '-', 'Seed of all measuring noise', low=0, high=2**31 - 1)
     tick_period: float = param(
         12.0, 's', 'Machine time between two sets of readings', low=0.1, high=60.0
@@ -68,7 +71,11 @@ class SimulatedMachineConfig(Config):
         False, '-', 'Whether a lock-step run waits for the recorder every 500 ticks'
     )
     answer_timeout: float = param(
-        1.0, 's', 'Wall time after which a silent node of a lock-step run is lost', low=0.05, high=60.0
+        1.0,
+        's',
+        'Wall time after which a silent node of a lock-step run is lost',
+        low=0.05,
+        high=60.0,
     )
 
 
@@ -98,9 +105,7 @@ class SimulatedMachine(Component):
         self._faults = tuple(parse_sensor_fault(text) for text in self._config.sensor_faults)
         self._offsets = OffsetInput(
             MILL_AXES,
-            OffsetInputConfig(
-                offset_max=self._config.offset_max, slew_max=self._config.slew_max
-            ),
+            OffsetInputConfig(offset_max=self._config.offset_max, slew_max=self._config.slew_max),
         )
         self._run = 0
         self._ticks = 0
@@ -116,8 +121,8 @@ class SimulatedMachine(Component):
     @property
     def total_ticks(self) -> int:
         """Number of ticks of the whole programme."""
-        period = self._config.tick_period
-        return sum(round(DUTIES[name].duration // period) for name in self._config.duties)
+        period = nanoseconds(self._config.tick_period)
+        return sum(nanoseconds(self._length(name)) // period for name in self._config.duties)
 
     def on_compensation(self, command: Compensation) -> None:
         """Take an offset command; the offset input decides whether it is followed."""
@@ -190,8 +195,8 @@ class SimulatedMachine(Component):
                 readings=1,
             ),
         )
-        following = self._ticks * period
-        if following + period > self._duty.duration:
+        following = (self._ticks + 1) * nanoseconds(period)
+        if following > nanoseconds(self._length(self._duty.name)):
             self._enter(self._run + 1)
 
     def health(self) -> list[Health]:
@@ -205,6 +210,12 @@ class SimulatedMachine(Component):
         done = self._run >= len(self._config.duties)
         duty = 'all duties done' if done else f'duty {self._duty.name}'
         return [Health('duty', Level.OK, duty), Health('compensation', level, text, values)]
+
+    def _length(self, duty: str) -> float:
+        """Return for how long a duty is run [s]; at least one tick."""
+        whole = DUTIES[duty].duration
+        wanted = min(whole, self._config.duty_duration or whole)
+        return max(wanted, self._config.tick_period)
 
     def _enter(self, run: int) -> None:
         """Set the machine up, cold, for one duty of the programme."""

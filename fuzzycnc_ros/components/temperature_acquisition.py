@@ -76,15 +76,25 @@ class TemperatureAcquisitionConfig(Config):
         120.0, 'degC', 'Highest plausible reading', low=-273.15, high=1000.0, live=True
     )
     rate_max: float = param(
-        10.0 / 60.0, 'K/s', 'Fastest plausible change of a reading', low=1e-6, high=100.0, live=True
+        10.0 / 60.0,
+        'K/s',
+        'Fastest plausible change of a reading',
+        low=1e-6,
+        high=100.0,
+        live=True,
     )
     noise_band: float = param(
-        2.0, 'K', 'Change between two readings that is never an error', low=0.0, high=50.0, live=True
+        2.0,
+        'K',
+        'Change between two readings that is never an error',
+        low=0.0,
+        high=50.0,
+        live=True,
     )
     stuck_time: float = param(
         600.0,
         's',
-        'Time after which a reading that has not changed by a bit is stuck; 0 switches the check off',
+        'Time after which a reading that has not changed by a bit is stuck; 0 is never',
         low=0.0,
         high=86400.0,
         live=True,
@@ -124,7 +134,8 @@ class TemperatureAcquisition(Component):
         self._asked_by = ''
         self._collected: list[Temperatures] = []
         self._refused = ''
-        self._status: Bytes = np.zeros(0, np.uint8)
+        self._read_at = 0
+        self._start_afresh(0)
 
     def on_machine_state(self, state: MachineState) -> None:
         """Start to collect a reference when the machine reports a new cold start."""
@@ -148,7 +159,7 @@ class TemperatureAcquisition(Component):
         self._good += good
         self._count += 1
         # The latest bad verdict speaks for a sensor without one good reading.
-        self._bad = np.where(good, self._bad, status)
+        self._bad[~good] = status[~good]
         self._raw = reading.temperature
         interval = nanoseconds(self._config.interval)
         if self._boundary is None:
@@ -200,15 +211,15 @@ class TemperatureAcquisition(Component):
     def _accept_sensors(self, reading: Temperatures) -> bool:
         """Refuse readings that do not fit the sensors of the run; set up at the first ones."""
         names = reading.sensor
+        if len(names) == 0 or len(reading.temperature) != len(names):
+            self._refused = f'{len(reading.temperature)} values for {len(names)} sensor names'
+            return False
         if names == self._sensor:
             self._refused = ''
             return True
         duplicates = sorted({name for name in names if names.count(name) > 1})
         if duplicates:
             self._refused = f'duplicate sensor names: {", ".join(duplicates)}'
-            return False
-        if len(names) == 0 or len(reading.temperature) != len(names):
-            self._refused = f'{len(reading.temperature)} values for {len(names)} sensor names'
             return False
         if self._sensor:
             gone = sorted(set(self._sensor) - set(names))
@@ -224,10 +235,11 @@ class TemperatureAcquisition(Component):
     def _start_afresh(self, stamp: int) -> None:
         """Forget what earlier readings say: after a long gap any plausible value is news."""
         size = len(self._sensor)
-        self._status = np.zeros(size, np.uint8)
-        self._sum, self._good = np.zeros(size), np.zeros(size, np.int64)
+        self._status: Bytes = np.zeros(size, np.uint8)
+        self._sum: Floats = np.zeros(size)
+        self._good = np.zeros(size, np.int64)
         self._count = 0
-        self._bad = np.full(size, int(Status.MISSING), np.uint8)
+        self._bad: Bytes = np.full(size, int(Status.MISSING), np.uint8)
         self._last = np.full(size, np.nan)
         self._changed = np.full(size, stamp, np.int64)
         self._trusted = np.full(size, np.nan)
@@ -254,7 +266,7 @@ class TemperatureAcquisition(Component):
         return status
 
     def _too_fast(self, value: Floats, stamp: int) -> Bools:
-        """Readings that left the last trusted one faster than metal can.
+        """Return which readings left the last trusted one faster than metal can.
 
         The allowance grows with the time since the last trusted reading, but no further than
         five noise bands: a plug that came loose must not become plausible by waiting.

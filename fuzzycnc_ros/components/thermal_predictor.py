@@ -42,6 +42,7 @@ from fuzzycnc_ros.components.records import (
 from fuzzycnc_ros.components.substitution import RiseSource
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.thermal import ThermalModel
+from fuzzycnc_ros.core.thermal.mate_vote import MateVote
 
 RECENT = 10
 """Samples kept for a reference that arrives after them."""
@@ -70,6 +71,19 @@ class ThermalPredictorConfig(Config):
         low=1.0,
         high=1000.0,
         live=True,
+    )
+    mate_limit: float = param(
+        0.8, 'K', 'Difference to all cluster mates that is never a fault', low=0.0, high=100.0
+    )
+    mate_tolerance: float = param(
+        0.2, '-', 'What that limit grows by with the largest rise', low=0.0, high=10.0
+    )
+    mate_persistence: float = param(
+        1200.0,
+        's',
+        'Time after which a sensor that all mates contradict is substituted; 0 is never',
+        low=0.0,
+        high=86400.0,
     )
 
 
@@ -100,7 +114,7 @@ class ThermalPredictor(Component):
         self._reference: ThermalReference | None = None
         self._checkpoint: PredictorState | None = None
         self._recent: deque[Temperatures] = deque(maxlen=RECENT)
-        self._source: RiseSource | None = None
+        self._source: RiseSource | None
         self._reason = Reason.NO_MODEL
         self._detail = 'no model; set the parameter model or call train_thermal_model'
         self._forget()
@@ -111,6 +125,8 @@ class ThermalPredictor(Component):
         self._stepped_at: int | None = None
         self._unknown_since: int | None = None
         self._rise: Floats | None = None
+        self._source = None
+        self._vote = None if self._model is None else mate_vote(self._model, self._config)
 
     @property
     def model(self) -> ThermalModel | None:
@@ -134,7 +150,6 @@ class ThermalPredictor(Component):
         self._model, self._text = model, text
         self._hash = text_hash(text)
         self._label = f'{"/".join(dict.fromkeys(model.default))} {self._hash[:12]}'
-        self._source = None
         self._forget()
         self._reason, self._detail = Reason.NO_REFERENCE, 'waiting for temperatures'
 
@@ -165,7 +180,6 @@ class ThermalPredictor(Component):
         if known is not None and known.stamp == reference.stamp:
             return
         self._reference = reference
-        self._source = None
         self._begin(reference)
 
     def on_temperatures(self, sample: Temperatures) -> Iterator[Emission]:
@@ -173,7 +187,8 @@ class ThermalPredictor(Component):
         self._recent.append(sample)
         error = self._take(sample)
         model = self._model
-        if error is None or model is None or self._rise is None:
+        lost = self._reason is not Reason.NONE
+        if error is None or model is None or self._rise is None or lost:
             yield Emission('thermal_error', self._invalid(sample))
             return
         distance = float(model.domain.distance(self._rise)) / model.domain.limit
@@ -187,16 +202,15 @@ class ThermalPredictor(Component):
                 channel=model.channel,
                 error=error,
                 standard_deviation=model.standard_deviation(self._rise),
-                valid=self._reason is Reason.NONE,
-                reason=int(self._reason),
+                valid=True,
+                reason=int(Reason.NONE),
                 in_domain=distance <= self._config.domain_margin,
                 model=self._label,
                 substituted=self._source.substituted,
                 substitute=self._source.substitute,
             ),
         )
-        if self._reason is Reason.NONE:
-            yield Emission('predictor_state', self._state(sample.stamp))
+        yield Emission('predictor_state', self._state(sample.stamp))
 
     def health(self) -> list[Health]:
         """Report why there is no prediction, and which sensors are substituted."""
@@ -207,6 +221,9 @@ class ThermalPredictor(Component):
         if self._source is not None and self._source.substituted:
             pairs = zip(self._source.substituted, self._source.substitute, strict=True)
             text = ', '.join(f'{lost} by {mate}' for lost, mate in pairs)
+            if self._source.voted_out:
+                drifting = ', '.join(self._source.voted_out)
+                text += f'; {drifting} drifted away from all of its cluster mates'
             items.append(Health('substitution', Level.WARN, f'substituted: {text}'))
         return items
 
@@ -263,8 +280,9 @@ class ThermalPredictor(Component):
         """Decide at the first sample where the history comes from."""
         if self._stepped_at is not None or self._unknown_since is not None:
             return
-        assert self._reference is not None and self._model is not None
-        assert self._stream is not None and self._source is not None
+        assert self._reference is not None
+        assert self._model is not None
+        assert self._stream is not None
         saved = self._checkpoint
         if (
             saved is not None
@@ -303,6 +321,7 @@ class ThermalPredictor(Component):
                     sample.sensor,
                     self._reference,
                     selection if isinstance(selection, SensorSelection) else None,
+                    self._vote,
                 )
             except ValueError as error:
                 self._source = None
@@ -337,8 +356,10 @@ class ThermalPredictor(Component):
         )
 
     def _state(self, stamp: int) -> PredictorState:
-        assert self._model is not None and self._reference is not None
-        assert self._rise is not None and self._stream is not None
+        assert self._model is not None
+        assert self._reference is not None
+        assert self._rise is not None
+        assert self._stream is not None
         return PredictorState(
             stamp=stamp,
             frame_id=self.frame('machine'),
@@ -348,3 +369,13 @@ class ThermalPredictor(Component):
             last_rise=self._rise,
             state=self._stream.state,
         )
+
+
+def mate_vote(model: ThermalModel, config: ThermalPredictorConfig) -> MateVote:
+    """Return the watch over slow sensor faults that a predictor keeps on a model's inputs."""
+    return MateVote(
+        len(model.inputs),
+        limit=config.mate_limit,
+        tolerance=config.mate_tolerance,
+        persistence=config.mate_persistence,
+    )

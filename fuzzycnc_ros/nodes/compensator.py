@@ -69,7 +69,7 @@ class ManagedNode(LifecycleNode):
             )
             response.success = False
             return response
-        return super()._LifecycleNodeMixin__on_change_state(request, response)  # type: ignore[misc]
+        return super()._LifecycleNodeMixin__on_change_state(request, response)
 
 
 class CompensatorNode(ComponentNode):

@@ -45,7 +45,7 @@ def input_health(merger: Merger, now: int) -> list[Health]:
             text = f'late: newest is {age:.1f} s old, usual interval {usual:.1f} s'
             items.append(Health(declared.name, Level.WARN, text, values))
         elif count.dropped or count.late:
-            text = f'{count.dropped} not newer than the last and {count.late} too late were dropped'
+            text = f'dropped: {count.dropped} not newer than the last, {count.late} too late'
             items.append(Health(declared.name, Level.WARN, text, values))
         else:
             items.append(Health(declared.name, Level.OK, 'in time', values))

@@ -22,6 +22,8 @@ from fuzzycnc_ros.components.component import (
     Component,
     Durability,
     Emission,
+    Health,
+    Level,
     Output,
 )
 from fuzzycnc_ros.components.host_config import HostConfig
@@ -35,9 +37,15 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.convert import decode, encode
 from fuzzycnc_ros.nodes.diagnostics import diagnostic_array, input_health
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
+from fuzzycnc_ros.nodes.messages import RCLPY
 from fuzzycnc_ros.nodes.parameters import ParameterError, changed, declare, refusal
-from fuzzycnc_ros.nodes.qos import publisher_qos, routes_matched, subscription_qos
+from fuzzycnc_ros.nodes.qos import (
+    create_publisher,
+    create_subscription,
+    routes_matched,
+    subscription_qos,
+    unmatched,
+)
 from fuzzycnc_ros.nodes.state_file import StateDirectory, StateFileError
 from fuzzycnc_ros.nodes.turn_taker import TurnTaker
 
@@ -77,6 +85,7 @@ class ComponentNode:
         self._publishers: dict[str, Any] = {}
         self._subscriptions: dict[str, Any] = {}
         self._published: dict[str, int] = {}
+        self._deaf: set[str] = set()
         self._lifecycle_state = 'active'
         for item in component_type.OUTPUTS:
             self._advertise(item)
@@ -95,8 +104,8 @@ class ComponentNode:
                 writes=tuple(self._published),
                 matched=self.matched,
             )
-        for item in component_type.INPUTS:
-            self._subscribe(item.name, item.record, item.durability)
+        for source in component_type.INPUTS:
+            self._subscribe(source.name, source.record, source.durability)
         if not host.lockstep:
             self._deadlines = self._advertise(
                 Output('deadline_fired', DeadlineFired), private=True
@@ -148,9 +157,7 @@ class ComponentNode:
         """Publish what the node runs with."""
         if lifecycle_state is not None:
             self._lifecycle_state = lifecycle_state
-        record = configuration_record(
-            self.component, self.merger.time, self._lifecycle_state
-        )
+        record = configuration_record(self.component, self.merger.time, self._lifecycle_state)
         self._configuration.publish(encode(record, RCLPY))
 
     def report(self) -> None:
@@ -159,6 +166,7 @@ class ComponentNode:
         health = [
             *self.component.health(),
             *input_health(self.merger, now),
+            *self._route_health(),
         ]
         self._diagnostics.publish(
             diagnostic_array(
@@ -169,6 +177,22 @@ class ComponentNode:
                 self.node.get_clock().now().to_msg(),
             )
         )
+
+    def _route_health(self) -> list[Health]:
+        """Report publishers that stay unheard: another QoS, or another type of the same name."""
+        deaf = {topic: unmatched(self.node, item) for topic, item in self._subscriptions.items()}
+        # Discovery shows a publisher shortly before its route stands.
+        lasting = [topic for topic, count in deaf.items() if count and topic in self._deaf]
+        self._deaf = {topic for topic, count in deaf.items() if count}
+        return [
+            Health(
+                topic,
+                Level.WARN,
+                f'{deaf[topic]} publisher(s) of {topic} cannot be heard; compare their QoS and '
+                'message type with `ros2 topic info -v`',
+            )
+            for topic in lasting
+        ]
 
     def matched(self, topics: tuple[str, ...]) -> bool:
         """Whether both ends of all routes of this node are matched.
@@ -189,9 +213,7 @@ class ComponentNode:
 
     def _advertise(self, item: Output, *, private: bool = False) -> Any:
         """Create a publisher; private ones are left out of lock-step announcements."""
-        publisher = self.node.create_publisher(
-            message_class(item.record.TYPE), item.name, publisher_qos(item.durability)
-        )
+        publisher = create_publisher(self.node, item.record.TYPE, item.name, item.durability)
         self._publishers[item.name] = publisher
         if not private:
             self._published[publisher.topic_name] = 0
@@ -209,8 +231,9 @@ class ComponentNode:
     def _subscribe(self, name: str, record_type: type[Record], durability: Durability) -> None:
         topic = self.node.resolve_topic_name(name)
         handler = self._input_handler(name, topic, record_type)
-        self._subscriptions[topic] = self.node.create_subscription(
-            message_class(record_type.TYPE),
+        self._subscriptions[topic] = create_subscription(
+            self.node,
+            record_type.TYPE,
             name,
             handler,
             subscription_qos(durability, lockstep=self.settings.lockstep),
@@ -224,12 +247,16 @@ class ComponentNode:
         def on_message(message: Any, info: Any) -> None:
             record = decode(record_type, message)
             accepted = self.merger.push(name, record)
-            if self.turns is not None:
-                self.turns.received(topic, info['publication_sequence_number'])
-            elif not self.settings.lockstep and drives and accepted:
+            self._heard(topic, info['publication_sequence_number'])
+            if not self.settings.lockstep and drives and accepted:
                 self._work(record.stamp)
 
         return on_message
+
+    def _heard(self, topic: str, sequence_number: int) -> None:
+        """Note in lock-step that a message has come in."""
+        if self.turns is not None:
+            self.turns.received(topic, sequence_number)
 
     def _work(self, stamp: int) -> None:
         self.publish(self.merger.advance(stamp))
@@ -289,4 +316,3 @@ class ComponentNode:
             self.troubles['state'] = str(error)
         else:
             self.troubles.pop('state', None)
-

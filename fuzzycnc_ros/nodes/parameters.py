@@ -52,7 +52,13 @@ def declare(node: Node, *records: type[Config]) -> tuple[Config, ...]:
         raise ParameterError(
             f'unknown parameter {", ".join(unknown)}; expected one of {", ".join(sorted(known))}'
         )
-    return tuple(record(**_declare_fields(node, record)) for record in records)
+    try:
+        return tuple(record(**_declare_fields(node, record)) for record in records)
+    except ParameterError:
+        raise
+    except ValueError as error:
+        # Words and lists, whose bounds ROS cannot express, are checked by the record itself.
+        raise ParameterError(f'parameter {error}') from error
 
 
 def changed(config: Config, parameters: list[Parameter]) -> Config:

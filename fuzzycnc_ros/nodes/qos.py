@@ -1,14 +1,16 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""QoS of every topic (docs/architecture.md says why these depths), and whether routes stand."""
+"""Topics of a node: QoS (docs/architecture.md says why these depths) and whether routes stand."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Any
 
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from fuzzycnc_ros.components.component import HISTORY, LATCHED, Durability
+from fuzzycnc_ros.nodes.messages import message_class
 
 PUBLISHER_DEPTH = 2000
 """A publisher serves its slowest reader: a recorder that pauses for two seconds."""
@@ -17,6 +19,47 @@ HISTORY_DEPTH = 100
 SUBSCRIPTION_DEPTH = 10
 LOCKSTEP_DEPTH = 2000
 """In lock-step a node may get hundreds of messages in one turn, none of which may be lost."""
+
+
+def create_publisher(node: Node, type_name: str, topic: str, durability: Durability) -> Any:
+    """Create a publisher of a message type by its name.
+
+    rclpy's default event callbacks are left out here and below: they only log incompatible
+    readers, but the executor looks at two of them per topic in every single wait, which halved
+    the speed of a lock-step run.  The host reports unmatched routes on /diagnostics instead.
+    """
+    return node.create_publisher(
+        message_class(type_name),
+        topic,
+        publisher_qos(durability),
+        event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+    )
+
+
+def create_subscription(
+    node: Node,
+    type_name: str,
+    topic: str,
+    callback: Callable[..., None],
+    qos: QoSProfile,
+    *,
+    raw: bool = False,
+) -> Any:
+    """Create a subscription to a message type by its name."""
+    return node.create_subscription(
+        message_class(type_name),
+        topic,
+        callback,
+        qos,
+        raw=raw,
+        event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+    )
+
+
+def unmatched(node: Node, subscription: Any) -> int:
+    """Return how many publishers of a subscription's topic it cannot hear."""
+    known = node.count_publishers(subscription.topic_name)
+    return max(0, known - int(subscription.get_publisher_count()))
 
 
 def publisher_qos(durability: Durability) -> QoSProfile:

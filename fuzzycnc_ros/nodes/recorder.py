@@ -28,7 +28,7 @@ from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.diagnostics import DiagnosticArray, diagnostic_array
 from fuzzycnc_ros.nodes.messages import RCLPY, message_class
 from fuzzycnc_ros.nodes.parameters import ParameterError, declare
-from fuzzycnc_ros.nodes.qos import publisher_qos, routes_matched
+from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, routes_matched
 from fuzzycnc_ros.nodes.turn_taker import TurnTaker
 
 DEPTH = 5000
@@ -62,9 +62,7 @@ class RecorderNode:
             self._thread = RecordingThread(BagWriter(config.output))
         except BagError as error:
             raise ParameterError(str(error)) from error
-        self._progress = node.create_publisher(
-            message_class(RecorderProgress.TYPE), 'recorder/progress', publisher_qos(STREAM)
-        )
+        self._progress = create_publisher(node, RecorderProgress.TYPE, 'recorder/progress', STREAM)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.turns: TurnTaker | None = None
         if config.lockstep:
@@ -135,7 +133,7 @@ class RecorderNode:
             self._skip(topic, f'has several types: {", ".join(types)}')
             return
         try:
-            message_type = message_class(types[0])
+            message_class(types[0])
         except (ImportError, AttributeError):
             self._skip(topic, f'its type {types[0]} is not installed here')
             return
@@ -164,8 +162,8 @@ class RecorderNode:
             if configuration:
                 self._attach_model(payload)
 
-        self._subscriptions[topic] = self.node.create_subscription(
-            message_type, topic, on_message, profile, raw=True
+        self._subscriptions[topic] = create_subscription(
+            self.node, types[0], topic, on_message, profile, raw=True
         )
 
     def _skip(self, topic: str, reason: str) -> None:

@@ -4,15 +4,35 @@
 
 import sys
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
 
 from fuzzycnc_ros.nodes.environment import prepare_environment
-from fuzzycnc_ros.nodes.host import ComponentNode
 from fuzzycnc_ros.nodes.parameters import ParameterError
 
-HostFactory = Callable[[], ComponentNode]
+
+class Served(Protocol):
+    """What `run` needs of the object that serves a node."""
+
+    node: Node
+    exit_code: int
+
+    @property
+    def done(self) -> bool:
+        """Whether the node has nothing left to do and its process may end."""
+
+    def start(self) -> None:
+        """Begin; all nodes of the process exist by now or follow."""
+
+    def stop(self) -> None:
+        """Release what the node holds."""
+
+
+HostFactory = Callable[[], Served]
 
 
 def main(make: HostFactory, arguments: Sequence[str] | None = None) -> None:
@@ -28,7 +48,7 @@ def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -
     """Run several nodes in one process; return the exit code."""
     prepare_environment()
     rclpy.init(args=arguments)
-    hosts: list[ComponentNode] = []
+    hosts: list[Served] = []
     # The multi-threaded and the events executor stalled or hung in trials on Jazzy.
     executor = SingleThreadedExecutor()
     try:
@@ -42,6 +62,11 @@ def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -
         return max((host.exit_code for host in hosts), default=0)
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
+    except RCLError:
+        # A signal that arrives while the executor builds its wait set ends up here.
+        if rclpy.ok():
+            raise
+        return 0
     except ParameterError as error:
         print(f'error: {error}', file=sys.stderr)
         return 2
@@ -50,4 +75,3 @@ def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -
             host.stop()
         executor.shutdown()
         rclpy.try_shutdown()
-

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node `sensor_selector`: service `select_sensors`, selection on a latched topic."""
 
-from fuzzycnc_msgs.srv import SelectSensors
 from rclpy.node import Node
 
+from fuzzycnc_msgs.srv import SelectSensors
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.sensor_selector import SensorSelector
 from fuzzycnc_ros.nodes import run

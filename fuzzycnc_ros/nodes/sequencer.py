@@ -13,14 +13,16 @@ from rclpy.node import Node
 from fuzzycnc_ros.components.component import STREAM
 from fuzzycnc_ros.components.records import MachineTick, TickAnswer
 from fuzzycnc_ros.convert import decode, encode
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos, subscription_qos
+from fuzzycnc_ros.nodes.messages import RCLPY
+from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, subscription_qos
 from fuzzycnc_ros.nodes.turn_taker import tick_topic
 
 PROBE_PERIOD = 0.1
 RECORDER = 'recorder'
 RECORDER_EVERY = 500
 """Ticks between two turns of the recorder: its queue must hold what comes in between."""
+INPUT_PATIENCE = 0.5
+"""Wall time [s] that the machine waits for what was announced to it before it ticks without."""
 RECORDER_TIMEOUT = 30.0
 """Wall time [s] after which a silent recorder is lost; a stopped process may well come back."""
 
@@ -69,6 +71,9 @@ class Sequencer:
         Whether the node `recorder` gets a turn every 500 ticks and at the end.
     answer_timeout : float
         Wall time [s] after which a silent node is lost.
+    reads : sequence of str
+        Absolute names of the topics that the machine itself reads; it must say what it has
+        `received`.
     """
 
     def __init__(
@@ -82,6 +87,7 @@ class Sequencer:
         finished: Callable[[], None],
         recorder: bool,
         answer_timeout: float,
+        reads: tuple[str, ...] = (),
     ) -> None:
         self._node = node
         self._advance, self._own = advance, published
@@ -92,6 +98,8 @@ class Sequencer:
             last.every = RECORDER_EVERY
             self._participants.append(last)
         self._counts: dict[str, int] = {}
+        self._received = dict.fromkeys(reads, 0)
+        self._held = False
         self._stamp = 0
         self._turn = len(self._participants)
         self._waiting: Participant | None = None
@@ -108,8 +116,9 @@ class Sequencer:
         """Nodes that fell silent, in order of the event."""
         self.missed = 0
         """Turns that were taken without all announced inputs."""
-        node.create_subscription(
-            message_class(TickAnswer.TYPE),
+        create_subscription(
+            node,
+            TickAnswer.TYPE,
             'tick_answer',
             self._on_answer,
             subscription_qos(STREAM, lockstep=True),
@@ -131,10 +140,14 @@ class Sequencer:
         """Names of the nodes that have not answered a probe yet, or were lost."""
         return tuple(item.name for item in self._participants if item.lost)
 
+    def received(self, topic: str, sequence_number: int) -> None:
+        """Note that the machine has received a message of a topic that it reads."""
+        self._received[topic] = sequence_number
+        if self._held and self._inputs_are_here():
+            self._next()
+
     def _participant(self, name: str, timeout: float) -> Participant:
-        publisher = self._node.create_publisher(
-            message_class(MachineTick.TYPE), tick_topic(name), publisher_qos(STREAM)
-        )
+        publisher = create_publisher(self._node, MachineTick.TYPE, tick_topic(name), STREAM)
         return Participant(name, publisher, timeout)
 
     def _on_timer(self) -> None:
@@ -154,6 +167,9 @@ class Sequencer:
         elif self._waiting is not None and now - self._since > self._waiting.timeout:
             self._lose(self._waiting)
             self._next()
+        elif self._held and now - self._since > INPUT_PATIENCE:
+            self.missed += 1
+            self._next(without_inputs=True)
 
     def _lose(self, item: Participant) -> None:
         item.lost = True
@@ -202,8 +218,16 @@ class Sequencer:
         if self._running:
             self._node.get_logger().info(f'{item.name} is back at tick {self.tick}')
 
-    def _next(self) -> None:
+    def _inputs_are_here(self) -> bool:
+        """Whether the machine has received everything that was announced to it.
+
+        An answer may overtake the message that it announces.
+        """
+        return all(self._counts.get(t, 0) <= number for t, number in self._received.items())
+
+    def _next(self, *, without_inputs: bool = False) -> None:
         """Give the next turn that is due; tick when there is none left."""
+        self._held = False
         while not self.over:
             while self._turn < len(self._participants):
                 item = self._participants[self._turn]
@@ -214,6 +238,9 @@ class Sequencer:
             if self._programme_over:
                 self.over = True
                 self._finished()
+                return
+            if not (without_inputs or self._inputs_are_here()):
+                self._held, self._since = True, time.monotonic()
                 return
             stamp = self._advance()
             self._turn = 0

@@ -39,6 +39,7 @@ class SimulatedMachineNode(ComponentNode):
                 finished=self._finish,
                 recorder=config.lockstep_recorder,
                 answer_timeout=config.answer_timeout,
+                reads=tuple(self._subscriptions),
             )
         else:
             # Wall time: with use_sim_time the node's own clock stands still until it ticks.
@@ -52,6 +53,10 @@ class SimulatedMachineNode(ComponentNode):
     def done(self) -> bool:
         """Whether the programme is over."""
         return self._done
+
+    def _heard(self, topic: str, sequence_number: int) -> None:
+        if self.sequencer is not None:
+            self.sequencer.received(topic, sequence_number)
 
     def _tick(self) -> int | None:
         stamp = self.component.next_tick

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node `temperature_acquisition`: drivers bring readings, the component checks and averages."""
 
-from fuzzycnc_msgs.srv import SetThermalReference
 from rclpy.node import Node
 
+from fuzzycnc_msgs.srv import SetThermalReference
 from fuzzycnc_ros.components.temperature_acquisition import (
     TemperatureAcquisition,
     TemperatureAcquisitionConfig,

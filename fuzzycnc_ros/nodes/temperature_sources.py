@@ -17,8 +17,6 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Temperature
 
-from fuzzycnc_ros.bags.csv_mapping import CsvMapping
-from fuzzycnc_ros.bags.csv_table import read_table
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.components.component import STREAM
 from fuzzycnc_ros.components.records import SECOND, Floats, Status, Temperatures
@@ -70,9 +68,10 @@ class Readings:
 class TemperatureTopics:
     """Gather `sensor_msgs/Temperature` topics into one set of readings.
 
-    A set is complete when every sensor has a message newer than the set before.  A sensor that
-    is slow or dead does not hold up the others: after `reading_period` of the node's clock a set
-    goes without it, and it counts as missing there.  The stamp is that of the newest message.
+    A set is complete when every sensor has a newer message than in the set before.  A sensor
+    that is slow or dead does not hold up the others: after `reading_period` of the node's clock
+    a set goes without it, and it counts as missing there.  The stamp is that of the newest
+    message.
 
     Raises
     ------
@@ -86,6 +85,7 @@ class TemperatureTopics:
         self._index = {name: index for index, name in enumerate(topics)}
         self._value = np.full(len(topics), np.nan)
         self._stamp = np.zeros(len(topics), np.int64)
+        self._taken = self._stamp.copy()
         self._sent = 0
         # Sensor drivers often publish best effort; this asks for no more than they offer.
         qos = QoSProfile(depth=SUBSCRIPTION_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -102,18 +102,20 @@ class TemperatureTopics:
                 return
             self._stamp[index] = stamp
             self._value[index] = message.temperature
-            if np.all(self._stamp > self._sent):
+            if np.all(self._stamp > self._taken):
                 self._timer.reset()
                 self._send()
 
         return on_temperature
 
     def _send(self) -> None:
-        """Publish what is newer than the last set, if anything is."""
-        fresh = self._stamp > self._sent
-        if not fresh.any():
+        """Publish what came since the last set, if it is newer than that."""
+        fresh = self._stamp > self._taken
+        newest = int(np.max(self._stamp, where=fresh, initial=0))
+        if newest <= self._sent:
             return
-        self._sent = int(self._stamp.max())
+        self._sent = newest
+        self._taken = self._stamp.copy()
         self._readings.publish(self._sent, np.where(fresh, self._value, np.nan))
 
 
@@ -147,7 +149,8 @@ class CsvFile:
         self._clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._started = self._clock.now().nanoseconds
         step = float(np.median(np.diff(time))) / self._rate
-        self._timer = node.create_timer(min(max(step / 2.0, 0.002), 0.1), self._play, self._clock)
+        period = min(max(step / 2.0, 0.002), 0.1)
+        self._timer = node.create_timer(period, self._play, clock=self._clock)
 
     def _play(self) -> None:
         """Publish the rows that are due."""
@@ -191,6 +194,9 @@ def _named_topics(items: Sequence[str]) -> dict[str, str]:
 
 def _read(path: Path, time_column: str) -> tuple[list[str], Floats, Floats]:
     """Return sensor names, times [s] and temperatures [degC] of a file."""
+    from fuzzycnc_ros.bags.csv_mapping import CsvMapping  # costs a second of start-up
+    from fuzzycnc_ros.bags.csv_table import read_table
+
     table = read_table(path, CsvMapping(time=time_column))
     table.require([time_column])
     sensors = [name for name in table.header if name != time_column]

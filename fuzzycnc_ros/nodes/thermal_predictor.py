@@ -13,12 +13,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from fuzzycnc_msgs.action import TrainThermalModel
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from rclpy.task import Future
 
+from fuzzycnc_msgs.action import TrainThermalModel
 from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.provenance import text_hash
@@ -32,7 +32,7 @@ POLL = 0.05
 """Wall time [s] between two looks at a training."""
 
 
-class Cancelled(Exception):
+class CancelledError(Exception):
     """The client does not want the model any more."""
 
 
@@ -58,7 +58,7 @@ class Training:
                 self.note('read', bag, done, len(bags))
                 runs.append(read_run(bag))
             self.model = train_model(runs, model=name, progress=self.note)
-        except Cancelled:
+        except CancelledError:
             self.error = 'cancelled'
         except (ValueError, OSError) as error:
             self.error = str(error)
@@ -66,7 +66,7 @@ class Training:
     def note(self, stage: str, candidate: str, done: int, total: int) -> None:
         """Pass progress on; leave the training if it was cancelled."""
         if self.stop.is_set():
-            raise Cancelled
+            raise CancelledError
         self.progress.put((stage, candidate, done, total))
 
 

@@ -17,8 +17,8 @@ from rclpy.node import Node
 from fuzzycnc_ros.components.component import STREAM
 from fuzzycnc_ros.components.records import MachineTick, TickAnswer
 from fuzzycnc_ros.convert import decode, encode
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos, subscription_qos
+from fuzzycnc_ros.nodes.messages import RCLPY
+from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, subscription_qos
 
 
 def tick_topic(node: str) -> str:
@@ -69,11 +69,10 @@ class TurnTaker:
         self._turn: MachineTick | None = None
         self._turn_since = 0.0
         self.missed = 0
-        self._answers = node.create_publisher(
-            message_class(TickAnswer.TYPE), 'tick_answer', publisher_qos(STREAM)
-        )
-        node.create_subscription(
-            message_class(MachineTick.TYPE),
+        self._answers = create_publisher(node, TickAnswer.TYPE, 'tick_answer', STREAM)
+        create_subscription(
+            node,
+            MachineTick.TYPE,
             tick_topic(node.get_name()),
             self._on_tick,
             subscription_qos(STREAM, lockstep=True),

@@ -28,6 +28,7 @@ from fuzzycnc_ros.components.records import (
 from fuzzycnc_ros.components.substitution import RiseSource
 from fuzzycnc_ros.convert import decode
 from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun
+from fuzzycnc_ros.core.thermal.mate_vote import MateVote
 from fuzzycnc_ros.report import CompensationRun
 
 Floats = NDArray[np.float64]
@@ -60,9 +61,7 @@ class ShiftLog:
             self._records[topic].append(record)
 
     @classmethod
-    def from_bag(
-        cls, path: str | os.PathLike[str], *, namespace: str | None = None
-    ) -> 'ShiftLog':
+    def from_bag(cls, path: str | os.PathLike[str], *, namespace: str | None = None) -> 'ShiftLog':
         """Read the log of a recorded shift.
 
         Raises
@@ -170,7 +169,7 @@ def _compensation_run(
     recorded = log.thermal_run(name, *span)
     samples: list[Temperatures] = log.records('temperatures', *span)
     errors: list[ThermalError] = log.records('thermal_error', *span)
-    rise, known = _rises(log, model, samples, span)
+    rise, known = _rises(log, model, samples, errors, span)
     size = len(model.channel)
     predicted = {}
     for candidate in model.candidates:
@@ -213,8 +212,25 @@ def _temperature(samples: Sequence[Temperatures]) -> Floats:
     return temperature
 
 
+class _PublishedVote(MateVote):
+    """Finds the faults that the predictor found, by what it published."""
+
+    def __init__(self, inputs: Sequence[str]) -> None:
+        super().__init__(len(inputs), limit=0.0, tolerance=0.0, persistence=0.0)
+        self._inputs = inputs
+        self.substituted: Sequence[str] = ()
+
+    def update(self, rise: Floats, expected: Floats, elapsed: float) -> NDArray[np.bool_]:
+        """Return which inputs were substituted, shape (p,)."""
+        return np.array([name in self.substituted for name in self._inputs])
+
+
 def _rises(
-    log: ShiftLog, model: ThermalModel, samples: Sequence[Temperatures], span: tuple[int, int]
+    log: ShiftLog,
+    model: ThermalModel,
+    samples: Sequence[Temperatures],
+    errors: Sequence[ThermalError],
+    span: tuple[int, int],
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the rises (n, p) [K] that the predictor read, and which of them are known."""
     references: list[ThermalReference] = log.records('thermal_reference', *span)
@@ -223,10 +239,12 @@ def _rises(
     if not references:
         return rise, known
     selections: list[SensorSelection] = log.records('sensor_selection', -1, span[1])
-    source = RiseSource(
-        model, samples[0].sensor, references[0], selections[-1] if selections else None
-    )
+    selection = selections[-1] if selections else None
+    vote = _PublishedVote(model.inputs)
+    source = RiseSource(model, samples[0].sensor, references[0], selection, vote)
+    substituted = {item.stamp: item.substituted for item in errors}
     for row, sample in enumerate(samples):
+        vote.substituted = substituted.get(sample.stamp, ())
         found = source.rise(sample.temperature, sample.status == Status.OK)
         known[row] = found is not None
         # Where nothing is known the models are held, not fed with a guess.
@@ -234,9 +252,7 @@ def _rises(
     return rise, known
 
 
-def _at_stamps(
-    samples: Sequence[Record], records: Sequence[Any], field: str, size: int
-) -> Floats:
+def _at_stamps(samples: Sequence[Record], records: Sequence[Any], field: str, size: int) -> Floats:
     """Return a field of the records with the samples' stamps, shape (n, size); else NaN."""
     by_stamp = {item.stamp: getattr(item, field) for item in records}
     nothing = np.full(size, np.nan)

@@ -25,6 +25,7 @@ def shift_report(
     model: ThermalModel,
     model_text: str,
     *,
+    title: str = 'A thermal shift, compensated',
     calibration: Sequence[ThermalRun] = (),
     facts: Mapping[str, str] | None = None,
     latency: Latency | None = None,
@@ -39,6 +40,8 @@ def shift_report(
         Model that predicted.
     model_text : str
         Text of its file.
+    title : str
+        Headline.
     calibration : sequence of ThermalRun
         Training runs, for the sensor-count curve; without them there is none.
     facts : mapping, optional
@@ -50,13 +53,11 @@ def shift_report(
         f'{channel}: {candidate_label(name)}'
         for channel, name in zip(model.channel, model.default, strict=True)
     )
+    judged = ', '.join(run.name for run in runs)
     return ReportData(
-        title='A thermal shift, compensated',
+        title=title,
         runs=runs,
-        summary=(
-            f'The model was trained on {", ".join(model.runs)}; it had not seen '
-            f'{", ".join(run.name for run in runs)}.'
-        ),
+        summary=f'Trained on {", ".join(model.runs)}; judged on {judged}.',
         sensor_count_curve=count_curve(calibration, runs, len(model.inputs)),
         latency=latency,
         facts={

@@ -3,6 +3,7 @@
 """The canonical form: what changes a hash and what does not."""
 
 import random
+import struct
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from fuzzycnc_ros.bags.canonical import combined_hash, tagged_fields, topic_hash
 from fuzzycnc_ros.bags.errors import BagDataError
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.typestore import message_type, serialize
+from fuzzycnc_ros.bags.writer import BagWriter
 
 TEMPERATURES = 'fuzzycnc_msgs/msg/Temperatures'
 SECOND = 10**9
@@ -61,6 +63,17 @@ def test_bag_and_its_messages_agree(small_bag):
         raw = topic_hashes(reader.messages(raw=True))
     assert topic_hashes(small_bag) == decoded == raw
     assert list(decoded) == ['/mill/displacement', '/mill/temperatures']
+
+
+def test_types_that_only_the_bag_knows_are_hashed(tmp_path):
+    definition = 'float64 load  # [-] Load\nfloat64 took  # [wall] [s] Time it took\n'
+    hashes = []
+    for part, (load, took) in enumerate([(1.0, 2.0), (1.0, 3.0), (2.0, 2.0)]):
+        with BagWriter(tmp_path / f'{part}') as writer:
+            writer.add_topic('/a', 'far_msgs/msg/Load', definition=definition)
+            writer.write('/a', 1, 1, b'\x00\x01\x00\x00' + struct.pack('<dd', load, took))
+        hashes.append(topic_hashes(tmp_path / f'{part}'))
+    assert hashes[0] == hashes[1] != hashes[2]
 
 
 def test_plumbing_is_left_out(new):

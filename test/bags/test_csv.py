@@ -338,6 +338,20 @@ def test_resampling_invents_nothing_in_gaps(importing, tmp_path):
     np.testing.assert_allclose(run.temperature[40:, 0], 20 + np.arange(40, 60) * 0.2, rtol=1e-9)
 
 
+def test_time_that_no_recording_lasts(importing):
+    cells = rows()
+    for k, row in enumerate(cells[1:]):
+        row[0] = f'{k}e9'
+    with pytest.raises(CsvError, match=r"between 1970 and 2038 but .* check the unit of 't'"):
+        importing(cells)
+
+
+def test_gap_that_would_fill_the_memory_is_refused(importing):
+    mapping = CsvMapping(time='t', temperatures=['a'], resample=15.0)
+    with pytest.raises(CsvError, match=r'would make .* import the parts one by one with --rows'):
+        importing(edited((20, 0), '2e9'), mapping)
+
+
 def test_channel_texts():
     assert parse_channel('probe=1=-Z:mm').column == 'probe=1'
     assert parse_channel('a=+X:um').scale == pytest.approx(1e-6)

@@ -128,3 +128,18 @@ def test_big_endian_is_left_to_rosbags(new):
 )
 def test_other_types_are_left_to_rosbags(name):
     assert fast_decoder(typestore(), name) is None
+
+
+def test_other_header_is_left_to_rosbags():
+    typesys = load('rosbags.typesys')
+    odd = typesys.get_typestore(typesys.Stores.EMPTY)
+    odd.register(
+        definitions.parse(
+            'std_msgs/Header header\nstring[] name\n'
+            f'{definitions.SEPARATOR}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\n'
+            f'{definitions.SEPARATOR}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n',
+            'old_msgs/msg/Old',
+        )
+    )
+    assert fast_decoder(odd, 'old_msgs/msg/Old') is None
+    assert fast_decoder(typestore(), TEMPERATURES) is not None

@@ -4,8 +4,10 @@
 
 import os
 import shutil
+import sqlite3
 import struct
 import zlib
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -186,6 +188,21 @@ def test_index_that_promises_more_is_refused_at_the_end(small_bag):
         assert any('promises but read 300' in problem for problem in reader.problems)
 
 
+def test_storage_file_that_metadata_hides_is_refused(small_bag):
+    shutil.copy(small_bag / 'bag_0.mcap', small_bag / 'bag_1.mcap')
+    with pytest.raises(BagCountError, match=r'found bag_1.mcap beside them'):
+        BagReader(small_bag)
+
+
+def test_metadata_that_the_recorder_did_not_finish(small_bag):
+    """Killed after the file was closed and before metadata.yaml was: nothing is lost."""
+    replace_in_metadata(small_bag, 'fuzzycnc_state: closed', 'fuzzycnc_state: recording')
+    replace_in_metadata(small_bag, 'message_count: 300', 'message_count: 0')
+    with BagReader(small_bag) as reader:
+        assert len(list(reader.messages(raw=True))) == 400
+        assert 'did not finish' in reader.problems[0]
+
+
 def test_wrong_checksum_of_the_index_is_refused(small_bag):
     file = small_bag / 'bag_0.mcap'
     content = bytearray(file.read_bytes())
@@ -306,6 +323,36 @@ def test_bomb_without_stated_size_is_refused(tmp_path):
     one_chunk(tmp_path / 'a.mcap', 100, data)
     with pytest.raises(BagFormatError, match=r'decompressed|found'):
         BagReader(tmp_path / 'a.mcap')
+
+
+TOPICS = 'CREATE TABLE topics(id, name, type, serialization_format)'
+MESSAGES = 'CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)'
+
+
+@pytest.mark.parametrize(
+    ('statements', 'complaint'),
+    [
+        ([TOPICS], r'found no table messages'),
+        ([MESSAGES.replace('timestamp', 'time'), TOPICS], r'no such column: timestamp'),
+        ([TOPICS, MESSAGES, "INSERT INTO messages VALUES(1, 7, 0, x'00')"], r'topic number 7'),
+        ([TOPICS, MESSAGES, "INSERT INTO messages VALUES(1, 1, 'now', x'00')"], r'whole numbers'),
+        ([TOPICS, MESSAGES, 'INSERT INTO messages VALUES(1, 1, 0, NULL)'], r'whole numbers'),
+        (
+            [
+                TOPICS,
+                'CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id+1 '
+                "FROM n) SELECT id, 1 AS topic_id, id AS timestamp, x'00' AS data FROM n",
+            ],
+            r'found no table messages',
+        ),
+    ],
+)
+def test_hostile_database_is_refused(tmp_path, statements, complaint):
+    with closing(sqlite3.connect(tmp_path / 'a.db3')) as database, database:
+        for statement in statements:
+            database.execute(statement)
+    with pytest.raises(BagFormatError, match=complaint):
+        BagReader(tmp_path / 'a.db3')
 
 
 @pytest.fixture(scope='module')

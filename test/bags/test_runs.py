@@ -110,6 +110,12 @@ def test_topics_without_namespace(make_bag, new):
     assert len(read_run(make_bag(run_messages(new, space=''))).time) == 40
 
 
+def test_relative_topics_and_mixed_names(make_bag, new):
+    bag = make_bag(run_messages(new, space='mill') + run_messages(new, 9, 'lathe', start=101))
+    assert len(read_run(bag, temperatures='/mill/temperatures').time) == 40
+    assert len(read_run(bag, temperatures='lathe/temperatures').time) == 9
+
+
 def test_missing_topics_are_named(make_bag, new, data):
     only = [m for m in run_messages(new) if m[0].endswith('temperatures')]
     with pytest.raises(BagTopicError, match=r'displacement but the bag has /mill/temperatures'):

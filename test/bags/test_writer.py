@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import mcap.reader
+import mcap.writer
 import pytest
 import rosbags.rosbag2
 import yaml
@@ -19,6 +20,7 @@ from fuzzycnc_ros.bags.errors import (
     BagTruncatedError,
     BagTypeError,
     BagWriteError,
+    MissingLibraryError,
 )
 from fuzzycnc_ros.bags.metadata import LATCHED, STREAM, Qos
 from fuzzycnc_ros.bags.reader import BagReader
@@ -41,6 +43,13 @@ def test_unwritable_place_is_refused(tmp_path):
     (tmp_path / 'file').write_text('')
     with pytest.raises(BagWriteError, match=r'cannot be made'):
         BagWriter(tmp_path / 'file' / 'bag')
+
+
+def test_mcap_that_is_too_old_is_refused(tmp_path, monkeypatch):
+    monkeypatch.delattr(mcap.writer.Writer, 'flush')
+    with pytest.raises(MissingLibraryError, match=r'mcap 1.5 or newer'):
+        BagWriter(tmp_path / 'bag')
+    assert not (tmp_path / 'bag').exists()
 
 
 def test_misuse_is_refused(tmp_path):

@@ -209,12 +209,6 @@ def test_every_node_is_an_entry_point_with_params(setup_arguments):
         for module in entry_points(setup_arguments).values()
         if module.startswith('fuzzycnc_ros.nodes.')
     }
-    with_main = {
-        path.stem
-        for path in (PACKAGE / 'nodes').glob('*.py')
-        if re.search(r'^def main\(', path.read_text(), re.M)
-    }
-    assert nodes == with_main
     assert nodes == {path.stem for path in (ROOT / 'params').glob('*.yaml')}
     for node in nodes:
         content = yaml.safe_load((ROOT / 'params' / f'{node}.yaml').read_text())

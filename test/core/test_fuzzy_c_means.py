@@ -99,7 +99,7 @@ def test_same_seed_same_result_and_no_global_state():
 
 @pytest.mark.parametrize(
     ('parameter', 'value'),
-    [('m', 1.0), ('m', np.nan), ('n_clusters', 0), ('n_clusters', 61), ('n_init', 0)],
+    [('m', 1.0), ('m', np.nan), ('m', 51.0), ('n_clusters', 0), ('n_clusters', 61), ('n_init', 0)],
 )
 def test_refusals_name_the_parameter(parameter, value):
     with pytest.raises(ValueError, match=rf'{parameter}: expected .*, but found'):

@@ -154,7 +154,7 @@ def test_samples_out_of_use_do_not_matter():
 
 def test_refusals():
     rise, target, _, _ = dynamic_data()
-    with pytest.raises(ValueError, match="kind: expected one of .* found 'grey'"):
+    with pytest.raises(ValueError, match=r"kind: expected one of .* found 'grey'"):
         GreyModel('grey').fit(rise, target)
     with pytest.raises(ValueError, match='use the stable form'):
         GreyModel('classical').fit(rise, np.where(np.arange(300) == 5, np.nan, target))

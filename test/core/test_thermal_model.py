@@ -66,7 +66,7 @@ def test_a_model_is_loaded_from_text_or_path(model, tmp_path):
     path.write_text(model.to_json())
     assert load_model(path).hash == load_model(str(path)).hash == model.hash
     assert load_model(model.to_json()).hash == model.hash
-    with pytest.raises(ModelFileError, match='absent.json'):
+    with pytest.raises(ModelFileError, match=r'absent.json'):
         load_model(tmp_path / 'absent.json')
     path.write_text('[1, 2]')
     with pytest.raises(ModelFileError, match=r'model\.json: model file: expected an object'):
@@ -108,7 +108,7 @@ def test_streams_that_do_not_fit_are_refused_with_the_difference(model):
         model.predict(np.zeros((5, 2)))
     with pytest.raises(ValueError, match=r"nan of sensor 'T2' at sample 1.*substitute"):
         model.predict([[0.0, 0.0, 0.0], [0.0, np.nan, 0.0]])
-    with pytest.raises(ValueError, match="candidate: expected one of .* found 'anfis'"):
+    with pytest.raises(ValueError, match=r"candidate: expected one of .* found 'anfis'"):
         model.start('anfis')
 
 
@@ -234,7 +234,7 @@ def test_an_unreliable_default_is_refused(document):
     bad = changed(document, 'candidates', 'lag_ridge', 'problems', value=['diverges'])
     for channel in bad['channels']:
         channel['default'] = 'lag_ridge'
-    with pytest.raises(ModelFileError, match='reliable candidate.*diverges'):
+    with pytest.raises(ModelFileError, match=r'reliable candidate.*diverges'):
         load_model(json.dumps(bad))
 
 

@@ -85,7 +85,7 @@ def test_uneven_sampling_is_refused_until_resampled():
     time = 60.0 * np.arange(20)
     time[7] += 20.0
     run = make(time=time)
-    with pytest.raises(ThermalDataError, match='step of 80 s after sample 6.*resample'):
+    with pytest.raises(ThermalDataError, match=r'step of 80 s after sample 6.*resample'):
         _ = run.interval
     assert run.resample(60.0).interval == pytest.approx(60.0)
 
@@ -127,10 +127,22 @@ def test_sparse_probing_survives_resampling(jitter):
     assert np.nanmax(np.abs(slow.displacement - 1e-6)) < 1e-15
 
 
-@pytest.mark.parametrize('interval', [0.0, -1.0, np.nan, 1e9])
+@pytest.mark.parametrize('interval', [0.0, -1.0, np.nan, 1e9, 1e-9])
 def test_bad_intervals_are_refused(interval):
     with pytest.raises(ThermalDataError, match='expected'):
         make().resample(interval)
+
+
+def test_long_gaps_are_not_bridged():
+    time = 15.0 * np.arange(200)
+    time[100:] += 3600.0
+    run = make(
+        time=time,
+        temperature=np.full((200, 2), 20.0),
+        displacement=np.zeros((200, 2)),
+    )
+    with pytest.raises(ThermalDataError, match=r'at most 600 s, but found 3615 s after sample 99'):
+        run.resample(60.0)
 
 
 def test_window_is_inclusive():

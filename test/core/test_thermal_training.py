@@ -23,7 +23,7 @@ from fuzzycnc_ros.core.thermal.recursion import LinearRecursion, first_order_lag
 from fuzzycnc_ros.core.thermal.refinement import REFINE_SWEEPS
 
 PARTS = (300.0, 1800.0, 14400.0)
-SENSORS = tuple(f'{part}{number}' for part in 'ABC' for number in range(4)) + ('cold',)
+SENSORS = (*(f'{part}{number}' for part in 'ABC' for number in range(4)), 'cold')
 
 
 def machine_run(name, seed, samples=150, interval=60.0, probing=1):
@@ -227,14 +227,14 @@ def test_sparse_probing_trains_all_but_the_forms_that_accumulate():
     assert (result.rms['default'] < 0.1 * result.rms['uncompensated']).all()
     with pytest.raises(ThermalDataError, match="'classical_grey': y: expected a value in every"):
         train_model(runs, model='classical_grey', sensors='clusters', n_clusters=3)
-    with pytest.raises(ValueError, match='classical_grey.*left out'):
+    with pytest.raises(ValueError, match=r'classical_grey.*left out'):
         model.start('classical_grey')
 
 
 def test_a_named_model_is_used_for_every_channel(runs):
     for name in ('lag_ridge', 'stable_grey', 'static_ridge', 'least_squares'):
         assert train_model(runs, model=name, n_clusters=3).default == (name, name)
-    with pytest.raises(ValueError, match="model: expected auto or one of .* found 'anfis'"):
+    with pytest.raises(ValueError, match=r"model: expected auto or one of .* found 'anfis'"):
         train_model(runs, model='anfis')
     with pytest.raises(ValueError, match='sensors: expected auto, clusters or all'):
         train_model(runs, sensors='some')
@@ -269,15 +269,15 @@ def test_progress_is_told_to_the_end(runs):
 
 
 def test_cancelling_comes_through_and_changes_nothing(runs):
-    class Cancelled(Exception):
+    class CancelledError(Exception):
         pass
 
     def cancel(stage, candidate, done, total):
         if stage == 'fit':
-            raise Cancelled
+            raise CancelledError
 
     before = [run.temperature.copy() for run in runs]
-    with pytest.raises(Cancelled):
+    with pytest.raises(CancelledError):
         train_model(runs, progress=cancel)
     assert all(np.array_equal(b, run.temperature) for b, run in zip(before, runs, strict=True))
 

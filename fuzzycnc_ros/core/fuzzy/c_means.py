@@ -15,6 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.estimator import Array, ClusterEstimator, Seed, check_features, check_fitted
 
+FUZZIFIER_MAX = 50.0
+"""Largest fuzzifier; far above any use, and the powers of small memberships stay numbers."""
+
 
 class FuzzyCMeans(ClusterEstimator):
     """Fuzzy c-means, [1]_; method sheet 001 eqs. (7)-(9).
@@ -24,7 +27,7 @@ class FuzzyCMeans(ClusterEstimator):
     n_clusters : int
         Number of clusters, 1 to the number of samples.
     m : float
-        Fuzzifier [-], above 1; towards 1 the memberships become crisp.
+        Fuzzifier [-], above 1, at most 50; towards 1 the memberships become crisp.
     n_init : int
         Number of random starts; the one with the least objective is kept.
     max_iter : int
@@ -156,8 +159,11 @@ class FuzzyCMeans(ClusterEstimator):
                 f'n_clusters: expected 1 to {samples} (the number of samples; n_samples='
                 f'{samples}), but found {self.n_clusters}'
             )
-        if not (np.isfinite(self.m) and self.m > 1.0):
-            raise ValueError(f'm: expected a fuzzifier above 1, but found {self.m}')
+        if not 1.0 < self.m <= FUZZIFIER_MAX:
+            raise ValueError(
+                f'm: expected a fuzzifier above 1 and at most {FUZZIFIER_MAX:g}, '
+                f'but found {self.m}'
+            )
         for name, value in (('n_init', self.n_init), ('max_iter', self.max_iter)):
             if value < 1:
                 raise ValueError(f'{name}: expected at least 1, but found {value}')

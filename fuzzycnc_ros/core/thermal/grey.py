@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grey models GM(1,N) of the thermal error: as published, solved exactly, and made stable."""
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -171,10 +172,9 @@ class GreyModel(ThermalRegressor):
             return super().predict(X, runs=runs)
         if self.kind == 'stable':
             raise ValueError(f'initial: expected 0 for the stable form, but found {initial}')
-        start = GreyModel(**self.get_params())
-        start.__dict__.update(self.__dict__)
-        start.recursion_ = self._accumulated_recursion(initial)
-        return super(GreyModel, start).predict(X, runs=runs)
+        raised = copy.copy(self)
+        raised.recursion_ = self._accumulated_recursion(initial)
+        return ThermalRegressor.predict(raised, X, runs=runs)
 
     def _fit_accumulated(
         self, samples: ArrayLike, y: Array, runs: ArrayLike | None, used: NDArray[np.bool_]
@@ -234,12 +234,12 @@ class GreyModel(ThermalRegressor):
         self.condition_ = float(np.linalg.cond(features / column_scale(features)))
         self.recursion_ = linear_recursion(weight, poles[index : index + 1], False, 0.0)
         # A pole of 0 is a static machine; at the other end the best one may lie beyond.
-        if len(poles) > 1 and index == len(poles) - 1:
-            self.problems_: tuple[str, ...] = (
-                f'the pole {self.phi_:g} is the end of the grid: the lag lies beyond it',
-            )
-        else:
-            self.problems_ = ()
+        at_end = len(poles) > 1 and index == len(poles) - 1
+        self.problems_ = (
+            (f'the pole {self.phi_:g} is the end of the grid: the lag lies beyond it',)
+            if at_end
+            else ()
+        )
 
 
 def stable_poles(interval: float) -> Array:

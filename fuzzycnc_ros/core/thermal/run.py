@@ -28,6 +28,9 @@ RISE_MIN = 0.5
 JITTER_MAX = 0.1
 """Largest deviation of a sampling interval from the median, as a fraction of the median [-]."""
 
+GAP_MAX = 10.0
+"""Longest gap that is bridged, in intervals [-]; over a longer one a straight line is a guess."""
+
 REFERENCE_SAMPLES = 3
 """Number of first samples whose mean is the reference of a run, so that noise averages out."""
 
@@ -173,7 +176,8 @@ class ThermalRun:
         Raises
         ------
         ThermalDataError
-            If `interval` is not positive or leaves fewer than 8 samples.
+            If `interval` is not positive, far below the run's step or leaves fewer than 8
+            samples, or if readings are missing for more than ten intervals.
 
         Notes
         -----
@@ -182,7 +186,23 @@ class ThermalRun:
         measured in the block; a block without a measurement stays NaN.
         """
         if not (np.isfinite(interval) and interval > 0.0):
-            raise ThermalDataError(f'interval: expected a positive number of s, found {interval}')
+            raise ThermalDataError(
+                f'interval: expected a positive number of s, but found {interval}'
+            )
+        steps = np.diff(self.time)
+        shortest = float(np.median(steps)) / GAP_MAX
+        if interval < shortest:
+            raise ThermalDataError(
+                f'interval: expected at least {shortest:g} s, a tenth of the step of run '
+                f'{self.name!r}, but found {interval:g} s; readings cannot be made up'
+            )
+        gap = int(np.argmax(steps))
+        longest = GAP_MAX * max(interval, float(np.median(steps)))
+        if steps[gap] > longest:
+            raise ThermalDataError(
+                f'run {self.name!r}: expected gaps of at most {longest:g} s, but found '
+                f'{steps[gap]:.6g} s after sample {gap}; use the part before or after it'
+            )
         even = even_blocks(
             self.time, np.hstack([self.temperature, self.displacement]), interval, JITTER_MAX
         )

@@ -1,0 +1,182 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc evaluate`: a model judged on recorded runs."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Optional
+
+import typer
+
+from fuzzycnc_ros.cli.console import (
+    JsonFile,
+    check_folder,
+    progress_bar,
+    say,
+    show,
+    write_json,
+    write_text,
+)
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.thermal import Evaluation, ThermalModel, ThermalRun
+    from fuzzycnc_ros.report import CompensationRun, Table
+
+
+def evaluate(
+    bags: Annotated[
+        list[Path], typer.Argument(metavar='BAG...', help='Bags of runs, each from a cold start.')
+    ],
+    model: Annotated[
+        Path, typer.Option(metavar='MODEL', help='Model file made by `fuzzycnc train`.')
+    ],
+    start: Annotated[
+        Optional[float],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Option(
+            show_default=False, help="First second that counts, from the bag's first sample."
+        ),
+    ] = None,
+    end: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(
+            show_default=False, help="Last second that counts, from the bag's first sample."
+        ),
+    ] = None,
+    report: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(show_default=False, metavar='FILE.html', help='Write a page with plots.'),
+    ] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Compare a model's predictions with what was measured, beside plain baselines.
+
+    All candidates of the model run from the bag's first sample, as they would on the machine;
+    what is left of the measured displacement is judged between --start and --end. Rows the model
+    was trained on prove nothing: leave them outside.
+
+        fuzzycnc evaluate thursday friday --model mill.json
+        fuzzycnc evaluate spindle --model spindle.json --start 86865
+        fuzzycnc evaluate spindle --model spindle.json --report spindle.html
+    """
+    from fuzzycnc_ros.bags.runs import read_run
+    from fuzzycnc_ros.cli.train import default_text, problem_lines
+    from fuzzycnc_ros.core.thermal import evaluate as judge
+    from fuzzycnc_ros.core.thermal import load_model
+    from fuzzycnc_ros.core.thermal import model_hash as digest
+
+    for path in (report, json_file):
+        check_folder(path)
+    trained = load_model(model)
+    results, pages = [], []
+    with progress_bar('evaluating') as tell:
+        for done, bag in enumerate(bags):
+            tell(f'evaluating {bag.name}', done, len(bags))
+            run = read_run(bag, stop=end)
+            results.append(judge(trained, run, start=start, stop=end))
+            if report is not None:
+                pages.append(_page(trained, run, start))
+    for result in results:
+        show(_table(result))
+        say(
+            f'{result.samples} samples, {100.0 * result.in_domain:.0f} % of them in the domain '
+            'of the training'
+        )
+    say(f'default: {default_text(trained)}')
+    for line in problem_lines(trained):
+        say(line)
+    text = model.read_text(encoding='utf-8')
+    if report is not None:
+        _write_report(report, pages, trained, text)
+    write_json(
+        json_file,
+        {
+            'model': {
+                'file': str(model),
+                'hash': digest(text),
+                'default': dict(zip(trained.channel, trained.default, strict=True)),
+            },
+            'runs': {result.run: _figures(result) for result in results},
+            'samples': {result.run: result.samples for result in results},
+            'in_domain': {result.run: result.in_domain for result in results},
+        },
+    )
+
+
+def _table(result: 'Evaluation') -> 'Table':
+    """Return rms and largest residual of every candidate on every channel."""
+    from fuzzycnc_ros.report import Column, Table, candidate_label
+    from fuzzycnc_ros.report.summary import micrometres
+
+    columns = [Column('Model', numeric=False)]
+    for channel in result.channel:
+        columns += [Column('rmse', channel), Column('max', channel)]
+    names = ['uncompensated', 'default']
+    names[1:1] = [name for name in result.rms if name not in names]
+    rows = []
+    for name in names:
+        figures = zip(result.rms[name], result.largest[name], strict=True)
+        cells = [micrometres(value) for pair in figures for value in pair]
+        rows.append((candidate_label(name), *cells))
+    return Table(
+        f'{result.run}: residual thermal error [µm]',
+        tuple(columns),
+        tuple(rows),
+        highlight=frozenset({names.index('default')}),
+    )
+
+
+def _figures(result: 'Evaluation') -> dict[str, Any]:
+    """Return candidate -> channel -> figures, in the form of `summary_document`."""
+    return {
+        name: {
+            channel: {'rms_um': 1e6 * float(rms), 'max_um': 1e6 * float(largest)}
+            for channel, rms, largest in zip(
+                result.channel, result.rms[name], result.largest[name], strict=True
+            )
+        }
+        for name in result.rms
+    }
+
+
+def _page(model: 'ThermalModel', run: 'ThermalRun', start: float | None) -> 'CompensationRun':
+    """Return a recorded run with the predictions of all candidates, for plots."""
+    import numpy as np
+
+    from fuzzycnc_ros.core.thermal.training import at_interval
+    from fuzzycnc_ros.report import CompensationRun
+
+    even = at_interval(run, model.interval)
+    inside = even.inside(start)
+    rise = model.rises(even)
+    with np.errstate(over='ignore', invalid='ignore'):
+        predicted = {name: model.predict(rise, name)[inside] for name in model.candidates}
+        predicted['default'] = model.predict(rise)[inside]
+    label = {
+        member: number
+        for number, item in enumerate(model.selection.clusters)
+        for member in item.member
+    }
+    return CompensationRun(
+        name=run.name,
+        time=even.time[inside],
+        sensor=even.sensor,
+        temperature=even.temperature[inside],
+        cluster=tuple(label.get(name, -1) for name in even.sensor),
+        chosen=model.inputs,
+        channel=even.channel,
+        measured=even.displacement[inside],
+        predicted=predicted,
+        default='default',
+        standard_deviation=model.standard_deviation(rise)[inside],
+        in_domain=model.in_domain(rise)[inside],
+    )
+
+
+def _write_report(
+    path: Path, pages: list['CompensationRun'], model: 'ThermalModel', text: str
+) -> None:
+    from fuzzycnc_ros.report import render_html
+    from fuzzycnc_ros.scenario import shift_report
+
+    data = shift_report(pages, model, text, title='A thermal model, judged on recorded runs')
+    write_text(path, render_html(data))
+    say(f'{path}: the report; open it in a browser')

@@ -1,0 +1,230 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc import-csv`: a table of a real machine becomes a bag."""
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import typer
+
+from fuzzycnc_ros.cli.console import JsonFile, check_folder, say, words, write_json
+
+OptionalText = Optional[str]  # noqa: UP045 - typer 0.9 does not read the newer form
+OptionalNumber = Optional[float]  # noqa: UP045
+Texts = Optional[list[str]]  # noqa: UP045
+
+
+def import_csv(
+    file: Annotated[Path, typer.Argument(metavar='FILE', help='Table with a header line.')],
+    out: Annotated[Path, typer.Option(metavar='BAG', help='Directory of the new bag.')],
+    time: Annotated[
+        OptionalText, typer.Option(show_default=False, help='Time column [default: time].')
+    ] = None,
+    time_unit: Annotated[
+        OptionalText,
+        typer.Option(show_default=False, help='s, ms, min, h or iso8601 [default: s].'),
+    ] = None,
+    temperature: Annotated[
+        Texts,
+        typer.Option(
+            show_default=False,
+            help="Temperature columns: names or patterns such as 't*', or re: and a regular "
+            'expression; repeat it, or put commas between.',
+        ),
+    ] = None,
+    temperature_unit: Annotated[
+        OptionalText, typer.Option(show_default=False, help='degC, K or degF [default: degC].')
+    ] = None,
+    displacement: Annotated[
+        Texts,
+        typer.Option(
+            show_default=False,
+            metavar='COLUMN=AXIS:UNIT',
+            help='Displacement columns with ISO 841 axis and unit (um, mm, m, nm), such as '
+            'ch1=Z:um, or ch1=-Z:um for a probe that counts against the axis; repeat it, or put '
+            'commas between.',
+        ),
+    ] = None,
+    speed: Annotated[
+        OptionalText, typer.Option(show_default=False, help='Spindle-speed column.')
+    ] = None,
+    speed_unit: Annotated[
+        OptionalText, typer.Option(show_default=False, help='rpm or rad/s [default: rpm].')
+    ] = None,
+    rename: Annotated[
+        Texts,
+        typer.Option(
+            show_default=False,
+            metavar='COLUMN=NAME',
+            help='Another name for a sensor or channel; repeat.',
+        ),
+    ] = None,
+    delimiter: Annotated[
+        OptionalText,
+        typer.Option(show_default=False, help='Character between columns [default: found out].'),
+    ] = None,
+    decimal: Annotated[
+        OptionalText, typer.Option(show_default=False, help='Decimal sign [default: .].')
+    ] = None,
+    rows: Annotated[
+        OptionalText,
+        typer.Option(
+            show_default=False,
+            metavar='FIRST:LAST',
+            help='Rows to import, counted from 0, both included.',
+        ),
+    ] = None,
+    zero: Annotated[
+        bool, typer.Option('--zero', help='Take displacements against their first three minutes.')
+    ] = False,
+    resample: Annotated[
+        OptionalNumber,
+        typer.Option(
+            show_default=False, help='Put uneven rows on an even grid of this interval [s].'
+        ),
+    ] = None,
+    machine: Annotated[
+        OptionalText,
+        typer.Option(show_default=False, help='Namespace of the topics [default: machine].'),
+    ] = None,
+    epoch: Annotated[
+        OptionalNumber,
+        typer.Option(show_default=False, help='Stamp of the first sample [s] [default: 1].'),
+    ] = None,
+    mapping: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(
+            show_default=False,
+            metavar='FILE.yaml',
+            help='File with these settings: keys time, time_unit, temperatures, '
+            'temperature_unit, displacements, spindle_speed, spindle_speed_unit, rename, '
+            'delimiter, decimal, rows, zero, resample, machine, epoch. Options overrule it.',
+        ),
+    ] = None,
+    json_file: JsonFile = None,
+) -> None:
+    r"""Import the recording of a real machine from a CSV table into a bag.
+
+    The bag gets the topics `temperatures`, `displacement`, `machine_state` (with --speed) and
+    `thermal_reference` (from the first three minutes) and can be trained on, evaluated and
+    played. Every row is checked first: nothing is written if a cell, a time or a unit is wrong.
+
+        fuzzycnc import-csv spindle_thermal.csv --out spindle --time t \
+            --temperature 't*' --speed rpm \
+            --displacement ch1=X:um,ch2=X:um,ch3=Y:um,ch4=Y:um,ch5=Z:um
+        fuzzycnc import-csv log.csv --out log --mapping log.yaml --resample 60
+    """
+    from fuzzycnc_ros.bags.csv import import_csv as convert
+    from fuzzycnc_ros.bags.csv_mapping import CsvMapping
+
+    check_folder(json_file)
+    given = {
+        'time': time,
+        'time_unit': time_unit,
+        'temperatures': list(words(temperature)) if temperature else None,
+        'temperature_unit': temperature_unit,
+        'displacements': list(words(displacement)) if displacement else None,
+        'spindle_speed': speed,
+        'spindle_speed_unit': speed_unit,
+        'rename': _pairs(rename) if rename else None,
+        'delimiter': delimiter,
+        'decimal': decimal,
+        'rows': _row_range(rows) if rows else None,
+        'zero': zero or None,
+        'resample': resample,
+        'machine': machine,
+        'epoch': epoch,
+    }
+    known = [item.name for item in fields(CsvMapping)]
+    settings = _read_mapping(mapping, known) if mapping is not None else {}
+    settings |= {key: value for key, value in given.items() if value is not None}
+    report = convert(file, out, CsvMapping(**settings))
+    say(
+        f'{report.path}: {report.samples} samples, one every {report.interval:g} s, '
+        f'{len(report.sensors)} sensors, {len(report.channels)} displacement channels'
+    )
+    if report.missing:
+        say(f'{report.missing} temperature readings are missing and marked so')
+    write_json(
+        json_file,
+        {
+            'bag': str(report.path),
+            'samples': report.samples,
+            'interval_s': report.interval,
+            'start_s': report.start,
+            'sensors': report.sensors,
+            'channels': report.channels,
+            'missing': report.missing,
+        },
+    )
+
+
+def _pairs(texts: list[str]) -> dict[str, str]:
+    pairs = [text.partition('=') for text in words(texts)]
+    wrong = [''.join(pair) for pair in pairs if not (pair[0] and pair[2])]
+    if wrong:
+        raise ValueError(f'--rename: expected COLUMN=NAME but found {wrong[0]!r}')
+    return {column: name for column, _, name in pairs}
+
+
+def _row_range(text: str) -> tuple[int, int]:
+    first, _, last = text.partition(':')
+    try:
+        return int(first), int(last)
+    except ValueError:
+        raise ValueError(
+            f'--rows: expected FIRST:LAST such as 0:5790 but found {text!r}'
+        ) from None
+
+
+def _read_mapping(path: Path, known: list[str]) -> dict[str, Any]:
+    """Return the settings of a mapping file.
+
+    Raises
+    ------
+    ValueError
+        If it is no mapping of the known settings.
+    """
+    import yaml
+
+    try:
+        settings = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f'{path}: expected YAML but: {error}') from error
+    if not isinstance(settings, dict):
+        raise ValueError(f'{path}: expected settings such as `time: t` but found {settings!r}')
+    unknown = [str(key) for key in settings if key not in known]
+    if unknown:
+        raise ValueError(
+            f'{path}: unknown setting {", ".join(unknown)}; expected {", ".join(known)}'
+        )
+    checked = {key: _setting(path, key, value) for key, value in settings.items()}
+    return checked
+
+
+def _setting(path: Path, key: str, value: Any) -> Any:
+    """Return a setting in the form that `CsvMapping` takes; YAML types it by its looks."""
+    if key in ('temperatures', 'displacements'):
+        if not isinstance(value, list):
+            value = [value]
+        return [str(item) for item in value]
+    if key == 'rows':
+        if isinstance(value, str):
+            return _row_range(value)
+        if isinstance(value, list) and [type(item) for item in value] == [int, int]:
+            return tuple(value)
+        raise ValueError(f'{path}: rows: expected [first, last] but found {value!r}')
+    if key == 'rename':
+        if not isinstance(value, dict):
+            raise ValueError(f'{path}: rename: expected column: name but found {value!r}')
+        return {str(column): str(name) for column, name in value.items()}
+    if key in ('resample', 'epoch'):
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ValueError(f'{path}: {key}: expected a number but found {value!r}')
+        return float(value)
+    if key == 'zero':
+        if not isinstance(value, bool):
+            raise ValueError(f'{path}: zero: expected true or false but found {value!r}')
+        return value
+    return str(value)

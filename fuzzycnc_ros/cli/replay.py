@@ -1,0 +1,82 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc replay`: recompute what the components published and compare."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fuzzycnc_ros.cli.console import JsonFile, check_folder, progress_bar, say, show, write_json
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.bags.replay import ReplayReport
+
+
+def replay(
+    bag: Annotated[Path, typer.Argument(metavar='BAG', help='Bag of a live or simulated run.')],
+    json_file: JsonFile = None,
+) -> None:
+    """Recompute the outputs in a bag from its inputs, and compare them byte by byte.
+
+    Every component is set up as its recorded configuration says and gets the recorded inputs in
+    the order of machine time. What it gives must be what was recorded; the printed hash is the
+    same for equal runs, live or simulated.
+
+    Ends with 1 if anything but rounding differs.
+
+        fuzzycnc simulate --out shift
+        fuzzycnc replay shift
+    """
+    from fuzzycnc_ros.bags.replay import replay as recompute
+    from fuzzycnc_ros.report import Column, Table
+
+    check_folder(json_file)
+    with progress_bar('replaying') as tell:
+        report = recompute(bag, progress=tell)
+    columns = (
+        Column('Topic', numeric=False),
+        Column('recorded'),
+        Column('recomputed'),
+        Column('identical'),
+        Column('first difference', numeric=False),
+    )
+    rows = tuple(
+        (t.topic, str(t.recorded), str(t.recomputed), str(t.identical), t.first_difference)
+        for t in report.topics
+    )
+    differing = frozenset(row for row, topic in enumerate(report.topics) if not topic.equivalent)
+    show(Table('Messages', columns, rows, highlight=differing))
+    for note in report.notes:
+        say(f'note: {note}')
+    say(f'{_verdict(report)}, hash {report.hash}')
+    write_json(
+        json_file,
+        {
+            'identical': report.identical,
+            'equivalent': report.equivalent,
+            'hash': report.hash,
+            'topics': {
+                t.topic: {
+                    'recorded': t.recorded,
+                    'recomputed': t.recomputed,
+                    'identical': t.identical,
+                    'first_difference': t.first_difference,
+                    'hash': report.hashes.get(t.topic),
+                }
+                for t in report.topics
+            },
+            'notes': report.notes,
+        },
+    )
+    if not report.equivalent:
+        raise typer.Exit(1)
+
+
+def _verdict(report: 'ReplayReport') -> str:
+    if report.identical:
+        return 'identical'
+    if report.equivalent:
+        largest = max(topic.largest_difference for topic in report.topics)
+        return f'equal up to rounding ({largest:.0e}; recorded on another kind of processor)'
+    return 'DIFFERENT'

@@ -1,0 +1,108 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+import subprocess
+import sys
+
+import pytest
+
+from fuzzycnc_ros import __version__
+from fuzzycnc_ros.cli.main import COMMANDS, manual
+
+
+def test_help_lists_every_command_with_its_whole_summary(fuzzycnc):
+    outcome = fuzzycnc('--help')
+    assert outcome.code == 0
+    assert all(name in outcome.out for name in COMMANDS)
+    assert '...' not in outcome.out.split('Commands')[1]
+
+
+def test_no_arguments_show_the_help(fuzzycnc):
+    assert fuzzycnc().out == fuzzycnc('--help').out
+
+
+@pytest.mark.parametrize('name', COMMANDS)
+def test_every_manual_has_an_example_on_a_line_of_its_own(fuzzycnc, name):
+    outcome = fuzzycnc(name, '--help')
+    assert outcome.code == 0
+    if name != 'demo':
+        examples = [line for line in outcome.out.splitlines() if f'    fuzzycnc {name} ' in line]
+        assert examples or f'    fuzzycnc {name}\n' in outcome.out
+
+
+def test_manual_keeps_the_lines_of_indented_paragraphs_only():
+    text = manual("""Do it.
+
+        One line,
+        another.
+
+            fuzzycnc a
+            fuzzycnc b
+        """)
+    assert text == 'Do it.\n\nOne line,\nanother.\n\n\b\n    fuzzycnc a\n    fuzzycnc b'
+
+
+def test_version(fuzzycnc):
+    assert fuzzycnc('--version').out == f'fuzzycnc {__version__}\n'
+
+
+def test_help_loads_nothing_heavy():
+    script = (
+        'import sys, fuzzycnc_ros.cli.main\n'
+        "heavy = {'scipy', 'sklearn', 'matplotlib', 'rosbags', 'mcap', 'rclpy', 'jinja2'}\n"
+        'print(*sorted(heavy & set(sys.modules)))'
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', script], capture_output=True, text=True, check=False
+    )
+    assert (done.stdout, done.stderr) == ('\n', '')
+
+
+def test_unknown_command(refused):
+    refused('trian', naming=["'trian'", '--help'])
+
+
+def test_misspelt_option_gets_a_proposal(refused):
+    refused('simulate', '--sede', '3', naming=['--sede', '--seed', 'fuzzycnc simulate --help'])
+
+
+def test_missing_argument(refused):
+    refused('replay', naming=['BAG', 'fuzzycnc replay --help'])
+
+
+@pytest.mark.parametrize('place', [0, 1, 2])
+def test_debug_shows_the_traceback_wherever_it_stands(fuzzycnc, place):
+    words = ['info', 'nothing_here']
+    words.insert(place, '--debug')
+    outcome = fuzzycnc(*words)
+    assert outcome.code == 2
+    assert 'Traceback' in outcome.err
+    assert outcome.err.splitlines()[-1].startswith('error: nothing_here')
+
+
+def test_interrupt_ends_with_130_and_one_line(fuzzycnc, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr('fuzzycnc_ros.bags.replay.replay', interrupted)
+    outcome = fuzzycnc('replay', 'shift')
+    assert outcome.code == 130
+    assert outcome.err.split() == ['interrupted']
+
+
+def test_a_fault_of_the_programme_is_one_line_too(refused, monkeypatch):
+    def broken(*_, **__):
+        raise TypeError('two\nlines')
+
+    monkeypatch.setattr('fuzzycnc_ros.bags.replay.replay', broken)
+    refused('replay', 'shift', naming=['TypeError: two lines', '--debug'])
+
+
+def test_a_missing_library_is_named_with_its_remedy(refused, monkeypatch, bag, model):
+    monkeypatch.setitem(sys.modules, 'jinja2', None)
+    refused(
+        'evaluate', bag(), '--model', model, '--report', 'r.html', naming=['jinja2', 'install']
+    )
+
+
+def test_output_into_a_folder_that_is_not_there(refused):
+    refused('simulate', '--json', 'no/such.json', naming=['no/such.json', 'existing folder'])

@@ -1,0 +1,106 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import pytest
+
+from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.cli import record as module
+
+DEADLINE = 30.0
+
+
+def test_arguments_keep_names_that_look_like_numbers(tmp_path):
+    arguments = module._arguments(tmp_path / '2024', 'mill_1', '/(a|b)$', True)
+    assert arguments[:3] == ['--ros-args', '-r', '__ns:=/mill_1']
+    assert f'output:="{tmp_path / "2024"}"' in arguments
+    assert 'topics:="/(a|b)$"' in arguments
+    assert 'lockstep:=true' in arguments
+
+
+def test_recording_without_ros_names_the_remedy(refused, monkeypatch):
+    monkeypatch.setattr(module, 'find_spec', lambda name: None)
+    refused('record', '--out', 'b', naming=['rclpy', 'Jazzy'])
+
+
+@pytest.fixture
+def environment(root):
+    """A graph of its own on this host, and this source tree for processes in other folders."""
+    return {
+        **os.environ,
+        'PYTHONPATH': os.pathsep.join([str(root), os.environ.get('PYTHONPATH', '')]),
+        'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+    }
+
+
+@pytest.fixture
+def machine(environment):
+    """A simulated machine that ticks fast."""
+    command = [sys.executable, '-m', 'fuzzycnc_ros.nodes.simulated_machine', '--ros-args']
+    command += ['-r', '__ns:=/mill', '-p', 'rate:=600.0', '-p', "duties:=['T2']"]
+    process = subprocess.Popen(command, env=environment)
+    yield process
+    process.kill()
+    process.wait()
+
+
+@contextmanager
+def recording(arguments, folder, environment):
+    """Run `fuzzycnc record` in a folder."""
+    command = [sys.executable, '-m', 'fuzzycnc_ros.cli.main', 'record', '--out', 'bag', *arguments]
+    pipes = {'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, 'text': True}
+    with subprocess.Popen(command, cwd=folder, env=environment, **pipes) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize('wish', [signal.SIGINT, signal.SIGTERM])
+def test_record_until_asked_to_end(tmp_path, environment, machine, wish):
+    pytest.importorskip('rclpy')
+    file = tmp_path / 'bag' / 'bag_0.mcap'
+    deadline = time.monotonic() + DEADLINE
+    with recording(['--json', 'figures.json'], tmp_path, environment) as process:
+        while not (file.exists() and file.stat().st_size > 20_000):
+            assert time.monotonic() < deadline, 'nothing was recorded'
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.05)
+        process.send_signal(wish)
+        out, err = process.communicate(timeout=DEADLINE)
+    assert process.returncode == 0, err
+    with BagReader(tmp_path / 'bag') as reader:
+        counts = {topic: item.message_count for topic, item in reader.connections.items()}
+    assert counts['/mill/sensor_readings'] > 0
+    figures = json.loads((tmp_path / 'figures.json').read_text())
+    assert figures['topics'] == counts
+    assert figures['messages'] == sum(counts.values())
+    assert 'messages on' in out
+
+
+@pytest.mark.ros
+def test_record_for_a_time(tmp_path, environment):
+    pytest.importorskip('rclpy')
+    with recording(['--duration', '0.5'], tmp_path, environment) as process:
+        _, err = process.communicate(timeout=DEADLINE)
+    assert process.returncode == 0, err
+    with BagReader(tmp_path / 'bag'):
+        pass
+
+
+@pytest.mark.ros
+def test_what_the_recorder_refuses_is_passed_on(tmp_path, environment):
+    pytest.importorskip('rclpy')
+    with recording(['--topics', '('], tmp_path, environment) as process:
+        _, err = process.communicate(timeout=DEADLINE)
+    assert process.returncode == 2
+    assert [line for line in err.splitlines() if line.startswith('error: ')] == err.splitlines()
+    assert 'topics' in err

@@ -1,0 +1,69 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A real recording from its table to a judged model, by the commands that a user types."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fuzzycnc_ros.cli.main import run
+
+CHANNELS = ('ch1', 'ch2', 'ch3', 'ch4', 'ch5')
+LAST_TRAINING_ROW = 5790
+INTERVAL = 15  # s between rows
+
+
+@pytest.fixture(scope='module')
+def figures(data, tmp_path_factory):
+    """Figures of the 5000 rpm cycle, which no model has seen."""
+    table = data / 'spindle-thermal' / 'spindle_thermal.csv'
+    if not table.is_file():
+        pytest.skip(f'expected the public recording {table.name} beside the others')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp('spindle'))
+        commands = [
+            ['import-csv', str(table), '--out', 'spindle', '--time', 't', '--temperature', 't*',
+             '--displacement', 'ch1=X:um,ch2=X:um,ch3=Y:um,ch4=Y:um,ch5=Z:um', '--speed', 'rpm',
+             '--json', 'import.json'],
+            ['train', 'spindle', '--end', str(LAST_TRAINING_ROW * INTERVAL), '--out', 'm.json',
+             '--json', 'train.json'],
+            ['evaluate', 'spindle', '--start', str((LAST_TRAINING_ROW + 1) * INTERVAL),
+             '--model', 'm.json', '--json', 'evaluate.json'],
+        ]  # fmt: skip
+        for command in commands:
+            assert run(command) == 0, command
+        names = ('import', 'train', 'evaluate')
+        yield {name: json.loads(Path(f'{name}.json').read_text()) for name in names}
+
+
+@pytest.mark.paper
+def test_the_whole_recording_is_imported(figures):
+    assert figures['import']['samples'] == 7711
+    assert figures['import']['interval_s'] == pytest.approx(INTERVAL)
+    assert figures['import']['channels'] == list(CHANNELS)
+    assert len(figures['import']['sensors']) == 16
+
+
+@pytest.mark.paper
+def test_only_training_rows_are_trained_on_and_only_unseen_ones_judged(figures):
+    assert figures['train']['interval_s'] == pytest.approx(60.0)
+    # Rows 5791 to 7710 at one a quarter of a minute.
+    assert figures['evaluate']['samples'] == {'spindle': 480}
+
+
+@pytest.mark.paper
+def test_the_default_beats_static_ridge_on_the_unseen_cycle(figures):
+    rows = figures['evaluate']['runs']['spindle']
+    assert set(rows) >= {'uncompensated', 'least_squares', 'static_ridge', 'default'}
+    ratio = [rows['default'][c]['rms_um'] / rows['static_ridge'][c]['rms_um'] for c in CHANNELS]
+    assert sum(value < 1.0 for value in ratio) >= 4, ratio
+    assert max(ratio) <= 1.2, ratio
+
+
+@pytest.mark.paper
+def test_the_default_leaves_less_than_half_of_the_error(figures):
+    rows = figures['evaluate']['runs']['spindle']
+    for channel in CHANNELS:
+        left = rows['default'][channel]['rms_um'] / rows['uncompensated'][channel]['rms_um']
+        assert left < 0.5, channel

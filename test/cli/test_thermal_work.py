@@ -1,0 +1,285 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What each command does when all is well."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.bags.canonical import topic_hashes
+from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.bags.runs import read_run
+from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.cli.simulate import median_figures
+from fuzzycnc_ros.cli.train import problem_lines
+from fuzzycnc_ros.core.thermal import evaluate, load_model, model_hash
+
+CANDIDATES = ('least_squares', 'static_ridge', 'classical_grey', 'stable_grey', 'lag_ridge')
+SHORT = ('--duties', 'T2', '--train', 'D0,T1')
+
+
+def read_json(name: str):
+    return json.loads(Path(name).read_text())
+
+
+# import-csv
+
+
+def test_import_with_options_and_with_a_mapping_file_are_equal(fuzzycnc, table):
+    file = table()
+    options = ('--time', 't', '--temperature', 't1,t2', '--displacement', 'dz=-Z:um')
+    assert fuzzycnc('import-csv', file, '--out', 'a', *options, '--machine', 'm').code == 0
+    Path('log.yaml').write_text(
+        'time: t\ntemperatures: [t1, t2]\ndisplacements: dz=-Z:um\nmachine: other\n'
+    )
+    outcome = fuzzycnc(
+        'import-csv', file, '--out', 'b', '--mapping', 'log.yaml', '--machine', 'm',
+        '--json', 'i.json',
+    )  # fmt: skip
+    assert outcome.code == 0, outcome
+    assert read_json('i.json')['sensors'] == ['t1', 't2']
+    assert topic_hashes('a') == topic_hashes('b')
+    run = read_run('b')
+    assert run.displacement[59, 0] < -9e-6
+    assert run.channel == ('dz',)
+
+
+def test_import_of_some_rows_with_other_names(fuzzycnc, table):
+    outcome = fuzzycnc(
+        'import-csv', table(), '--out', 'b', '--time', 't', '--temperature', 't*',
+        '--displacement', 'dz=Z:um', '--rows', '10:29', '--rename', 't1=spindle,t2=head',
+        '--json', 'i.json',
+    )  # fmt: skip
+    assert outcome.code == 0, outcome
+    assert read_json('i.json')['samples'] == 20
+    assert read_run('b').sensor == ('spindle', 'head', 't3')
+
+
+# train, evaluate
+
+
+def test_train_writes_a_model_and_says_what_it_holds(fuzzycnc, bag):
+    outcome = fuzzycnc(
+        'train', bag('one'), bag('two', rows=90), '--out', 'm.json', '--json', 't.json'
+    )
+    assert outcome.code == 0, outcome
+    model = load_model(Path('m.json'))
+    figures = read_json('t.json')
+    assert figures['hash'] == model_hash(Path('m.json').read_text())
+    assert figures['runs'] == ['one', 'two']
+    assert figures['sensors'] == list(model.inputs)
+    assert figures['default'] == {'dz': model.default[0]}
+    assert set(figures['candidates']) | set(figures['omitted']) == set(CANDIDATES)
+    assert 'Static ridge' in outcome.out
+    assert ', '.join(model.inputs) in outcome.out
+    assert 'm.json: written' in outcome.out
+
+
+def test_train_uses_the_asked_window_model_and_interval(fuzzycnc, bag):
+    fuzzycnc(
+        'train', bag('fast', rows=600, interval=10.0), '--out', 'm.json', '--end', '3000',
+        '--model', 'static_ridge', '--interval', '30', '--sensors', 'clusters', '--clusters', '2',
+    )  # fmt: skip
+    model = load_model(Path('m.json'))
+    assert model.default == ('static_ridge',)
+    assert model.interval == pytest.approx(30.0)
+    assert len(model.inputs) == 2
+
+
+def test_what_is_not_to_be_trusted_is_said(model):
+    trained = load_model(model)
+    flagged = replace(trained.candidates['classical_grey'], problems=('a = -0.1 is bad',))
+    trained = replace(
+        trained,
+        candidates={**trained.candidates, 'classical_grey': flagged},
+        omitted={'lag_ridge': 'too short'},
+    )
+    assert problem_lines(trained) == [
+        'Classical GM(1,N) is not to be trusted: a = -0.1 is bad',
+        'LagRidge was left out: too short',
+    ]
+
+
+def test_evaluate_prints_what_the_core_finds(fuzzycnc, bag, model):
+    held_out = bag('held_out', rows=100)
+    outcome = fuzzycnc(
+        'evaluate', held_out, '--model', model, '--start', '1800', '--end', '4800',
+        '--json', 'e.json', '--report', 'e.html',
+    )  # fmt: skip
+    assert outcome.code == 0, outcome
+    expected = evaluate(load_model(model), read_run(held_out), start=1800.0, stop=4800.0)
+    figures = read_json('e.json')
+    assert figures['samples'] == {'held_out': expected.samples}
+    for name, channels in figures['runs']['held_out'].items():
+        for column, channel in enumerate(expected.channel):
+            rms = 1e6 * expected.rms[name][column]
+            found = channels[channel]['rms_um']
+            assert found == (pytest.approx(rms) if np.isfinite(rms) else None)
+    assert re.search(r'Uncompensated +\d', outcome.out)
+    assert '<svg' in Path('e.html').read_text()
+
+
+def test_evaluate_judges_several_bags(fuzzycnc, bag, model):
+    outcome = fuzzycnc('evaluate', bag('a'), bag('b', rows=100), '--model', model)
+    assert 'a: residual' in outcome.out
+    assert 'b: residual' in outcome.out
+
+
+# simulate, replay
+
+
+def test_simulate_writes_table_figures_and_report(fuzzycnc):
+    outcome = fuzzycnc('simulate', *SHORT, '--json', 's.json', '--report', 'r.html')
+    assert outcome.code == 0, outcome
+    figures = read_json('s.json')
+    rows = figures['runs']['T2']
+    assert set(rows) == {'uncompensated', *CANDIDATES, 'default', 'applied'}
+    assert rows['uncompensated']['y']['max_um'] == pytest.approx(38.5, abs=1.0)
+    assert rows['default']['y']['max_um'] < 8.0
+    assert figures['seeds'] == [{'seed': 0, 'runs': figures['runs']}]
+    page = Path('r.html').read_text()
+    assert page.count('<svg') >= 5  # temperatures, prediction, residual, compensation, sensors
+    assert 'T2 Y max' in outcome.out
+
+
+def test_simulate_gives_the_median_over_seeds(fuzzycnc):
+    outcome = fuzzycnc('simulate', *SHORT, '--seed', '3', '--seeds', '3', '--json', 's.json')
+    assert outcome.code == 0, outcome
+    figures = read_json('s.json')
+    assert [item['seed'] for item in figures['seeds']] == [3, 4, 5]
+    found = [item['runs']['T2']['default']['z']['rms_um'] for item in figures['seeds']]
+    assert len(set(found)) == 3
+    assert figures['runs']['T2']['default']['z']['rms_um'] == pytest.approx(np.median(found))
+    assert 'median of 3 noise seeds' in outcome.out
+
+
+def document(value):
+    return {'T2': {'lag_ridge': {'y': {'max_um': value}}}}
+
+
+@pytest.mark.parametrize(
+    ('values', 'expected'),
+    [
+        ([3.0, 1.0, 2.0], 2.0),
+        ([1.0, 4.0], 2.5),
+        ([1.0, None, None], None),
+        ([1.0, None, 2.0], 2.0),
+        ([None, 2.0], None),
+    ],
+)
+def test_median_counts_divergence_as_worst(values, expected):
+    assert median_figures([document(value) for value in values]) == document(expected)
+
+
+def test_simulate_twice_gives_the_same_bag_and_replay_gives_the_same_outputs(fuzzycnc):
+    for name in ('a', 'b'):
+        outcome = fuzzycnc('simulate', *SHORT, '--seed', '2', '--out', f'{name}/shift')
+        assert outcome.code == 2  # the folder has to be there
+        Path(name).mkdir()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(name)
+            outcome = fuzzycnc('simulate', *SHORT, '--seed', '2', '--out', 'shift')
+        assert outcome.code == 0, outcome
+    first, second = (Path(name, 'shift', 'shift_0.mcap').read_bytes() for name in 'ab')
+    assert first == second
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir('a')
+        outcome = fuzzycnc('replay', 'shift', '--json', 'r.json')
+        figures = read_json('r.json')
+    assert outcome.code == 0, outcome
+    assert figures['identical'] is True
+    assert f'identical, hash {figures["hash"]}' in outcome.out
+    assert '/mill/compensation' in figures['topics']
+    assert '/mill/sensor_selection' in figures['topics']
+
+
+def test_replay_finds_a_changed_message_and_ends_with_1(fuzzycnc):
+    assert fuzzycnc('simulate', *SHORT, '--out', 'shift').code == 0
+    changed = '/mill/thermal_error'
+    with BagReader('shift') as reader, BagWriter('changed') as writer:
+        for topic, item in reader.connections.items():
+            writer.add_topic(topic, item.type, item.profiles)
+        for topic, _, time, message in reader.messages():
+            if topic == changed and message.header.stamp.sec == 30_000:
+                message = replace(message, error=message.error + 1e-12)
+            writer.write_message(topic, message, time)
+    outcome = fuzzycnc('replay', 'changed', '--json', 'r.json')
+    assert outcome.code == 1, outcome
+    assert 'DIFFERENT' in outcome.out
+    topics = read_json('r.json')['topics']
+    assert topics[changed]['first_difference'] == 'message 139, at machine time 30000.000 s'
+    assert topics[changed]['identical'] == topics[changed]['recorded'] - 1
+
+
+def test_simulate_with_a_model_file(fuzzycnc):
+    assert fuzzycnc('simulate', *SHORT, '--out', 'shift', '--json', 'a.json').code == 0
+    with BagReader('shift') as reader:
+        Path('m.json').write_bytes(reader.attachments()['model.json'].data)
+    outcome = fuzzycnc('simulate', '--duties', 'T2', '--model', 'm.json', '--json', 'b.json')
+    assert outcome.code == 0, outcome
+    assert read_json('b.json')['runs'] == read_json('a.json')['runs']
+
+
+def test_simulate_with_fault_and_parameter(fuzzycnc):
+    options = ('--param', 'compensator.offset_max=20e-6', '--param', 'sensor_selector.clusters=5')
+    assert fuzzycnc('simulate', *SHORT, *options, '--json', 'limited.json').code == 0
+    limited = read_json('limited.json')['runs']['T2']
+    # 38.5 um of error less 20 um of compensation stay.
+    assert limited['applied']['y']['max_um'] == pytest.approx(18.5, abs=1.0)
+    assert limited['default']['y']['max_um'] < 8.0
+    faults = [word for n in range(1, 77) for word in ('--fault', f'T{n}:dead:5000')]
+    assert (
+        fuzzycnc('simulate', *SHORT, *faults, '--json', 'dead.json', '--report', 'r.html').code
+        == 0
+    )
+    dead = read_json('dead.json')['runs']['T2']
+    assert dead['applied']['y']['max_um'] > 30.0
+
+
+# info
+
+
+def test_info_counts_and_names_everything(fuzzycnc, bag):
+    outcome = fuzzycnc('info', bag(), '--json', 'i.json')
+    assert outcome.code == 0, outcome
+    figures = read_json('i.json')
+    assert figures['messages'] == 241
+    assert figures['duration_s'] == pytest.approx(119 * 60.0)
+    assert figures['topics']['/machine/temperatures'] == {
+        'messages': 120,
+        'promised': 120,
+        'type': 'fuzzycnc_msgs/msg/Temperatures',
+    }
+    assert figures['problems'] == []
+    assert re.search(r'/machine/thermal_reference +1 +1 +\S+ +latched', outcome.out)
+
+
+@pytest.mark.parametrize('target', [(), ('whole',)])
+def test_repair_writes_a_whole_bag_and_says_what_was_lost(fuzzycnc, bag, target):
+    torn = bag('torn', rows=1200)
+    file = torn / 'torn_0.mcap'
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    before = file.read_bytes()
+    outcome = fuzzycnc('info', torn, '--repair', *target, '--json', 'i.json')
+    assert outcome.code == 0, outcome
+    assert file.read_bytes() == before
+    name = target[0] if target else 'torn_repaired'
+    figures = read_json('i.json')
+    assert figures['path'] == name
+    kept = figures['repair']['topics']['/machine/temperatures']['kept']
+    assert 100 < kept < 1200
+    assert len(read_run(name).time) == kept
+    assert 'messages kept' in outcome.out
+    assert 'cut off at byte' in outcome.out
+    assert fuzzycnc('train', name, '--out', 'm.json').code == 0
+
+
+def test_info_repair_does_not_overwrite(refused, bag):
+    whole = bag()
+    shutil.copytree(whole, 'copy')
+    refused('info', whole, '--repair', 'copy', naming=['copy', 'exists'])

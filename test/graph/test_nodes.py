@@ -1,0 +1,199 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Each node alone: parameters with descriptors, diagnostics, clean ends, refusals."""
+
+import signal
+from collections.abc import Callable
+from dataclasses import fields
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
+
+from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.cli.graph_processes import NodeSpec, parameter_file, ros_arguments
+from fuzzycnc_ros.components.host_config import HostConfig, PlayerConfig, RecorderConfig
+from fuzzycnc_ros.components.registry import COMPONENTS
+from fuzzycnc_ros.core.config import Config
+from fuzzycnc_ros.nodes.run import run
+
+pytestmark = pytest.mark.ros
+
+NODES = [*COMPONENTS, 'recorder', 'player']
+END_TIMEOUT = 3.0
+"""Wall time [s] within which a node ends when asked."""
+
+
+def schema(node: str) -> list[Any]:
+    """Return the declared parameters of a node."""
+    records: dict[str, list[type[Config]]] = {
+        'recorder': [RecorderConfig],
+        'player': [PlayerConfig],
+    }
+    kinds = records.get(node) or [HostConfig, COMPONENTS[node].CONFIG]
+    return [item for kind in kinds for item in fields(kind)]
+
+
+@pytest.fixture
+def needed(tmp_path: Path) -> Callable[[str], dict[str, Any]]:
+    """Parameters without which a node has nothing to do."""
+
+    def find(node: str) -> dict[str, Any]:
+        if node == 'recorder':
+            return {'output': str(tmp_path / 'recorded')}
+        if node != 'player':
+            return {}
+        bag = tmp_path / 'played'
+        if not bag.exists():
+            with BagWriter(bag) as writer:
+                writer.add_topic('/mill/note', 'std_msgs/msg/String')
+                text = b'\x00\x01\x00\x00\x03\x00\x00\x00hi\x00'
+                for second in (1, 600):
+                    writer.write('/mill/note', second * 10**9, second * 10**9, text)
+        return {'bag': str(bag)}
+
+    return find
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_describe_report_and_end(graph, observer, root, needed, number):
+    observer.watch_diagnostics()
+    started = {
+        node: graph.start(node, needed(node), files=(root / 'params' / f'{node}.yaml',))
+        for node in NODES
+    }
+    for node in NODES:
+        check_description(observer, node)
+    observer.until(
+        lambda: (
+            {name.partition(':')[0] for name in observer.statuses}
+            >= {f'mill/{node}' for node in NODES}
+        ),
+        f'diagnostics of every node, found {sorted(observer.statuses)}',
+    )
+    for running in started.values():
+        assert running.interrupt(number, END_TIMEOUT) == 0
+
+
+def check_description(observer: Any, node: str) -> None:
+    """Compare what a node says of its parameters with the schema."""
+    items = schema(node)
+    names = [item.name for item in items]
+    service = f'/mill/{node}'
+    listed = observer.call(
+        ListParameters, f'{service}/list_parameters', ListParameters.Request()
+    ).result.names
+    assert set(names) <= set(listed), node
+    request = DescribeParameters.Request(names=names)
+    described = observer.call(
+        DescribeParameters, f'{service}/describe_parameters', request
+    ).descriptors
+    for item, descriptor in zip(items, described, strict=True):
+        assert item.metadata['doc'] in descriptor.description
+        assert f'[{item.metadata["unit"]}]' in descriptor.description
+        assert descriptor.read_only is not item.metadata['live']
+        ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
+        bounded = isinstance(item.default, (int, float)) and not isinstance(item.default, bool)
+        assert len(ranges) == bounded, f'{node}: {item.name}'
+        for found in ranges:
+            bounds = (item.metadata['low'], item.metadata['high'])
+            assert (found.from_value, found.to_value) == bounds
+
+
+def test_misspelt_parameter_is_refused(graph, needed):
+    started = [graph.start(node, {**needed(node), 'lockstpe': True}) for node in NODES]
+    for running in started:
+        assert running.wait(30.0) == 2, running.output
+        errors = [line for line in running.output.splitlines() if line.startswith('error: ')]
+        assert len(errors) == 1
+        assert 'unknown parameter lockstpe' in errors[0]
+        assert 'lockstep' in errors[0]
+        assert 'Traceback' not in running.output
+
+
+REFUSED = [
+    ('simulated_machine', {'seed': -1}, 'seed'),
+    ('simulated_machine', {'duties': ['T9']}, 'T9'),
+    ('simulated_machine', {'duties': [1, 2]}, 'duties'),
+    ('simulated_machine', {'sensor_faults': ['T99:dead:0']}, 'T99'),
+    ('temperature_acquisition', {'interval': 0.0}, 'interval'),
+    ('temperature_acquisition', {'range_low': 130.0}, 'range_low'),
+    ('temperature_acquisition', {'source': 'modem'}, 'source'),
+    ('temperature_acquisition', {'source': 'csv'}, 'csv_file'),
+    ('temperature_acquisition', {'source': 'csv', 'csv_file': '/none.csv'}, '/none.csv'),
+    ('temperature_acquisition', {'source': 'temperature_topics'}, 'temperature_topics'),
+    (
+        'temperature_acquisition',
+        {'source': 'temperature_topics', 'temperature_topics': ['a=/x', 'a=/y']},
+        'a more than once',
+    ),
+    (
+        'temperature_acquisition',
+        {'source': 'csv', 'csv_file': 'a.csv', 'lockstep': True},
+        'sensor_readings',
+    ),
+    ('sensor_selector', {'clusters': 0}, 'clusters'),
+    ('thermal_predictor', {'model': '/none.json'}, '/none.json'),
+    ('thermal_predictor', {'gap_max': 'long'}, 'gap_max'),
+    ('compensator', {'offset_max': 1.0}, 'offset_max'),
+    ('compensator', {'ramp_rate': 1e-6}, 'ramp_rate'),
+    ('compensator', {'axes': ['Q']}, 'axes'),
+    ('recorder', {}, 'output'),
+    ('recorder', {'output': '/proc/none/bag'}, '/proc/none/bag'),
+    ('recorder', {'output': 'bag', 'topics': '('}, 'topics'),
+    ('player', {}, 'bag'),
+    ('player', {'bag': '/none'}, '/none'),
+]
+
+
+@pytest.mark.parametrize(('node', 'parameters', 'named'), REFUSED)
+def test_impossible_parameter_is_refused(
+    domain, tmp_path, monkeypatch, capfd, node, parameters, named
+):
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    monkeypatch.chdir(tmp_path)
+    file = parameter_file(tmp_path, '/mill', [NodeSpec(node, parameters)])
+    module = import_module(f'fuzzycnc_ros.nodes.{node}')
+    assert run([module.make], ros_arguments('/mill', [file])) == 2
+    written = capfd.readouterr().err
+    errors = [line for line in written.splitlines() if line.startswith('error: ')]
+    assert len(errors) == 1, written
+    assert named in errors[0]
+    assert 'Traceback' not in written
+
+
+@pytest.mark.parametrize(
+    ('node', 'name', 'good', 'bad', 'reason'),
+    [
+        ('compensator', 'offset_max', 20e-6, 2e-3, 'range'),
+        ('compensator', 'slew_max', 0.2e-6, 1e-8, 'ramp_rate'),
+        ('temperature_acquisition', 'range_high', 90.0, 2000.0, 'range'),
+    ],
+)
+def test_parameter_set_at_run_time(graph, observer, node, name, good, bad, reason):
+    graph.start(node)
+
+    def change(value: float) -> Any:
+        wanted = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+        request = SetParameters.Request(parameters=[Parameter(name=name, value=wanted)])
+        return observer.call(SetParameters, f'/mill/{node}/set_parameters', request).results[0]
+
+    assert change(good).successful
+    refused = change(bad)
+    assert not refused.successful
+    assert reason in refused.reason
+    assert change(good).successful
+
+
+def test_fixed_parameter_is_refused_at_run_time(graph, observer):
+    graph.start('temperature_acquisition')
+    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=30.0)
+    request = SetParameters.Request(parameters=[Parameter(name='interval', value=value)])
+    result = observer.call(
+        SetParameters, '/mill/temperature_acquisition/set_parameters', request
+    ).results[0]
+    assert not result.successful
+    assert 'interval' in result.reason

@@ -1,0 +1,48 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Record the golden runs of `bags/` anew; `bags/README.md` says what each is for.
+
+Run it only when a change of behaviour is meant: `test/replay` holds every component to what
+these bags say.
+"""
+
+import shutil
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from fuzzycnc_ros.core.thermal import train_model  # noqa: E402
+from fuzzycnc_ros.scenario import PublishedBag, record_calibration, run_shift  # noqa: E402
+
+HOUR = 3600.0
+GOLDEN = {
+    'mill_warm_up': ((), HOUR),
+    'mill_lost_sensors': (('{0}:dead:1200', '{1}:open:1800', '{2}:stuck:600'), HOUR),
+}
+"""Sensor faults of each run, by number of the chosen sensor, and how long it lasts [s]."""
+
+
+def main() -> None:
+    """Record all golden runs."""
+    calibration = record_calibration(seed=7)
+    model = train_model(calibration.runs)
+    for name, (faults, duration) in GOLDEN.items():
+        path = ROOT / 'bags' / name
+        shutil.rmtree(path, ignore_errors=True)
+        with PublishedBag(path) as bag:
+            run_shift(
+                model.to_json(),
+                duties=('T2',),
+                seed=7,
+                faults=[text.format(*model.inputs) for text in faults],
+                parameters={'simulated_machine': {'duty_duration': duration}},
+                sink=bag,
+            )
+        size = sum(file.stat().st_size for file in path.iterdir())
+        print(f'{path.relative_to(ROOT)}: {size / 1024:.0f} KiB')
+
+
+if __name__ == '__main__':
+    main()
