@@ -8,6 +8,8 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
+from itertools import groupby
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
@@ -15,7 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 import typer
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.report import Table
+    from rich.console import Console
+
+    from fuzzycnc_ros.report import Column, Table
 
 JsonFile = Annotated[
     Optional[Path],  # noqa: UP045  typer 0.9 reads this form on every Python
@@ -38,7 +42,55 @@ def show(table: 'Table') -> None:
         return
     from rich.console import Console
 
-    Console().print(table.to_rich())
+    console = Console()
+    for part in fitting(table, console):
+        console.print(part.to_rich())
+
+
+def fitting(table: 'Table', console: 'Console') -> 'list[Table]':
+    """Return a table in parts that fit a terminal, so that no figure is cut short.
+
+    Each part repeats the first column.  Columns of one group stay together, and so do groups
+    whose names begin with the same word, such as the axes of a run, if a part can hold them.
+    """
+    for key in (_family, _group):
+        parts: list[list[int]] = []
+        for _, members in groupby(table.columns[1:], key):
+            first = parts[-1][-1] + 1 if parts else 1
+            columns = list(range(first, first + len(list(members))))
+            if parts and _fits(table, [*parts[-1], *columns], console):
+                parts[-1] += columns
+            else:
+                parts.append(columns)
+        if all(_fits(table, part, console) for part in parts):
+            break
+    return [_columns(table, part) for part in parts] or [table]
+
+
+def _group(column: 'Column') -> str:
+    return column.group
+
+
+def _family(column: 'Column') -> str:
+    return column.group.partition(' ')[0]
+
+
+def _columns(table: 'Table', chosen: list[int]) -> 'Table':
+    """Return a table with its first column and some others."""
+    columns = [0, *chosen]
+    return replace(
+        table,
+        columns=tuple(table.columns[c] for c in columns),
+        rows=tuple(tuple(row[c] for c in columns) for row in table.rows),
+        strong=frozenset((r, columns.index(c)) for r, c in table.strong if c in columns),
+    )
+
+
+def _fits(table: 'Table', chosen: list[int], console: 'Console') -> bool:
+    """Return whether some columns of a table fit without cutting anything."""
+    endless = console.options.update(max_width=10_000)
+    width = console.measure(_columns(table, chosen).to_rich(), options=endless).maximum
+    return width <= console.width
 
 
 def say(text: str) -> None:

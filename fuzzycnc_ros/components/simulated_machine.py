@@ -65,7 +65,14 @@ class SimulatedMachineConfig(Config):
     lockstep_nodes: tuple[str, ...] = param(
         ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator'),
         '-',
-        'Nodes that get their turn in every tick of a lock-step run, in this order',
+        'Nodes of the run: in lock-step they get turns in this order, else the start awaits them',
+    )
+    start_timeout: float = param(
+        10.0,
+        's',
+        'Wall time after which a run without lock-step starts without nodes that are missing',
+        low=0.0,
+        high=600.0,
     )
     lockstep_recorder: bool = param(
         False, '-', 'Whether a lock-step run waits for the recorder every 500 ticks'

@@ -47,6 +47,7 @@ from fuzzycnc_ros.nodes.qos import (
     unmatched,
 )
 from fuzzycnc_ros.nodes.state_file import StateDirectory, StateFileError
+from fuzzycnc_ros.nodes.timers import wall_timer
 from fuzzycnc_ros.nodes.turn_taker import TurnTaker
 
 DEADLINE_POLL = 0.1
@@ -110,9 +111,9 @@ class ComponentNode:
             self._deadlines = self._advertise(
                 Output('deadline_fired', DeadlineFired), private=True
             )
-            node.create_timer(DEADLINE_POLL, self._poll_deadline)
+            wall_timer(node, DEADLINE_POLL, self._poll_deadline)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        node.create_timer(1.0, self.report)
+        wall_timer(node, 1.0, self.report)
         node.add_on_set_parameters_callback(self._on_parameters)
         self._restore()
 

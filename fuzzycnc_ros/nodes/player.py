@@ -15,7 +15,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -41,6 +40,7 @@ from fuzzycnc_ros.nodes.messages import RCLPY, message_class
 from fuzzycnc_ros.nodes.parameters import ParameterError, declare
 from fuzzycnc_ros.nodes.qos import PUBLISHER_DEPTH, routes_matched
 from fuzzycnc_ros.nodes.sequencer import Sequencer
+from fuzzycnc_ros.nodes.timers import wall_timer
 
 POLL = 0.005
 """Wall time [s] between two looks at what is due, at a rate."""
@@ -108,10 +108,8 @@ class PlayerNode:
             self._clock_sent = 0.0
             self._machine_time: int | None = None
             self._machine_time_at = 0
-            # Wall time: with use_sim_time the node's own clock stands still until it plays.
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            node.create_timer(POLL, self._play_due, clock=steady)
-        node.create_timer(1.0, self._report)
+            wall_timer(node, POLL, self._play_due)
+        wall_timer(node, 1.0, self._report)
 
     @property
     def done(self) -> bool:

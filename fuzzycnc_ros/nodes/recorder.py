@@ -29,6 +29,7 @@ from fuzzycnc_ros.nodes.diagnostics import DiagnosticArray, diagnostic_array
 from fuzzycnc_ros.nodes.messages import RCLPY, message_class
 from fuzzycnc_ros.nodes.parameters import ParameterError, declare
 from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, routes_matched
+from fuzzycnc_ros.nodes.timers import wall_timer
 from fuzzycnc_ros.nodes.turn_taker import TurnTaker
 
 DEPTH = 5000
@@ -76,8 +77,8 @@ class RecorderNode:
                 patience=RECORDER_PATIENCE,
             )
         self._discover()
-        node.create_timer(DISCOVERY_PERIOD, self._discover)
-        node.create_timer(1.0, self._report)
+        wall_timer(node, DISCOVERY_PERIOD, self._discover)
+        wall_timer(node, 1.0, self._report)
 
     @property
     def done(self) -> bool:
@@ -175,13 +176,11 @@ class RecorderNode:
         # Of a latched topic only the newest message is owed: a gap is no loss.
         sequence = None if latched else number
         if not self._config.lockstep:
-            now = int(self.node.get_clock().now().nanoseconds)
-            self._thread.put(topic, payload, now, now, sequence)
-            return
-        if stamped:
+            self._newest = int(self.node.get_clock().now().nanoseconds)
+        elif stamped:
             self._newest = max(self._newest, _leading_stamp(payload))
         if self._newest == 0:
-            # Before the first tick there is no machine time to log by.
+            # Before the first tick, or the first /clock, there is no time to log by.
             self._early.append((topic, payload, sequence))
         else:
             self._release(self._newest)

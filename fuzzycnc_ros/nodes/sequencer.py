@@ -15,6 +15,7 @@ from fuzzycnc_ros.components.records import MachineTick, TickAnswer
 from fuzzycnc_ros.convert import decode, encode
 from fuzzycnc_ros.nodes.messages import RCLPY
 from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, subscription_qos
+from fuzzycnc_ros.nodes.timers import wall_timer
 from fuzzycnc_ros.nodes.turn_taker import tick_topic
 
 PROBE_PERIOD = 0.1
@@ -123,7 +124,7 @@ class Sequencer:
             self._on_answer,
             subscription_qos(STREAM, lockstep=True),
         )
-        node.create_timer(0.05, self._on_timer)
+        wall_timer(node, 0.05, self._on_timer)
 
     @property
     def degraded(self) -> bool:

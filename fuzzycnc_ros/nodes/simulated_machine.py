@@ -4,8 +4,8 @@
 
 import json
 import sys
+import time
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 
@@ -14,6 +14,7 @@ from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.host import ComponentNode
 from fuzzycnc_ros.nodes.messages import RCLPY
 from fuzzycnc_ros.nodes.sequencer import Sequencer
+from fuzzycnc_ros.nodes.timers import wall_timer
 
 
 class SimulatedMachineNode(ComponentNode):
@@ -42,12 +43,8 @@ class SimulatedMachineNode(ComponentNode):
                 reads=tuple(self._subscriptions),
             )
         else:
-            # Wall time: with use_sim_time the node's own clock stands still until it ticks.
-            node.create_timer(
-                config.tick_period / config.rate,
-                self._tick_or_finish,
-                clock=Clock(clock_type=ClockType.STEADY_TIME),
-            )
+            self._waiting_since: float | None = time.monotonic()
+            wall_timer(node, config.tick_period / config.rate, self._tick_in_time)
 
     @property
     def done(self) -> bool:
@@ -67,9 +64,26 @@ class SimulatedMachineNode(ComponentNode):
         self.publish(self.component.tick())
         return stamp
 
-    def _tick_or_finish(self) -> None:
+    def _tick_in_time(self) -> None:
+        """Tick, once the nodes of the run are there; what they miss at first is lost."""
+        if self._waiting_since is not None and not self._may_start(self._waiting_since):
+            return
+        self._waiting_since = None
         if self._tick() is None:
             self._finish()
+
+    def _may_start(self, since: float) -> bool:
+        config = self.component.configuration
+        assert isinstance(config, SimulatedMachineConfig)
+        missing = set(config.lockstep_nodes) - set(self.node.get_node_names())
+        if not missing and self.matched(()):
+            return True
+        if time.monotonic() - since < config.start_timeout:
+            return False
+        if missing:
+            named = ', '.join(sorted(missing))
+            self.node.get_logger().warning(f'starting without {named}: not seen on the graph')
+        return True
 
     def _finish(self) -> None:
         lost = self.sequencer.lost if self.sequencer else []

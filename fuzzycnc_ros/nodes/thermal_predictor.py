@@ -27,6 +27,7 @@ from fuzzycnc_ros.core.thermal import ThermalModel, train_model
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.host import ComponentNode
 from fuzzycnc_ros.nodes.parameters import ParameterError
+from fuzzycnc_ros.nodes.timers import wall_timer
 
 POLL = 0.05
 """Wall time [s] between two looks at a training."""
@@ -90,7 +91,7 @@ class ThermalPredictorNode(ComponentNode):
             goal_callback=self._on_goal,
             cancel_callback=lambda goal: CancelResponse.ACCEPT,
         )
-        node.create_timer(POLL, self._poll)
+        wall_timer(node, POLL, self._poll)
 
     def stop(self) -> None:
         """End a training that is under way."""

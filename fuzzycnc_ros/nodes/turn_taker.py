@@ -19,6 +19,7 @@ from fuzzycnc_ros.components.records import MachineTick, TickAnswer
 from fuzzycnc_ros.convert import decode, encode
 from fuzzycnc_ros.nodes.messages import RCLPY
 from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, subscription_qos
+from fuzzycnc_ros.nodes.timers import wall_timer
 
 
 def tick_topic(node: str) -> str:
@@ -77,7 +78,7 @@ class TurnTaker:
             self._on_tick,
             subscription_qos(STREAM, lockstep=True),
         )
-        node.create_timer(patience / 4.0, self._on_patience)
+        wall_timer(node, patience / 4.0, self._on_patience)
 
     def received(self, topic: str, sequence_number: int) -> None:
         """Note that a message of a topic has come in."""

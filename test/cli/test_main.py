@@ -25,8 +25,10 @@ def test_every_manual_has_an_example_on_a_line_of_its_own(fuzzycnc, name):
     outcome = fuzzycnc(name, '--help')
     assert outcome.code == 0
     if name != 'demo':
-        examples = [line for line in outcome.out.splitlines() if f'    fuzzycnc {name} ' in line]
-        assert examples or f'    fuzzycnc {name}\n' in outcome.out
+        lines = [line.strip() for line in outcome.out.splitlines()]
+        assert any(
+            line == f'fuzzycnc {name}' or line.startswith(f'fuzzycnc {name} ') for line in lines
+        )
 
 
 def test_manual_keeps_the_lines_of_indented_paragraphs_only():

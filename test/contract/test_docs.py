@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The docs say what is there: generated tables, links, names, commands, the picture, figures."""
 
+import os
 import re
 import runpy
 from functools import cache
@@ -69,6 +70,52 @@ def test_the_pages_were_found():
 )
 def test_generated_file_is_up_to_date(path, content):
     assert path.read_text() == content, 'run `make tables`'
+
+
+def declared_topics(node: str, *, lockstep: bool) -> tuple[set[str], set[str]]:
+    """Return what the tables say that a node publishes and subscribes to."""
+    component = COMPONENTS[node]
+    writes = {item.name for item in component.OUTPUTS} | {'/diagnostics'}
+    writes |= {'node_configuration', 'node_event'}
+    reads = {item.name for item in component.INPUTS}
+    if node == 'simulated_machine':
+        writes.add('/clock')
+        if lockstep:
+            turns = component.CONFIG().lockstep_nodes
+            writes |= {f'machine_tick/{name}' for name in turns}
+            reads.add('tick_answer')
+    elif lockstep:
+        writes.add('tick_answer')
+        reads.add(f'machine_tick/{node}')
+    if not lockstep:
+        writes.add('deadline_fired')
+    known = {item.topic.replace('<node>', '') for item in TABLES['EXTRAS']}
+    own = {item.name for item in (*component.OUTPUTS, *component.INPUTS)}
+    assert {re.sub('(machine_tick/).*', r'\1', name) for name in writes | reads} <= known | own
+    return tuple(
+        {name if name[0] == '/' else f'/mill/{name}' for name in s} for s in (writes, reads)
+    )
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize('lockstep', [False, True], ids=['real time', 'lock-step'])
+@pytest.mark.parametrize('node', list(COMPONENTS))
+def test_nodes_have_the_topics_of_the_tables(node, lockstep, monkeypatch):
+    rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
+    # Nothing is sent, but a neighbour on the default domain need not see the node either.
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    switch = f'lockstep:={str(lockstep).lower()}'
+    rclpy.init(args=['--ros-args', '-r', '__ns:=/mill', '-p', switch])
+    try:
+        host = import_module(f'fuzzycnc_ros.nodes.{node}').make()
+        of_rclpy = {'/rosout', '/parameter_events', f'/mill/{node}/transition_event'}
+        published = {item.topic_name for item in host.node.publishers} - of_rclpy
+        subscribed = {item.topic_name for item in host.node.subscriptions} - of_rclpy
+        assert (published, subscribed) == declared_topics(node, lockstep=lockstep)
+        host.stop()
+    finally:
+        rclpy.shutdown()
 
 
 @EVERY_PAGE

@@ -18,6 +18,7 @@ from fuzzycnc_ros.components.records import (
     ThermalReference,
     nanoseconds,
 )
+from fuzzycnc_ros.components.substitution import VOTING_CORRELATION
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalPredictorConfig
 from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, to_json, train_model
@@ -234,6 +235,42 @@ def test_dead_sensor_is_replaced_by_its_mate():
         assert errors[-1].substitute[0] in cluster.substitute
         assert residual(errors, run, slice(60, None)) < 6.0
         assert f'WARN substitution: substituted: {dead} by' in bench.health()
+
+
+def drifting(run: ThermalRun, sensor: str, rate: float = 2.0) -> ThermalRun:
+    """Return a run in which a sensor drifts by `rate` [K/h] from minute 60 on."""
+    temperature = run.temperature.copy()
+    hours = np.maximum(run.time - 3600.0, 0.0) / 3600.0
+    temperature[:, run.sensor.index(sensor)] += rate * hours
+    return replace(run, temperature=temperature)
+
+
+@pytest.mark.parametrize('duty', ['T2', 'T3'])
+def test_healthy_sensors_are_not_voted_out(duty):
+    run = recordings()[duty]
+    errors = predict(bench_with_model(), run, range(len(run.time)))
+    assert not any(item.substituted for item in errors)
+
+
+@pytest.mark.parametrize('duty', ['T2', 'T3'])
+def test_drifting_sensor_is_voted_out_where_two_mates_can_judge_it(duty):
+    run, model = recordings()[duty], trained()
+    judged = [
+        cluster.chosen
+        for cluster in model.selection.clusters
+        if sum(value >= VOTING_CORRELATION for value in cluster.correlation) >= 2
+    ]
+    assert judged
+    for sensor in judged:
+        faulty = drifting(run, sensor)
+        bench, blind = bench_with_model(), bench_with_model(mate_persistence=0.0)
+        errors = predict(bench, faulty, range(len(run.time)))
+        assert errors[-1].substituted == (sensor,)
+        assert f'{sensor} drifted away from all of its cluster mates' in bench.health()
+        unseen = predict(blind, faulty, range(len(run.time)))
+        assert not any(item.substituted for item in unseen)
+        rows = slice(2, None)
+        assert residual(errors[2:], run, rows) < residual(unseen[2:], run, rows)
 
 
 def test_sensor_without_a_good_mate_is_lost_and_comes_back():

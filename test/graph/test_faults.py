@@ -3,6 +3,7 @@
 """Faults on the graph: what the machine is told stays within limits, and diagnostics say why."""
 
 import signal
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -59,13 +60,18 @@ class Shift:
 
     def until_minute(self, minute):
         """Spin until machine time has come so far."""
-        self.observer.until(lambda: self.minute >= minute, f'minute {minute}', 60.0)
+
+        def come():
+            assert self.machine.process.poll() is None, 'the machine has ended'
+            return self.minute >= minute
+
+        self.observer.until(come, f'minute {minute}', 60.0)
 
     def run_out(self):
         """Wait for the end of the duty."""
         assert self.observer.until_ended(self.machine) == 0
 
-    def restart(self, node, parameters):
+    def restart(self, node, output, parameters):
         """Kill a node; start it again after five minutes of machine time; return when [min].
 
         The machine stands still meanwhile: how long a process takes to start on a loaded
@@ -75,13 +81,11 @@ class Shift:
         killed = self.minute
         self.until_minute(killed + 5)
         self.machine.send(signal.SIGSTOP)
-        statuses = self.observer.statuses
-        for name in [name for name in statuses if name.startswith(f'mill/{node}:')]:
-            del statuses[name]
+        # The dead node's publisher stays known until its lease is over.
+        count = partial(self.observer.node.count_publishers, f'/mill/{output}')
+        known = count()
         self.graph.start(node, parameters)
-        self.observer.until(
-            lambda: any(name.startswith(f'mill/{node}:') for name in statuses), f'{node} is back'
-        )
+        self.observer.until(lambda: count() > known, f'{node} is back')
         self.machine.send(signal.SIGCONT)
         return killed
 
@@ -217,7 +221,9 @@ def test_acquisition_is_killed_and_restarted(graph, observer, model_file, tmp_pa
     overrides = {'temperature_acquisition': kept}
     shift = Shift(graph, observer, model_file, lockstep=False, overrides=overrides, **REAL_TIME)
     shift.until_minute(60)
-    killed = shift.restart('temperature_acquisition', {'use_sim_time': True, **kept})
+    killed = shift.restart(
+        'temperature_acquisition', 'temperatures', {'use_sim_time': True, **kept}
+    )
     shift.until_minute(END)
     assert shift.machine.interrupt() == 0
     shift.check_limits()
@@ -236,7 +242,7 @@ def test_predictor_is_killed_and_restarted(graph, observer, model_file, tmp_path
     shift = Shift(graph, observer, model_file, lockstep=False, overrides=overrides, **REAL_TIME)
     shift.until_minute(90)
     model = {'model': str(model_file), 'use_sim_time': True}
-    killed = shift.restart('thermal_predictor', {**model, **kept})
+    killed = shift.restart('thermal_predictor', 'thermal_error', {**model, **kept})
     shift.until_minute(END)
     assert shift.machine.interrupt() == 0
     shift.check_limits()
