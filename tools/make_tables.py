@@ -166,7 +166,10 @@ def bounds(meta: Any) -> str:
     """Return bounds or allowed words as text; empty if there are none."""
     if meta['choices']:
         return 'one of ' + ', '.join(word or "''" for word in meta['choices'])
-    return '' if meta['low'] is None else f'{meta["low"]:g} to {meta["high"]:g}'
+    if meta['low'] is None:
+        return ''
+    low, high = (str(v) if isinstance(v, int) else f'{v:g}' for v in (meta['low'], meta['high']))
+    return f'{low} to {high}'
 
 
 def type_name(default: Any) -> str:

@@ -9,8 +9,8 @@ for byte in canonical form.
 
 import json
 import os
-from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from math import inf
 from typing import Any
@@ -35,7 +35,7 @@ from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.components.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.convert import Target, decode, encode
+from fuzzycnc_ros.convert import Target, decode, encode, stamp_of
 
 ROSBAGS = Target(message_type, numpy_arrays=True)
 """Builds rosbags' messages."""
@@ -281,23 +281,36 @@ class _ComponentReplay:
 def _compare(
     topic: str, recorded: list[tuple[str, bytes]], recomputed: list[tuple[str, str, int, Any]]
 ) -> TopicComparison:
-    before = [canonical_message(payload, kind) for kind, payload in recorded]
-    after = [canonical_message(message, kind) for _, kind, _, message in recomputed]
-    same = [a == b for a, b in zip(before, after, strict=False)]
-    difference, largest = '', 0.0
-    if False in same:
-        index = same.index(False)
-        stamp = recomputed[index][2] / SECOND
-        difference = f'message {index}, at machine time {stamp:.3f} s'
-        largest = max(
-            relative_difference(deserialize(before[n], recorded[n][0]), recomputed[n][3])
-            for n, equal in enumerate(same)
-            if not equal
-        )
-    if len(before) != len(after):
-        difference = difference or f'{len(before)} recorded but {len(after)} recomputed'
-        largest = inf
-    return TopicComparison(topic, len(before), len(after), sum(same), difference, largest)
+    before, after = _by_stamp(recorded), _by_stamp((k, m) for _, k, _, m in recomputed)
+    identical, difference, largest = 0, '', 0.0
+    for key in sorted(set(before) | set(after)):
+        if key not in before or key not in after:
+            apart, what = inf, 'not recomputed' if key in before else 'not recorded'
+        else:
+            (kind, old), (_, new) = before[key], after[key]
+            if old == new:
+                identical += 1
+                continue
+            what = 'differs'
+            apart = relative_difference(deserialize(old, kind), deserialize(new, kind))
+        largest = max(largest, apart)
+        difference = difference or f'{what}, at machine time {key[0] / SECOND:.3f} s'
+    return TopicComparison(topic, len(recorded), len(recomputed), identical, difference, largest)
+
+
+def _by_stamp(messages: Iterable[tuple[str, Any]]) -> dict[tuple[int, int], tuple[str, bytes]]:
+    """Return type and canonical bytes by stamp [ns] and number among those of the stamp.
+
+    One message that is missing must not make all that follow it look different.
+    """
+    seen: Counter[int] = Counter()
+    found = {}
+    for kind, message in messages:
+        payload = canonical_message(message, kind)
+        stamp = stamp_of(deserialize(payload, kind).header.stamp)
+        found[stamp, seen[stamp]] = (kind, payload)
+        seen[stamp] += 1
+    return found
 
 
 def relative_difference(first: Any, second: Any) -> float:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Optional
 
 import typer
 
-from fuzzycnc_ros.cli.console import JsonFile, check_folder, say, words, write_json
+from fuzzycnc_ros.cli.console import JsonFile, check_folder, progress_bar, say, words, write_json
 
 OptionalText = Optional[str]  # noqa: UP045 - typer 0.9 does not read the newer form
 OptionalNumber = Optional[float]  # noqa: UP045
@@ -139,7 +139,9 @@ def import_csv(
     known = [item.name for item in fields(CsvMapping)]
     settings = _read_mapping(mapping, known) if mapping is not None else {}
     settings |= {key: value for key, value in given.items() if value is not None}
-    report = convert(file, out, CsvMapping(**settings))
+    chosen = CsvMapping(**settings)
+    with progress_bar(f'importing {file.name}'):
+        report = convert(file, out, chosen)
     say(
         f'{report.path}: {report.samples} samples, one every {report.interval:g} s, '
         f'{len(report.sensors)} sensors, {len(report.channels)} displacement channels'

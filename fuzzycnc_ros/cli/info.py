@@ -2,16 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc info`: what is in a bag, what is wrong with it, and its repair."""
 
+import json
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
-from fuzzycnc_ros.cli.console import JsonFile, check_folder, say, show, write_json
+from fuzzycnc_ros.cli.console import (
+    JsonFile,
+    Tell,
+    check_folder,
+    progress_bar,
+    say,
+    show,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.bags.reader import BagReader
     from fuzzycnc_ros.bags.repair import RepairReport
+    from fuzzycnc_ros.bags.storage import Attachment
 
 
 def info(
@@ -40,7 +52,6 @@ def info(
         fuzzycnc info shift --repair
         fuzzycnc info shift --repair shift_whole
     """
-    from fuzzycnc_ros.bags.errors import BagTruncatedError
     from fuzzycnc_ros.bags.reader import BagReader
     from fuzzycnc_ros.bags.repair import repair as rewrite
 
@@ -54,23 +65,27 @@ def info(
         say(str(report))
         document['repair'] = _repair_document(report)
         source = report.path
-    try:
-        with BagReader(source, strict=False) as reader:
-            document |= _describe(reader)
-    except BagTruncatedError as error:
-        raise BagTruncatedError(f'{error} (fuzzycnc info {bag} --repair)') from error
+    with BagReader(source, strict=False) as reader:
+        with progress_bar('reading') as tell:
+            read = _count(reader, tell)
+        document |= _describe(reader, read)
     write_json(json_file, document)
 
 
-def _describe(reader: 'BagReader') -> dict[str, Any]:
-    """Print what is in a bag and return it as a document."""
-    from collections import Counter
+def _count(reader: 'BagReader', tell: Tell) -> Counter[str]:
+    """Read every message and return how many there are, by topic."""
+    read: Counter[str] = Counter()
+    for number, message in enumerate(reader.messages(raw=True)):
+        read[message.topic] += 1
+        if number % 1000 == 0:
+            tell('reading', number, reader.message_count)
+    return read
 
+
+def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
+    """Print what is in a bag and return it as a document."""
     from fuzzycnc_ros.report import Column, Table
 
-    read: Counter[str] = Counter()
-    for message in reader.messages(raw=True):
-        read[message.topic] += 1
     duration = 1e-9 * (reader.stop - reader.start)
     say(f'{reader.path}: {read.total()} messages in {duration:.3f} s')
     say(f'log time {1e-9 * reader.start:.3f} s to {1e-9 * reader.stop:.3f} s')
@@ -97,6 +112,9 @@ def _describe(reader: 'BagReader') -> dict[str, Any]:
     attachments = reader.attachments()
     for name, item in attachments.items():
         say(f'attachment {name}: {len(item.data)} bytes, {item.media_type}')
+    lost = _lost_while_recording(attachments)
+    for topic, count in lost.items():
+        say(f'lost while recording: {count} messages of {topic}')
     for problem in reader.problems:
         say(f'problem: {problem}')
     return {
@@ -110,8 +128,25 @@ def _describe(reader: 'BagReader') -> dict[str, Any]:
             for topic, item in sorted(reader.connections.items())
         },
         'attachments': {name: len(item.data) for name, item in attachments.items()},
+        'lost_while_recording': lost,
         'problems': reader.problems,
     }
+
+
+def _lost_while_recording(attachments: 'Mapping[str, Attachment]') -> dict[str, int]:
+    """Return what the recorder counted as lost, by topic."""
+    from fuzzycnc_ros.bags.recorder import REPORT_NAME
+
+    if REPORT_NAME not in attachments:
+        return {}
+    try:
+        topics = json.loads(attachments[REPORT_NAME].data)['topics']
+        lost = {str(name): int(item['missing'] + item['dropped']) for name, item in topics.items()}
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f'{REPORT_NAME}: expected what the recorder counted but found {error!r}'
+        ) from error
+    return {name: count for name, count in lost.items() if count}
 
 
 def _latched(profiles: list[dict[str, Any]]) -> bool:

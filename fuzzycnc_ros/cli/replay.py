@@ -15,18 +15,23 @@ if TYPE_CHECKING:
 
 def replay(
     bag: Annotated[Path, typer.Argument(metavar='BAG', help='Bag of a live or simulated run.')],
+    exact: Annotated[
+        bool, typer.Option('--exact', help="Accept no rounding of another processor's arithmetic.")
+    ] = False,
     json_file: JsonFile = None,
 ) -> None:
     """Recompute the outputs in a bag from its inputs, and compare them byte by byte.
 
     Every component is set up as its recorded configuration says and gets the recorded inputs in
     the order of machine time. What it gives must be what was recorded; the printed hash is the
-    same for equal runs, live or simulated.
+    same for equal runs, live or simulated. A bag from another kind of processor may differ in
+    the last digits, which is said and accepted unless --exact is given.
 
-    Ends with 1 if anything but rounding differs.
+    Ends with 1 if anything else differs.
 
         fuzzycnc simulate --out shift
         fuzzycnc replay shift
+        fuzzycnc replay shift --exact --json replay.json
     """
     from fuzzycnc_ros.bags.replay import replay as recompute
     from fuzzycnc_ros.report import Column, Table
@@ -61,6 +66,7 @@ def replay(
                     'recorded': t.recorded,
                     'recomputed': t.recomputed,
                     'identical': t.identical,
+                    'largest_difference': t.largest_difference,
                     'first_difference': t.first_difference,
                     'hash': report.hashes.get(t.topic),
                 }
@@ -69,7 +75,7 @@ def replay(
             'notes': report.notes,
         },
     )
-    if not report.equivalent:
+    if not (report.identical if exact else report.equivalent):
         raise typer.Exit(1)
 
 

@@ -74,7 +74,7 @@ def node_specs(
         machine = {
             'duties': list(duties),
             'lockstep': lockstep,
-            'lockstep_recorder': lockstep and record is not None,
+            'lockstep_recorder': record is not None,
             **(machine_parameters or {}),
         }
         specs.append(NodeSpec('simulated_machine', machine))

@@ -75,7 +75,7 @@ class SimulatedMachineConfig(Config):
         high=600.0,
     )
     lockstep_recorder: bool = param(
-        False, '-', 'Whether a lock-step run waits for the recorder every 500 ticks'
+        False, '-', 'Whether the run starts with a recorder, and in lock-step waits for it'
     )
     answer_timeout: float = param(
         1.0,

@@ -16,6 +16,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -31,14 +32,14 @@ from fuzzycnc_ros.bags.playback import (
     restamped,
 )
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.components.component import Health, Level
+from fuzzycnc_ros.components.component import STREAM, Health, Level
 from fuzzycnc_ros.components.host_config import PlayerConfig
 from fuzzycnc_ros.components.records import SECOND, nanoseconds
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.diagnostics import diagnostic_array
 from fuzzycnc_ros.nodes.messages import RCLPY, message_class
 from fuzzycnc_ros.nodes.parameters import ParameterError, declare
-from fuzzycnc_ros.nodes.qos import PUBLISHER_DEPTH, routes_matched
+from fuzzycnc_ros.nodes.qos import publisher_qos, routes_matched
 from fuzzycnc_ros.nodes.sequencer import Sequencer
 from fuzzycnc_ros.nodes.timers import wall_timer
 
@@ -67,6 +68,18 @@ class PlayerNode:
         self._check(config)
         try:
             self._reader = BagReader(config.bag)
+        except BagError as error:
+            raise ParameterError(str(error)) from error
+        try:
+            self._prepare()
+        except BaseException:
+            self._reader.close()
+            raise
+
+    def _prepare(self) -> None:
+        """Choose what to play, create the topics, take the first message."""
+        node, config = self.node, self._config
+        try:
             self._topics = self._choose()
         except BagError as error:
             raise ParameterError(str(error)) from error
@@ -76,7 +89,7 @@ class PlayerNode:
         self._timing = self._timing or set(self._topics)
         self._publishers = self._advertise()
         self._published = {p.topic_name: 0 for p in self._publishers.values()}
-        self._clock = node.create_publisher(ClockMessage, '/clock', 10)
+        self._clock = node.create_publisher(ClockMessage, '/clock', publisher_qos(STREAM))
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._repetition = 0
         self._log_shift = self._stamp_shift = 0
@@ -252,7 +265,10 @@ class PlayerNode:
     def _advertise(self) -> dict[str, Any]:
         return {
             name: self.node.create_publisher(
-                message_class(topic.type), self._target(name), _qos(topic)
+                message_class(topic.type),
+                self._target(name),
+                _qos(topic),
+                event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
             )
             for name, topic in self._topics.items()
         }
@@ -401,11 +417,7 @@ def _qos(topic: PlayedTopic) -> QoSProfile:
             reliability=ReliabilityPolicy.RELIABLE,
             durability=DurabilityPolicy.TRANSIENT_LOCAL,
         )
-    return QoSProfile(
-        depth=PUBLISHER_DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.VOLATILE,
-    )
+    return publisher_qos(STREAM)
 
 
 def make() -> PlayerNode:

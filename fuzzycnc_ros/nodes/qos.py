@@ -65,7 +65,8 @@ def unmatched(node: Node, subscription: Any) -> int:
 def publisher_qos(durability: Durability) -> QoSProfile:
     """Return the QoS of a publisher."""
     if durability is LATCHED:
-        return _durable(1)
+        # A reader keeps the newest; a recorder that pauses must still get every one.
+        return _durable(PUBLISHER_DEPTH)
     return _durable(HISTORY_DEPTH) if durability is HISTORY else _stream(PUBLISHER_DEPTH)
 
 

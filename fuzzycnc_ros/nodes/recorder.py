@@ -56,7 +56,7 @@ class RecorderNode:
         self._exclude = self._pattern('exclude', config.exclude)
         self._subscriptions: dict[str, Any] = {}
         self._skipped: dict[str, str] = {}
-        self._early: list[tuple[str, bytes, int | None]] = []
+        self._early: list[tuple[str, bytes, int]] = []
         self._newest = 0
         self._models: set[str] = set()
         try:
@@ -159,7 +159,7 @@ class RecorderNode:
         configuration = types[0] == NodeConfiguration.TYPE
 
         def on_message(payload: bytes, info: Any) -> None:
-            self._take(topic, payload, info, stamped, latched)
+            self._take(topic, payload, info, stamped)
             if configuration:
                 self._attach_model(payload)
 
@@ -171,10 +171,8 @@ class RecorderNode:
         self._skipped[topic] = reason
         self.node.get_logger().warning(f'{topic} is not recorded: {reason}')
 
-    def _take(self, topic: str, payload: bytes, info: Any, stamped: bool, latched: bool) -> None:
-        number = info['publication_sequence_number']
-        # Of a latched topic only the newest message is owed: a gap is no loss.
-        sequence = None if latched else number
+    def _take(self, topic: str, payload: bytes, info: Any, stamped: bool) -> None:
+        sequence = info['publication_sequence_number']
         if not self._config.lockstep:
             self._newest = int(self.node.get_clock().now().nanoseconds)
         elif stamped:
@@ -186,7 +184,7 @@ class RecorderNode:
             self._release(self._newest)
             self._thread.put(topic, payload, self._newest, self._newest, sequence)
         if self.turns is not None:
-            self.turns.received(topic, number)
+            self.turns.received(topic, sequence)
 
     def _release(self, stamp: int) -> None:
         for topic, payload, sequence in self._early:

@@ -9,12 +9,19 @@ import time
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from fuzzycnc_ros.components.component import STREAM
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.host import ComponentNode
 from fuzzycnc_ros.nodes.messages import RCLPY
+from fuzzycnc_ros.nodes.qos import publisher_qos
 from fuzzycnc_ros.nodes.sequencer import Sequencer
 from fuzzycnc_ros.nodes.timers import wall_timer
+
+
+SETTLING = 1.0
+"""Wall time [s] for which the graph must have been complete before a run without lock-step starts:
+the other nodes, above all the recorder, still find each other's topics."""
 
 
 class SimulatedMachineNode(ComponentNode):
@@ -27,7 +34,7 @@ class SimulatedMachineNode(ComponentNode):
         super().__init__(node, SimulatedMachine)
         config = self.component.configuration
         assert isinstance(config, SimulatedMachineConfig)
-        self._clock = node.create_publisher(ClockMessage, '/clock', 10)
+        self._clock = node.create_publisher(ClockMessage, '/clock', publisher_qos(STREAM))
         self._done = False
         self.sequencer: Sequencer | None = None
         if self.settings.lockstep:
@@ -44,6 +51,7 @@ class SimulatedMachineNode(ComponentNode):
             )
         else:
             self._waiting_since: float | None = time.monotonic()
+            self._complete_since: float | None = None
             wall_timer(node, config.tick_period / config.rate, self._tick_in_time)
 
     @property
@@ -75,8 +83,13 @@ class SimulatedMachineNode(ComponentNode):
     def _may_start(self, since: float) -> bool:
         config = self.component.configuration
         assert isinstance(config, SimulatedMachineConfig)
-        missing = set(config.lockstep_nodes) - set(self.node.get_node_names())
-        if not missing and self.matched(()):
+        wanted = {*config.lockstep_nodes, *(('recorder',) if config.lockstep_recorder else ())}
+        missing = wanted - set(self.node.get_node_names())
+        if missing or not self.matched(()):
+            self._complete_since = None
+        elif self._complete_since is None:
+            self._complete_since = time.monotonic()
+        elif time.monotonic() - self._complete_since > SETTLING:
             return True
         if time.monotonic() - since < config.start_timeout:
             return False

@@ -6,13 +6,13 @@ A driver publishes raw readings on the topic that the component reads, so that a
 and a replay needs no driver.
 """
 
+import time
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Temperature
@@ -25,6 +25,7 @@ from fuzzycnc_ros.convert import encode, stamp_of
 from fuzzycnc_ros.nodes.messages import RCLPY, message_class
 from fuzzycnc_ros.nodes.parameters import ParameterError
 from fuzzycnc_ros.nodes.qos import SUBSCRIPTION_DEPTH, publisher_qos
+from fuzzycnc_ros.nodes.timers import wall_timer
 
 READINGS = 'sensor_readings'
 FIRST_STAMP = SECOND
@@ -50,6 +51,11 @@ class Readings:
         self._publisher = node.create_publisher(
             message_class(Temperatures.TYPE), READINGS, publisher_qos(STREAM)
         )
+
+    @property
+    def heard(self) -> bool:
+        """Whether the component reads them by now."""
+        return int(self._publisher.get_subscription_count()) > 0
 
     def publish(self, stamp: int, temperature: Floats) -> None:
         """Publish one value per sensor [degC], NaN where there is none."""
@@ -137,24 +143,27 @@ class CsvFile:
         self._node = node
         self._path = Path(config.csv_file).expanduser()
         try:
-            sensors, time, self._values = _read(self._path, config.csv_time)
+            sensors, seconds, self._values = _read(self._path, config.csv_time)
         except BagError as error:
             raise ParameterError(f'parameter csv_file: {error}') from error
-        self._stamps = np.rint(time * SECOND).astype(np.int64)
+        self._stamps = np.rint(seconds * SECOND).astype(np.int64)
         self._stamps += max(0, FIRST_STAMP - int(self._stamps[0]))
         self._readings = Readings(node, sensors, frame_id)
         self._rate = config.csv_rate
         self._row = 0
-        # Wall time: the file itself makes machine time, no other clock does.
-        self._clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self._started = self._clock.now().nanoseconds
-        step = float(np.median(np.diff(time))) / self._rate
+        self._started: int | None = None
+        step = float(np.median(np.diff(seconds))) / self._rate
         period = min(max(step / 2.0, 0.002), 0.1)
-        self._timer = node.create_timer(period, self._play, clock=self._clock)
+        # Wall time: the file itself makes machine time, no clock does.
+        self._timer = wall_timer(node, period, self._play)
 
     def _play(self) -> None:
         """Publish the rows that are due."""
-        elapsed = (self._clock.now().nanoseconds - self._started) * self._rate
+        if self._started is None:
+            if not self._readings.heard:
+                return
+            self._started = time.monotonic_ns()
+        elapsed = (time.monotonic_ns() - self._started) * self._rate
         due = int(self._stamps[0] + elapsed)
         while self._row < len(self._stamps) and self._stamps[self._row] <= due:
             self._readings.publish(int(self._stamps[self._row]), self._values[self._row])

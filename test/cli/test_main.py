@@ -1,7 +1,11 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
+import os
+import shlex
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -89,6 +93,41 @@ def test_interrupt_ends_with_130_and_one_line(fuzzycnc, monkeypatch):
     outcome = fuzzycnc('replay', 'shift')
     assert outcome.code == 130
     assert outcome.err.split() == ['interrupted']
+
+
+def test_ctrl_c_in_the_middle_of_work(tmp_path, root):
+    command = [sys.executable, '-m', 'fuzzycnc_ros.cli.main', 'simulate', '--seeds', '1000']
+    environment = {**os.environ, 'PYTHONPATH': str(root)}
+    pipes = {'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, 'text': True}
+    with subprocess.Popen(
+        [*command, '--out', 'shift'], cwd=tmp_path, env=environment, **pipes
+    ) as process:
+        deadline = time.monotonic() + 60.0
+        while not (tmp_path / 'shift_calibration').exists():
+            assert time.monotonic() < deadline
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60.0)
+    assert process.returncode == 130
+    assert (out, err.split()) == ('', ['interrupted'])
+
+
+def commands_in(path):
+    """Return the command lines of a page, continued lines joined."""
+    text = path.read_text().replace('\\\n', ' ')
+    return [line.strip() for line in text.splitlines() if line.strip().startswith('fuzzycnc ')]
+
+
+@pytest.mark.parametrize('page', ['README.md', 'docs/your-own-recording.md', 'docs/bags.md'])
+def test_command_lines_in_the_docs_use_options_that_exist(fuzzycnc, root, page):
+    lines = commands_in(root / page)
+    assert lines
+    for line in lines:
+        _, name, *words = shlex.split(line, comments=True)
+        help_text = fuzzycnc(name, '--help').out
+        options = [word.partition('=')[0] for word in words if word.startswith('--')]
+        assert [option for option in options if f'{option} ' not in help_text] == [], line
 
 
 def test_a_fault_of_the_programme_is_one_line_too(refused, monkeypatch):

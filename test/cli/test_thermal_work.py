@@ -13,6 +13,7 @@ import pytest
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.bags.recorder import REPORT_NAME
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.cli.simulate import median_figures
@@ -198,22 +199,41 @@ def test_simulate_twice_gives_the_same_bag_and_replay_gives_the_same_outputs(fuz
     assert '/mill/sensor_selection' in figures['topics']
 
 
-def test_replay_finds_a_changed_message_and_ends_with_1(fuzzycnc):
-    assert fuzzycnc('simulate', *SHORT, '--out', 'shift').code == 0
-    changed = '/mill/thermal_error'
-    with BagReader('shift') as reader, BagWriter('changed') as writer:
+CHANGED = '/mill/thermal_error'
+
+
+def copy_with_another_error(source: str, target: str, change) -> None:
+    """Copy a bag with one message changed, at machine time 30000 s."""
+    with BagReader(source) as reader, BagWriter(target) as writer:
         for topic, item in reader.connections.items():
             writer.add_topic(topic, item.type, item.profiles)
         for topic, _, time, message in reader.messages():
-            if topic == changed and message.header.stamp.sec == 30_000:
-                message = replace(message, error=message.error + 1e-12)
+            if topic == CHANGED and message.header.stamp.sec == 30_000:
+                message = replace(message, error=change(message.error))
             writer.write_message(topic, message, time)
+
+
+def test_replay_finds_a_changed_message_and_ends_with_1(fuzzycnc):
+    assert fuzzycnc('simulate', *SHORT, '--out', 'shift').code == 0
+    copy_with_another_error('shift', 'changed', lambda error: error + 1e-12)
     outcome = fuzzycnc('replay', 'changed', '--json', 'r.json')
     assert outcome.code == 1, outcome
     assert 'DIFFERENT' in outcome.out
     topics = read_json('r.json')['topics']
-    assert topics[changed]['first_difference'] == 'message 139, at machine time 30000.000 s'
-    assert topics[changed]['identical'] == topics[changed]['recorded'] - 1
+    assert topics[CHANGED]['first_difference'] == 'message 139, at machine time 30000.000 s'
+    assert topics[CHANGED]['identical'] == topics[CHANGED]['recorded'] - 1
+
+
+def test_replay_accepts_the_rounding_of_another_processor_and_says_so(fuzzycnc):
+    assert fuzzycnc('simulate', *SHORT, '--out', 'shift').code == 0
+    copy_with_another_error('shift', 'rounded', lambda error: error * (1.0 + 1e-13))
+    outcome = fuzzycnc('replay', 'rounded', '--json', 'r.json')
+    assert outcome.code == 0, outcome
+    assert 'equal up to rounding' in outcome.out
+    figures = read_json('r.json')
+    assert (figures['identical'], figures['equivalent']) == (False, True)
+    assert 0.0 < figures['topics'][CHANGED]['largest_difference'] < 1e-12
+    assert fuzzycnc('replay', 'rounded', '--exact').code == 1
 
 
 def test_simulate_with_a_model_file(fuzzycnc):
@@ -257,6 +277,23 @@ def test_info_counts_and_names_everything(fuzzycnc, bag):
     }
     assert figures['problems'] == []
     assert re.search(r'/machine/thermal_reference +1 +1 +\S+ +latched', outcome.out)
+
+
+def test_info_says_what_the_recorder_lost(fuzzycnc):
+    counted = {'received': 5, 'written': 3, 'missing': 4, 'dropped': 2, 'publishers': 1}
+    whole = dict(counted, missing=0, dropped=0)
+    with BagWriter('lossy') as writer:
+        writer.attach(REPORT_NAME, json.dumps({'topics': {'/a': counted, '/b': whole}}))
+    outcome = fuzzycnc('info', 'lossy', '--json', 'i.json')
+    assert outcome.code == 0, outcome
+    assert 'lost while recording: 6 messages of /a\n' in outcome.out
+    assert read_json('i.json')['lost_while_recording'] == {'/a': 6}
+
+
+def test_info_of_a_damaged_loss_report(refused):
+    with BagWriter('odd') as writer:
+        writer.attach(REPORT_NAME, '[]')
+    refused('info', 'odd', naming=[REPORT_NAME, 'recorder'])
 
 
 @pytest.mark.parametrize('target', [(), ('whole',)])

@@ -54,7 +54,7 @@ def commands(text: str) -> list[str]:
     """Return the command lines of all code blocks, continued lines joined."""
     blocks = re.findall(r'^```(?:sh|bash|console)?\n(.*?)^```', text, re.M | re.S)
     lines = '\n'.join(blocks).replace('\\\n', ' ').splitlines()
-    return [line.strip().removeprefix('$ ') for line in lines] + re.findall(
+    return [line.strip().removeprefix('.venv/bin/') for line in lines] + re.findall(
         r'`((?:fuzzycnc|ros2|make) [^`]+)`', text
     )
 
@@ -252,6 +252,19 @@ def figures(section: str) -> dict[str, list[float]]:
         if cells and re.match(r'\d', cells[0]):
             found[name] = [float(number) for number in re.findall(r'\d+\.\d+', ' '.join(cells))]
     return found
+
+
+def test_figures_of_the_readme_are_those_of_the_thermal_page():
+    """Rounded, and under names for people."""
+    names = {'static ridge': 'static_ridge', 'grey model as published': 'classical_grey'}
+    full = figures('Measured: the simulated mill'), figures('Measured: a real spindle')
+    text = (ROOT / 'README.md').read_text().partition('## Real results')[2].partition('\n## ')[0]
+    rows = re.findall(r'^\| ([a-z ]+) \| (\d.+) \|$', text, re.M)
+    assert len(rows) == 7
+    for name, cells in rows:
+        shown = [float(number) for number in re.findall(r'\d+\.\d+', cells)]
+        source = full[len(shown) != 4][names.get(name, name)]
+        np.testing.assert_allclose(shown, source, rtol=0.0, atol=0.0501)
 
 
 @pytest.mark.slow

@@ -104,6 +104,16 @@ def test_missing_readings_are_left_out_of_the_mean():
     assert statuses(sample) == [Status.OK, Status.OK]
 
 
+def test_most_readings_of_a_sample_must_be_good():
+    """Two of five do not stand for a minute, three do."""
+    for missing, verdict in ((2, Status.OK), (3, Status.MISSING)):
+        bench = bench_of()
+        (sample,) = feed(
+            bench, 5, lambda time, n=missing: [np.nan if time <= 12.0 * n else 21.0 + time / 1e4]
+        )
+        assert statuses(sample) == [verdict]
+
+
 def test_sensor_that_is_mostly_missing_is_reported_missing():
     bench = bench_of()
     samples = feed(bench, 10, lambda time: [np.nan, 30.0 + time / 1000])

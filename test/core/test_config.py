@@ -108,8 +108,8 @@ def test_unknown_word_is_refused_with_the_known_ones():
 
 
 def test_unknown_name_is_refused():
-    with pytest.raises(TypeError, match='lenght'):
-        Example(lenght=1.0)
+    with pytest.raises(TypeError, match='breadth'):
+        Example(breadth=1.0)
 
 
 def test_replace_checks_again():

@@ -18,6 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,7 @@ from fuzzycnc_ros.core.thermal import train_model
 from fuzzycnc_ros.nodes.environment import limit_to_this_host, prepare_environment
 from fuzzycnc_ros.nodes.messages import message_class
 from fuzzycnc_ros.nodes.qos import subscription_qos
+from fuzzycnc_ros.nodes.run import run
 from fuzzycnc_ros.scenario.thermal_shift import record_calibration, run_shift
 
 ROOT = Path(__file__).parents[2]
@@ -227,19 +229,24 @@ class Observer:
         self.node = rclpy.create_node('observer', namespace='/mill', context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
+        self._readers: dict[str, Any] = {}
         self.statuses: dict[str, list[tuple[int, str]]] = {}
         """Level and text of each diagnostic item that was ever reported, in order of change."""
 
     def records(self, topic: str, kind: Any, durability: Durability = STREAM) -> list[Any]:
         """Return a list that grows with the records of a topic."""
         heard: list[Any] = []
-        self.node.create_subscription(
+        self._readers[topic] = self.node.create_subscription(
             message_class(kind.TYPE),
             topic,
             lambda message: heard.append(decode(kind, message)),
             subscription_qos(durability, lockstep=True),
         )
         return heard
+
+    def forget(self, topic: str) -> None:
+        """Hear no more of a topic: listening costs the graph time."""
+        self.node.destroy_subscription(self._readers.pop(topic))
 
     def watch_diagnostics(self) -> None:
         """Note every change on /diagnostics."""
@@ -401,6 +408,33 @@ class InProcess:
 def in_process(model_text: str) -> InProcess:
     """The same shift in one process, without DDS."""
     return InProcess(model_text)
+
+
+@pytest.fixture
+def refusal(
+    domain: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> Callable[[str, Mapping[str, Any]], str]:
+    """Start a node with parameters that it must refuse; return its one line.
+
+    It runs in this process, since a process of its own takes half a second to start.
+    """
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    monkeypatch.chdir(tmp_path)
+
+    def start(node: str, parameters: Mapping[str, Any]) -> str:
+        file = parameter_file(tmp_path, '/mill', [NodeSpec(node, parameters)])
+        module = import_module(f'fuzzycnc_ros.nodes.{node}')
+        assert run([module.make], ros_arguments('/mill', [file])) == 2
+        lines = capfd.readouterr().err.splitlines()
+        errors = [line for line in lines if line.startswith('error: ')]
+        assert len(errors) == 1, lines
+        assert not any(line.startswith('Traceback') for line in lines), lines
+        return errors[0]
+
+    return start
 
 
 @pytest.hookimpl(hookwrapper=True)

@@ -5,7 +5,6 @@
 import signal
 from collections.abc import Callable
 from dataclasses import fields
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,9 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
 
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.cli.graph_processes import NodeSpec, parameter_file, ros_arguments
 from fuzzycnc_ros.components.host_config import HostConfig, PlayerConfig, RecorderConfig
 from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.core.config import Config
-from fuzzycnc_ros.nodes.run import run
 
 pytestmark = pytest.mark.ros
 
@@ -150,19 +147,8 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(('node', 'parameters', 'named'), REFUSED)
-def test_impossible_parameter_is_refused(
-    domain, tmp_path, monkeypatch, capfd, node, parameters, named
-):
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-    monkeypatch.chdir(tmp_path)
-    file = parameter_file(tmp_path, '/mill', [NodeSpec(node, parameters)])
-    module = import_module(f'fuzzycnc_ros.nodes.{node}')
-    assert run([module.make], ros_arguments('/mill', [file])) == 2
-    written = capfd.readouterr().err
-    errors = [line for line in written.splitlines() if line.startswith('error: ')]
-    assert len(errors) == 1, written
-    assert named in errors[0]
-    assert 'Traceback' not in written
+def test_impossible_parameter_is_refused(refusal, node, parameters, named):
+    assert named in refusal(node, parameters)
 
 
 @pytest.mark.parametrize(

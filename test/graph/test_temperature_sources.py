@@ -1,0 +1,146 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Drivers of temperature_acquisition: Temperature topics and CSV files."""
+
+import numpy as np
+import pytest
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Temperature
+
+from fuzzycnc_ros.components.records import SECOND, Status, Temperatures
+from fuzzycnc_ros.nodes.messages import RCLPY
+
+pytestmark = pytest.mark.ros
+
+PERIOD = 10.0
+
+
+@pytest.fixture
+def plc(observer):
+    """Publish readings and machine time as a PLC gateway would."""
+
+    class Plc:
+        def __init__(self):
+            self.clock = observer.node.create_publisher(Clock, '/clock', 10)
+            self.topics = {
+                name: observer.node.create_publisher(Temperature, f'/plc/{name}', 10)
+                for name in ('bearing', 'motor')
+            }
+
+        def connected(self):
+            ends = [self.clock, *self.topics.values()]
+            return all(end.get_subscription_count() == 1 for end in ends)
+
+        def read(self, name, second, value):
+            message = Temperature(header=RCLPY.header(int(second * SECOND), name))
+            message.temperature = value
+            self.topics[name].publish(message)
+
+        def tell_time(self, second):
+            self.clock.publish(Clock(clock=RCLPY.time(int(second * SECOND))))
+
+    return Plc()
+
+
+def test_topics_become_one_record(graph, observer, plc):
+    graph.start(
+        'temperature_acquisition',
+        {
+            'source': 'temperature_topics',
+            'temperature_topics': ['T1=/plc/bearing', 'T2=/plc/motor'],
+            'reading_period': PERIOD,
+            'interval': 4.0,
+            'use_sim_time': True,
+        },
+    )
+    raw = observer.records('sensor_readings', Temperatures)
+    samples = observer.records('temperatures', Temperatures)
+    observer.until(lambda: plc.connected() and observer.node.count_publishers('temperatures'))
+    plc.tell_time(100)
+
+    # Complete at once, in the order of the parameter, with the newest stamp.
+    plc.read('motor', 100.2, 31.0)
+    plc.read('bearing', 100.0, 21.0)
+    observer.until(lambda: raw, 'the first set')
+    assert raw[0].sensor == ('T1', 'T2')
+    assert raw[0].temperature.tolist() == [21.0, 31.0]
+    assert raw[0].status.tolist() == [Status.OK, Status.OK]
+    assert raw[0].stamp == int(100.2 * SECOND)
+    assert raw[0].frame_id == 'mill/machine'
+
+    # A sensor without a newer message is missing once the period is over.
+    plc.read('bearing', 104.0, 22.0)
+    plc.read('motor', 100.2, 99.0)
+    second = 100
+
+    def time_passes():
+        nonlocal second
+        second += 1
+        plc.tell_time(second)
+        return len(raw) > 1
+
+    observer.until(time_passes, 'a set without the motor')
+    assert second > 104
+    assert raw[1].stamp == 104 * SECOND
+    assert raw[1].temperature[0] == 22.0
+    assert np.isnan(raw[1].temperature[1])
+    assert raw[1].status.tolist() == [Status.OK, Status.MISSING]
+    observer.until(lambda: samples, 'a checked sample')
+    assert samples[0].stamp == 104 * SECOND
+    graph.stop()
+
+
+CSV = """time,T1,T2
+{rows}
+"""
+
+
+def write_csv(path, cells=None):
+    """Write twenty rows a minute apart, some cells replaced."""
+    rows = [[60 * k, 20 + k, 30.5] for k in range(20)]
+    for (row, column), text in (cells or {}).items():
+        rows[row][column] = text
+    path.write_text(CSV.format(rows='\n'.join(','.join(map(str, row)) for row in rows)))
+    return path
+
+
+def test_csv_file_is_played(graph, observer, tmp_path):
+    file = write_csv(tmp_path / 'log.csv', {(4, 2): ''})
+    raw = observer.records('sensor_readings', Temperatures)
+    samples = observer.records('temperatures', Temperatures)
+    parameters = {'source': 'csv', 'csv_file': str(file), 'csv_rate': 600.0, 'lockstep': False}
+    node = graph.start('temperature_acquisition', parameters)
+    observer.until(lambda: 'end of file after 20 rows' in node.output, 'the end of the file')
+    observer.until(lambda: raw and raw[-1].stamp == (19 * 60 + 1) * SECOND, 'the last row')
+    # The first stamp is 1 s, since 0 means unknown.
+    stamps = [item.stamp for item in raw]
+    assert set(stamps) <= {(60 * k + 1) * SECOND for k in range(20)}
+    assert raw[-1].sensor == ('T1', 'T2')
+    assert raw[-1].temperature.tolist() == [39.0, 30.5]
+    fifth = next(item for item in raw if item.stamp == 241 * SECOND)
+    assert fifth.status.tolist() == [Status.OK, Status.MISSING]
+    assert samples
+    graph.stop()
+
+
+@pytest.mark.parametrize(
+    ('cells', 'named'),
+    [
+        ({(3, 1): 'hot'}, "line 5, column 'T1': expected a number but found 'hot'"),
+        ({(7, 0): 60}, "line 9, column 'time'"),
+        ({(2, 0): ''}, "line 4, column 'time'"),
+        ({(0, 0): 0, (5, 2): '1,2'}, 'line 7: expected 3 columns'),
+    ],
+)
+def test_bad_csv_file_is_refused(refusal, tmp_path, cells, named):
+    file = write_csv(tmp_path / 'log.csv', cells)
+    line = refusal('temperature_acquisition', {'source': 'csv', 'csv_file': str(file)})
+    assert line.startswith('error: parameter csv_file: ')
+    assert named in line
+
+
+def test_csv_file_without_time_column_is_refused(refusal, tmp_path):
+    file = write_csv(tmp_path / 'log.csv')
+    parameters = {'source': 'csv', 'csv_file': str(file), 'csv_time': 'clock'}
+    line = refusal('temperature_acquisition', parameters)
+    assert "expected the column 'clock' but the file has time, T1, T2" in line
