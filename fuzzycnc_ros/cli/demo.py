@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from fuzzycnc_ros import __version__
+from fuzzycnc_ros.cli.console import show
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses
 from fuzzycnc_ros.cli.up import BANNER, node_specs
 
@@ -63,10 +64,9 @@ def demo(
     started = time.monotonic()
     _renew(out)
     with _progress(console) as progress:
-        result, tables = _run(out, seed, progress, started)
+        result, table = _run(out, seed, progress, started)
     (out / 'summary.json').write_text(json.dumps(vars(result), indent=2) + '\n', encoding='utf-8')
-    for table in tables:
-        console.print(table)
+    show(table)
     _print_facts(console, out, result)
     if result.degraded or not result.replay_identical:
         raise GraphError('the run was degraded or its replay differs; see the notes in the report')
@@ -114,7 +114,7 @@ class _Bar:
         self.progress.update(self.task, completed=done, total=total)
 
 
-def _run(out: Path, seed: int, progress: _Steps, started: float) -> tuple[DemoResult, list[Any]]:
+def _run(out: Path, seed: int, progress: _Steps, started: float) -> tuple[DemoResult, Any]:
     from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.cli.latency import measure_latency
     from fuzzycnc_ros.components.compensator import CompensatorConfig
@@ -159,7 +159,7 @@ def _run(out: Path, seed: int, progress: _Steps, started: float) -> tuple[DemoRe
         )
         _write_report(out, runs, calibration.runs, latency, result, replayed.notes)
     result.wall_s = round(time.monotonic() - started, 2)
-    return result, [summary_table([item]).to_rich() for item in runs]
+    return result, summary_table(runs)
 
 
 def _run_live(

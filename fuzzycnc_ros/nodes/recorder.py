@@ -63,6 +63,16 @@ class RecorderNode:
             self._thread = RecordingThread(BagWriter(config.output))
         except BagError as error:
             raise ParameterError(str(error)) from error
+        try:
+            self._connect(config)
+        except BaseException:
+            # A signal while the node is being built must not leave a torn bag behind.
+            self._thread.close()
+            raise
+
+    def _connect(self, config: RecorderConfig) -> None:
+        """Create the endpoints; from here on messages come in."""
+        node = self.node
         self._progress = create_publisher(node, RecorderProgress.TYPE, 'recorder/progress', STREAM)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.turns: TurnTaker | None = None

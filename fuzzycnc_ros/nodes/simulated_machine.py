@@ -18,7 +18,6 @@ from fuzzycnc_ros.nodes.qos import publisher_qos
 from fuzzycnc_ros.nodes.sequencer import Sequencer
 from fuzzycnc_ros.nodes.timers import wall_timer
 
-
 SETTLING = 1.0
 """Wall time [s] for which the graph must have been complete before a run without lock-step starts:
 the other nodes, above all the recorder, still find each other's topics."""

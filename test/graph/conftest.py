@@ -268,6 +268,12 @@ class Observer:
         """Work for a moment."""
         self.executor.spin_once(timeout_sec=0.02)
 
+    def spin_for(self, duration: float) -> None:
+        """Work for some wall time [s]."""
+        end = time.monotonic() + duration
+        while time.monotonic() < end:
+            self.spin()
+
     def until(
         self, condition: Callable[[], Any], what: str = '', timeout: float = START_TIMEOUT
     ) -> None:
