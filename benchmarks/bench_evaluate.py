@@ -35,7 +35,7 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.core.machine import record_run
-from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, evaluate, to_json, train_model
+from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, evaluate, train_model
 from fuzzycnc_ros.scenario import PublishedBag, record_calibration
 
 RATE, DURATION = 10, 3600
@@ -112,7 +112,7 @@ def steps(component: Component, samples: Sequence[Temperatures]) -> list[float]:
 def step_times(model: ThermalModel, run: ThermalRun) -> list[float]:
     """Return the time of each step through a shift [s]."""
     predictor = ThermalPredictor()
-    predictor.use_model(to_json(model))
+    predictor.use_model(model.to_json())
     samples = [
         temperatures(run, round((60.0 + second) * SECOND), values)
         for second, values in zip(run.time, run.temperature, strict=True)

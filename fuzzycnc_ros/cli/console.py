@@ -3,11 +3,9 @@
 """What all subcommands share: tables, progress, files of figures."""
 
 import json
-import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import groupby
 from math import isfinite
@@ -15,6 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
+
+from fuzzycnc_ros.bags.atomic import write_text as write_whole
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -132,16 +132,7 @@ def write_text(path: Path, text: str) -> None:
         If it cannot be written.
     """
     check_folder(path)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
-    try:
-        with os.fdopen(handle, 'w', encoding='utf-8') as file:
-            file.write(text)
-        os.chmod(name, 0o666 & ~_umask())
-        os.replace(name, path)
-    except BaseException:
-        with suppress(FileNotFoundError):
-            os.unlink(name)
-        raise
+    write_whole(path, text)
 
 
 def check_new(path: Path | None, remedy: str = 'remove it') -> None:
@@ -186,12 +177,6 @@ def check_at_least(option: str, value: float | None, low: float) -> None:
 def words(texts: list[str]) -> tuple[str, ...]:
     """Return the parts of options that may be repeated or hold several, with commas between."""
     return tuple(part.strip() for text in texts for part in text.split(',') if part.strip())
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _plain(value: Any) -> Any:

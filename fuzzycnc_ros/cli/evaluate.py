@@ -59,9 +59,9 @@ def evaluate(
     """
     from fuzzycnc_ros.bags.runs import read_run
     from fuzzycnc_ros.cli.train import default_text, problem_lines
+    from fuzzycnc_ros.core.text_hash import text_hash as digest
     from fuzzycnc_ros.core.thermal import evaluate as judge
     from fuzzycnc_ros.core.thermal import load_model
-    from fuzzycnc_ros.core.thermal import model_hash as digest
 
     for path in (report, json_file):
         check_folder(path)

@@ -163,11 +163,11 @@ class _Shift:
 
     def run(self, out: Path | None) -> None:
         """Carry it out; record it if `out` is given."""
-        from fuzzycnc_ros.core.thermal import load_model, to_json, train_model
+        from fuzzycnc_ros.core.thermal import load_model, train_model
         from fuzzycnc_ros.scenario import PublishedBag, record_calibration
 
         if self._model_file is not None:
-            self._text = to_json(load_model(self._model_file))
+            self._text = load_model(self._model_file).to_json()
         else:
             self._calibration = record_calibration(
                 self._training,
@@ -182,7 +182,7 @@ class _Shift:
                     f'{stage} {name}', done, total
                 ),
             )
-            self._text = to_json(trained)
+            self._text = trained.to_json()
         if out is None:
             self._compensate(None)
             return

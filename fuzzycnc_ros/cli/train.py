@@ -76,7 +76,7 @@ def train(
         fuzzycnc train shift --model lag_ridge --out mill.json --force
     """
     from fuzzycnc_ros.bags.runs import read_run
-    from fuzzycnc_ros.core.thermal import model_hash, to_json, train_model
+    from fuzzycnc_ros.core.thermal import train_model
 
     if not force:
         check_new(out, remedy='add --force')
@@ -96,7 +96,7 @@ def train(
             random_state=seed,
             progress=lambda stage, name, done, total: tell(f'{stage} {name}', done, total),
         )
-    text = to_json(trained)
+    text = trained.to_json()
     write_text(out, text)
     say(f'trained on {", ".join(trained.runs)}, a sample every {trained.interval:g} s')
     say(f'sensors: {", ".join(trained.inputs)}')
@@ -106,8 +106,8 @@ def train(
     for line in problem_lines(trained):
         say(line)
     say(f'in use: {default_text(trained)}')
-    say(f'{out}: written, hash {model_hash(text)[:16]}')
-    write_json(json_file, _document(trained, out, model_hash(text)))
+    say(f'{out}: written, hash {trained.hash[:16]}')
+    write_json(json_file, _document(trained, out, trained.hash))
 
 
 def candidate_table(model: 'ThermalModel') -> 'Table':

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a node runs with and what was asked of it, written down so that a replay can repeat it."""
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -11,14 +10,10 @@ from typing import Any
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.components.component import Component
 from fuzzycnc_ros.components.records import NodeConfiguration, NodeEvent
+from fuzzycnc_ros.core.text_hash import text_hash
 
 MESSAGE_SET = 1
 """Version of the message set; bags carry it, and older ones are upgraded on reading."""
-
-
-def text_hash(text: str) -> str:
-    """Return the SHA-256 of a file's text, 64 hexadecimal digits."""
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def configuration_record(

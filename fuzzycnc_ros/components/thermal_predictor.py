@@ -24,7 +24,6 @@ from fuzzycnc_ros.components.component import (
     Level,
     Output,
 )
-from fuzzycnc_ros.components.provenance import text_hash
 from fuzzycnc_ros.components.records import (
     SECOND,
     Displacement,
@@ -41,6 +40,7 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.components.substitution import RiseSource
 from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.core.thermal.mate_vote import MateVote
 

@@ -21,8 +21,8 @@ from rclpy.task import Future
 from fuzzycnc_msgs.action import TrainThermalModel
 from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.components.provenance import text_hash
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalPredictorConfig
+from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal import ThermalModel, train_model
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.host import ComponentNode

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from fuzzycnc_ros import __version__
-from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, model_hash, sensor_count_curve
+from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, sensor_count_curve
 from fuzzycnc_ros.report import (
     CompensationRun,
     Latency,
@@ -66,7 +67,7 @@ def shift_report(
             'Sensors that the model reads': ', '.join(model.inputs),
             'Model in use': in_use,
             'Sampling interval': f'{model.interval:g} s',
-            'Model hash': model_hash(model_text)[:16],
+            'Model hash': text_hash(model_text)[:16],
             'fuzzycnc': __version__,
         },
         notes=[

@@ -21,7 +21,7 @@ from fuzzycnc_ros.components.records import (
 from fuzzycnc_ros.components.substitution import VOTING_CORRELATION
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalPredictorConfig
 from fuzzycnc_ros.core.machine.duties import record_runs
-from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, to_json, train_model
+from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, train_model
 
 sys.path.insert(0, str(Path(__file__).parent))
 from component_bench import Bench
@@ -46,7 +46,7 @@ def trained() -> ThermalModel:
 @cache
 def model_text() -> str:
     """Return its file."""
-    return to_json(trained())
+    return trained().to_json()
 
 
 def reference_of(run: ThermalRun, **changes) -> ThermalReference:

@@ -9,14 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal import (
     ModelFileError,
     ModelMismatchError,
     ThermalModel,
     ThermalRun,
     load_model,
-    model_hash,
-    to_json,
     train_model,
 )
 
@@ -51,8 +50,8 @@ def test_a_model_survives_its_file(model):
     again = ThermalModel.from_json(text)
     assert again.to_json() == text
     assert again.hash == model.hash == hashlib.sha256(text.encode()).hexdigest()
-    assert model_hash(text) == model.hash
-    assert to_json(model) == text
+    assert text_hash(text) == model.hash
+    assert model.to_json() == text
     run = machine_run('c', 2)
     for name in (None, *model.candidates):
         assert np.array_equal(again.predict(run, name), model.predict(run, name))

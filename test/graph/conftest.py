@@ -45,9 +45,12 @@ from fuzzycnc_ros.scenario.thermal_shift import record_calibration, run_shift
 ROOT = Path(__file__).parents[2]
 DOMAINS = 100
 """Domains 1 to 100: above 101 the ports would lie among those that the system hands out."""
+PORTS, PORTS_EACH = 7400, 250
+"""First port of domain 0, and ports of each domain, as DDS-RTPS lays down."""
 START_TIMEOUT = 30.0
 STOP_TIMEOUT = 20.0
 RUN_TIMEOUT = 240.0
+CLOSE_TIMEOUT = 3.0
 STREAM, LATCHED = Durability.STREAM, Durability.LATCHED
 
 prepare_environment()
@@ -68,6 +71,10 @@ def domain() -> Iterator[int]:
             except BlockingIOError:
                 continue
             yield number
+            for file in Path('/dev/shm').glob('*fastrtps_port*'):
+                port = int(re.findall(r'port(\d+)', file.name)[0])
+                if 0 <= port - PORTS - PORTS_EACH * number < PORTS_EACH:
+                    file.unlink(missing_ok=True)
             return
     pytest.fail(f'expected a free ROS domain among 1 to {DOMAINS} but all are locked')
 
@@ -200,20 +207,30 @@ class Graph:
         assert set(codes.values()) <= {0}, codes
 
     def close(self) -> None:
-        """Kill what still runs and remove what killed nodes left in shared memory."""
-        for node in self.running:
-            if node.process.poll() is None:
-                self._note_shared_memory(node)
-                with contextlib.suppress(ProcessLookupError):
-                    node.send(signal.SIGKILL)
-                node.process.wait()
+        """End what still runs, kill what does not end, remove what is left in shared memory."""
+        living = [node for node in self.running if node.process.poll() is None]
+        for node in living:
+            self._note_shared_memory(node)
+            with contextlib.suppress(ProcessLookupError):
+                node.send(signal.SIGCONT)
+                node.send(signal.SIGINT)
+        deadline = time.monotonic() + CLOSE_TIMEOUT
+        for node in living:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                node.process.wait(max(0.0, deadline - time.monotonic()))
+            with contextlib.suppress(ProcessLookupError):
+                node.send(signal.SIGKILL)
+            node.process.wait()
         for path in self._shared:
             Path(path).unlink(missing_ok=True)
 
     def _note_shared_memory(self, node: Running) -> None:
+        """Note the files that a node has open or mapped, which it leaves if it is killed."""
+        process = Path(f'/proc/{node.process.pid}')
         with contextlib.suppress(OSError):
-            maps = Path(f'/proc/{node.process.pid}/maps').read_text()
-            self._shared.update(re.findall(r'/dev/shm/(?:sem\.)?fastrtps_\S+', maps))
+            names = [os.readlink(link) for link in (process / 'fd').iterdir()]
+            text = '\n'.join([(process / 'maps').read_text(), *names])
+            self._shared.update(re.findall(r'/dev/shm/(?:sem\.)?fastrtps_\S+', text))
 
 
 class Observer:
@@ -243,6 +260,10 @@ class Observer:
             subscription_qos(durability, lockstep=True),
         )
         return heard
+
+    def hears(self, topic: str) -> bool:
+        """Whether somebody publishes a topic that is listened to, and the route stands."""
+        return bool(self._readers[topic].get_publisher_count())
 
     def forget(self, topic: str) -> None:
         """Hear no more of a topic: listening costs the graph time."""

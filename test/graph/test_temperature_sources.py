@@ -55,7 +55,8 @@ def test_topics_become_one_record(graph, observer, plc):
     )
     raw = observer.records('sensor_readings', Temperatures)
     samples = observer.records('temperatures', Temperatures)
-    observer.until(lambda: plc.connected() and observer.node.count_publishers('temperatures'))
+    topics = ('sensor_readings', 'temperatures')
+    observer.until(lambda: plc.connected() and all(observer.hears(name) for name in topics))
     plc.tell_time(100)
 
     # Complete at once, in the order of the parameter, with the newest stamp.

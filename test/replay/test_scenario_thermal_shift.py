@@ -11,7 +11,7 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.records import CompensationState
-from fuzzycnc_ros.core.thermal import ThermalDataError, load_model, to_json, train_model
+from fuzzycnc_ros.core.thermal import ThermalDataError, load_model, train_model
 from fuzzycnc_ros.scenario import (
     PublishedBag,
     ShiftLog,
@@ -33,7 +33,7 @@ def calibration(tmp_path_factory):
 @pytest.fixture(scope='module')
 def model_text(calibration):
     """A model trained on them."""
-    return to_json(train_model(calibration.runs))
+    return train_model(calibration.runs).to_json()
 
 
 @pytest.fixture(scope='module')
@@ -95,7 +95,7 @@ def test_default_on_t2_within_the_published_figures_median_of_5_seeds():
     found = []
     for seed in range(5):
         calibration = record_calibration(seed=seed)
-        text = to_json(train_model(calibration.runs))
+        text = train_model(calibration.runs).to_json()
         (run,) = run_shift(text, calibration, ('T2',), seed)
         found.append([score.max for score in run.scores()['default']])
     y, z = np.median(found, axis=0)
@@ -109,7 +109,7 @@ def test_lag_ridge_on_t3_median_of_12_seeds():
     found = []
     for seed in range(12):
         calibration = record_calibration(seed=seed)
-        text = to_json(train_model(calibration.runs))
+        text = train_model(calibration.runs).to_json()
         (run,) = run_shift(text, calibration, ('T3',), seed)
         found.append([score.max for score in run.scores()['lag_ridge']])
     y, z = np.median(found, axis=0)

@@ -8,7 +8,7 @@ from fuzzycnc_ros.core.thermal.grey import GreyModel
 from fuzzycnc_ros.core.thermal.linear import LagRidge, LeastSquares, StaticRidge
 from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel
 from fuzzycnc_ros.core.thermal.model_document import ModelFileError
-from fuzzycnc_ros.core.thermal.model_file import load_model, model_hash, to_json
+from fuzzycnc_ros.core.thermal.model_file import load_model
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 from fuzzycnc_ros.core.thermal.selection import (
     SensorCluster,
@@ -37,9 +37,7 @@ __all__ = [
     'ThermalRun',
     'evaluate',
     'load_model',
-    'model_hash',
     'select_sensors',
     'sensor_count_curve',
-    'to_json',
     'train_model',
 ]

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.estimator import Array
+from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal.candidates import Candidate
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.model_document import (
     ModelFileError,
-    document_hash,
     read_document,
     write_document,
 )
@@ -122,7 +122,7 @@ class ThermalModel:
     @cached_property
     def hash(self) -> str:
         """SHA-256 of the model file's text, 64 hexadecimal digits."""
-        return document_hash(self.to_json())
+        return text_hash(self.to_json())
 
     def check_stream(self, sensors: Sequence[str], interval: float) -> None:
         """Refuse a stream that the model was not made for.

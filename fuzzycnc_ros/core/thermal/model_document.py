@@ -6,7 +6,6 @@ A model file decides what a machine is told, so nothing in it is believed: sizes
 and finiteness are checked, and nothing is executed, unlike with pickle.
 """
 
-import hashlib
 import json
 from collections.abc import Mapping
 from math import isfinite
@@ -70,11 +69,6 @@ def write_document(model: 'ThermalModel') -> str:
         },
     }
     return json.dumps(document, allow_nan=False) + '\n'
-
-
-def document_hash(text: str) -> str:
-    """Return the SHA-256 of a model file's text, 64 hexadecimal digits."""
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def read_document(text: str) -> dict[str, Any]:

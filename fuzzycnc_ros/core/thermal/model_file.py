@@ -6,17 +6,7 @@ import os
 from pathlib import Path
 
 from fuzzycnc_ros.core.thermal.model import ThermalModel
-from fuzzycnc_ros.core.thermal.model_document import SIZE_MAX, ModelFileError, document_hash
-
-
-def to_json(model: ThermalModel) -> str:
-    """Return the text of a model's file; equal models give equal text."""
-    return model.to_json()
-
-
-def model_hash(text: str) -> str:
-    """Return the SHA-256 of a model file's text, 64 hexadecimal digits."""
-    return document_hash(text)
+from fuzzycnc_ros.core.thermal.model_document import SIZE_MAX, ModelFileError
 
 
 def load_model(source: str | os.PathLike[str]) -> ThermalModel:
