@@ -74,10 +74,11 @@ class Readings:
 class TemperatureTopics:
     """Gather `sensor_msgs/Temperature` topics into one set of readings.
 
-    A set is complete when every sensor has a newer message than in the set before.  A sensor
-    that is slow or dead does not hold up the others: after `reading_period` of the node's clock
-    a set goes without it, and it counts as missing there.  The stamp is that of the newest
-    message.
+    A set is complete when every sensor has a message newer than the set before, so that sets
+    stay in step also after a message was lost; clocks of the sensors must agree to within the
+    time between two of their messages.  A sensor that is slow or dead does not hold up the
+    others: after `reading_period` of the node's clock a set goes without it, and it counts as
+    missing there.  The stamp is that of the newest message.
 
     Raises
     ------
@@ -91,7 +92,6 @@ class TemperatureTopics:
         self._index = {name: index for index, name in enumerate(topics)}
         self._value = np.full(len(topics), np.nan)
         self._stamp = np.zeros(len(topics), np.int64)
-        self._taken = self._stamp.copy()
         self._sent = 0
         # Sensor drivers often publish best effort; this asks for no more than they offer.
         qos = QoSProfile(depth=SUBSCRIPTION_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -108,20 +108,18 @@ class TemperatureTopics:
                 return
             self._stamp[index] = stamp
             self._value[index] = message.temperature
-            if np.all(self._stamp > self._taken):
+            if np.all(self._stamp > self._sent):
                 self._timer.reset()
                 self._send()
 
         return on_temperature
 
     def _send(self) -> None:
-        """Publish what came since the last set, if it is newer than that."""
-        fresh = self._stamp > self._taken
-        newest = int(np.max(self._stamp, where=fresh, initial=0))
-        if newest <= self._sent:
+        """Publish what is newer than the last set, if anything is."""
+        fresh = self._stamp > self._sent
+        if not fresh.any():
             return
-        self._sent = newest
-        self._taken = self._stamp.copy()
+        self._sent = int(self._stamp.max())
         self._readings.publish(self._sent, np.where(fresh, self._value, np.nan))
 
 

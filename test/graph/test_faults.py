@@ -31,9 +31,9 @@ START = int(DAY_START) * SECOND
 """Machine time at which the duty starts."""
 RUN = {'duties': ('T2',), 'tick_period': 30.0, 'answer_timeout': 0.5}
 """400 ticks of 30 s: 200 minutes."""
-REAL_TIME = {'duties': ('T2',), 'rate': 600.0}
-"""50 ticks of 12 s a second of wall time."""
-END = 120.0
+REAL_TIME = {'duties': ('T2',), 'rate': 900.0}
+"""75 ticks of 12 s a second of wall time."""
+END = 115.0
 """When to stop a run in real time [min]."""
 
 
