@@ -5,7 +5,13 @@
 import os
 from pathlib import Path
 
+import hypothesis
 import pytest
+
+# The same examples in every run; HYPOTHESIS_PROFILE=explore looks for new ones.
+hypothesis.settings.register_profile('seeded', derandomize=True)
+hypothesis.settings.register_profile('explore', derandomize=False)
+hypothesis.settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'seeded'))
 
 ROOT = Path(__file__).parents[1]
 

@@ -38,7 +38,7 @@ RECORDER = 'Writes undecoded bytes of any topics into an MCAP bag that `ros2 bag
 PLAYER = 'Plays a bag back, with `/clock`, at a rate or as fast as its readers answer.'
 QOS = {
     STREAM: 'stream: reliable, volatile',
-    LATCHED: 'latched: reliable, transient local, depth 1',
+    LATCHED: 'latched: reliable, transient local; a reader keeps the newest message',
 }
 
 

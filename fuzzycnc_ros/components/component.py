@@ -22,7 +22,7 @@ class Durability(Enum):
     STREAM = 'stream'
     """Reliable, volatile; deep on the publisher's side."""
     LATCHED = 'latched'
-    """Transient local, depth 1: a late reader gets the newest message."""
+    """Transient local: a late reader gets the newest message."""
     HISTORY = 'history'
     """Transient local, deeper: a late reader gets all that was said, for rare events."""
 
