@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.thermal import GreyModel
+from fuzzycnc_ros.core.thermal.grey import constant_input
 
 GM11 = [
     (
@@ -26,12 +27,12 @@ GM11 = [
 @pytest.mark.paper
 @pytest.mark.parametrize(('series', 'a', 'b', 'fit'), GM11)
 def test_gm11(series, a, b, fit):
-    # The driver whose accumulation is the constant 1.
-    driver = np.eye(len(series))[:, :1]
-    model = GreyModel('classical').fit(driver, series)
+    model = GreyModel('classical').fit(None, series)
     assert model.a_ == pytest.approx(a, rel=1e-5, abs=1e-6)
     assert model.b_[0] == pytest.approx(b, rel=1e-5)
-    assert np.allclose(model.predict(driver, initial=series[0]), fit, rtol=1e-5)
+    assert np.allclose(
+        model.predict(constant_input(len(series)), initial=series[0]), fit, rtol=1e-5
+    )
 
 
 @pytest.mark.paper
@@ -46,7 +47,14 @@ def test_gm12():
 @pytest.mark.paper
 def test_the_growing_example_is_flagged():
     series, a, _, _ = GM11[0]
-    model = GreyModel('classical').fit(np.eye(5)[:, :1], series)
+    model = GreyModel('classical').fit(None, series)
     assert a < 0.0
     assert not model.stable_
     assert 'not positive' in model.problems_[0]
+
+
+def test_gm11_is_refused_where_it_has_no_meaning():
+    with pytest.raises(ValueError, match=r'GM\(1,1\)'):
+        GreyModel('stable').fit(None, GM11[0][0])
+    with pytest.raises(ValueError, match=r'GM\(1,1\)'):
+        GreyModel('classical').fit(None, GM11[0][0], runs=[0, 0, 0, 1, 1])

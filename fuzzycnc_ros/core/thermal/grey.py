@@ -78,14 +78,13 @@ class GreyModel(ThermalRegressor):
 
     Examples
     --------
-    GM(1,1) is the grey model of one driver whose accumulation is the constant 1:
+    Without drivers it is GM(1,1), whose one coefficient is the constant input:
 
     >>> series = [2.874, 3.278, 3.337, 3.390, 3.679]
-    >>> driver = [[1.0], [0.0], [0.0], [0.0], [0.0]]
-    >>> model = GreyModel('classical').fit(driver, series)
+    >>> model = GreyModel('classical').fit(None, series)
     >>> print(round(model.a_, 6), round(model.b_[0], 6), model.reliable_)
     -0.037204 3.065363 False
-    >>> model.predict(driver, initial=series[0]).round(3).tolist()
+    >>> model.predict(constant_input(5), initial=series[0]).round(3).tolist()
     [2.874, 3.232, 3.355, 3.482, 3.614]
     """
 
@@ -104,7 +103,7 @@ class GreyModel(ThermalRegressor):
 
     def fit(
         self,
-        X: ArrayLike,  # noqa: N803
+        X: ArrayLike | None,  # noqa: N803
         y: ArrayLike,
         *,
         runs: ArrayLike | None = None,
@@ -114,8 +113,9 @@ class GreyModel(ThermalRegressor):
 
         Parameters
         ----------
-        X : array_like, shape (n, p)
-            Drivers; here the rises of the chosen sensors [K].
+        X : array_like, shape (n, p), or None
+            Drivers; here the rises of the chosen sensors [K].  None fits GM(1,1) to one run,
+            in the classical and derived forms.
         y : array_like, shape (n,)
             Target [m].  The stable form ignores NaN, the others cannot accumulate over it.
         runs : array_like, shape (n,), optional
@@ -134,6 +134,12 @@ class GreyModel(ThermalRegressor):
             raise ValueError(f'kind: expected one of {", ".join(KINDS)}, but found {self.kind!r}')
         target = np.asarray(y, dtype=np.float64)
         used = np.ones(target.shape, bool) if use is None else np.asarray(use, dtype=bool)
+        if X is None:
+            if self.kind == 'stable' or runs is not None:
+                raise ValueError(
+                    'X: expected drivers, but found None; GM(1,1) is classical, one run'
+                )
+            X = constant_input(len(target))  # noqa: N806
         if used.shape != target.shape:
             raise ValueError(f'use: expected {target.size} switches, but found {used.shape}')
         if self.kind == 'stable':
@@ -240,6 +246,13 @@ class GreyModel(ThermalRegressor):
             if at_end
             else ()
         )
+
+
+def constant_input(samples: int) -> Array:
+    """Return the driver, shape (n, 1), whose accumulation is the constant 1, as GM(1,1) has it."""
+    driver = np.zeros((samples, 1))
+    driver[:1] = 1.0
+    return driver
 
 
 def stable_poles(interval: float) -> Array:
