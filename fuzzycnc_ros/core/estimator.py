@@ -12,11 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
-"""Array of doubles."""
-
-Seed = int | np.random.Generator | None
-"""What seeds an estimator; None draws fresh entropy, and no global state is ever touched."""
+from fuzzycnc_ros.core.arrays import Array
 
 
 class NotFittedError(ValueError, AttributeError):

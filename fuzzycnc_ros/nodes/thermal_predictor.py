@@ -23,7 +23,7 @@ from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalPredictorConfig
 from fuzzycnc_ros.core.text_hash import text_hash
-from fuzzycnc_ros.core.thermal import ThermalModel, train_model
+from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.host import ComponentNode
 from fuzzycnc_ros.nodes.parameters import ParameterError
@@ -53,6 +53,9 @@ class Training:
 
     def work(self, bags: Sequence[str], name: str) -> None:
         """Read the runs and train; what goes wrong ends up in `error`."""
+        # Loaded on use: a node that is never asked to train starts a second faster.
+        from fuzzycnc_ros.core.thermal import train_model
+
         try:
             runs = []
             for done, bag in enumerate(bags):

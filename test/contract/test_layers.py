@@ -200,3 +200,31 @@ def test_nodes_start_with_rclpy_numpy_and_scipy_alone():
         [sys.executable, '-c', script], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+NODE_START = """
+import importlib, sys
+for name in sys.argv[1:]:
+    importlib.import_module('fuzzycnc_ros.nodes.' + name)
+on_use = ('sklearn', 'typer', 'rich', 'mcap', 'rosbags', 'matplotlib', 'jinja2')
+print(*[name for name in on_use if name in sys.modules])
+"""
+
+
+@pytest.mark.ros
+def test_nodes_load_nothing_else_at_start():
+    """Also where it is installed: scikit-learn alone would cost a second of every start."""
+    pytest.importorskip('rclpy')
+    pytest.importorskip('fuzzycnc_msgs')
+    nodes = [
+        path.stem for path in (PACKAGE / 'nodes').glob('*.py') if 'def make()' in path.read_text()
+    ]
+    assert len(nodes) >= 7
+    done = subprocess.run(
+        [sys.executable, '-c', NODE_START, *sorted(nodes)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == []

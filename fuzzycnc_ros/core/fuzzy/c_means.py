@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fuzzycnc_ros.core.estimator import Array, ClusterEstimator, Seed, check_features, check_fitted
+from fuzzycnc_ros.core.arrays import Array, Seed
+from fuzzycnc_ros.core.estimator import ClusterEstimator, check_features, check_fitted
 
 FUZZIFIER_MAX = 50.0
 """Largest fuzzifier; far above any use, and the powers of small memberships stay numbers."""

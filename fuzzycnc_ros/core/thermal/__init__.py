@@ -1,23 +1,26 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Thermal error: sensor selection, grey and lagged linear models, model files."""
+"""Thermal error: sensor selection, grey and lagged linear models, model files.
 
-from fuzzycnc_ros.core.thermal.candidates import CANDIDATES, Candidate
-from fuzzycnc_ros.core.thermal.evaluation import Evaluation, evaluate
-from fuzzycnc_ros.core.thermal.grey import GreyModel
-from fuzzycnc_ros.core.thermal.linear import LagRidge, LeastSquares, StaticRidge
-from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel
-from fuzzycnc_ros.core.thermal.model_document import ModelFileError
-from fuzzycnc_ros.core.thermal.model_file import load_model
-from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
-from fuzzycnc_ros.core.thermal.selection import (
-    SensorCluster,
-    SensorCount,
-    SensorSelection,
-    select_sensors,
-    sensor_count_curve,
-)
-from fuzzycnc_ros.core.thermal.training import train_model
+The names below are loaded when they are first used.  A node that only runs a model then starts
+without the estimators, whose base, scikit-learn's, takes a second to load.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, Candidate
+    from fuzzycnc_ros.core.thermal.evaluation import Evaluation, evaluate
+    from fuzzycnc_ros.core.thermal.grey import GreyModel
+    from fuzzycnc_ros.core.thermal.linear import LagRidge, LeastSquares, StaticRidge
+    from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel
+    from fuzzycnc_ros.core.thermal.model_document import ModelFileError
+    from fuzzycnc_ros.core.thermal.model_file import load_model
+    from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
+    from fuzzycnc_ros.core.thermal.selected import SensorCluster, SensorSelection
+    from fuzzycnc_ros.core.thermal.selection import SensorCount, select_sensors, sensor_count_curve
+    from fuzzycnc_ros.core.thermal.training import train_model
 
 __all__ = [
     'CANDIDATES',
@@ -41,3 +44,48 @@ __all__ = [
     'sensor_count_curve',
     'train_model',
 ]
+
+_MODULES = {
+    'candidate': (
+        'CANDIDATES',
+        'Candidate',
+    ),
+    'evaluation': (
+        'Evaluation',
+        'evaluate',
+    ),
+    'grey': ('GreyModel',),
+    'linear': (
+        'LagRidge',
+        'LeastSquares',
+        'StaticRidge',
+    ),
+    'model': (
+        'ModelMismatchError',
+        'ThermalModel',
+    ),
+    'model_document': ('ModelFileError',),
+    'model_file': ('load_model',),
+    'run': (
+        'ThermalDataError',
+        'ThermalRun',
+    ),
+    'selected': (
+        'SensorCluster',
+        'SensorSelection',
+    ),
+    'selection': (
+        'SensorCount',
+        'select_sensors',
+        'sensor_count_curve',
+    ),
+    'training': ('train_model',),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module."""
+    for module, names in _MODULES.items():
+        if name in names:
+            return getattr(import_module(f'{__name__}.{module}'), name)
+    raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.estimator import Array
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.candidate import Candidate, Settings
 from fuzzycnc_ros.core.thermal.folds import run_rows, training_folds
 from fuzzycnc_ros.core.thermal.grey import GreyModel, stable_poles
 from fuzzycnc_ros.core.thermal.linear import (
@@ -26,7 +27,7 @@ from fuzzycnc_ros.core.thermal.moments import (
     spread,
     stable_grey_from_sums,
 )
-from fuzzycnc_ros.core.thermal.recursion import AnyRecursion, combine
+from fuzzycnc_ros.core.thermal.recursion import combine
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 
 RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
@@ -34,9 +35,6 @@ RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
 
 LAG_SETS = ((1200.0,), (1200.0, 3600.0), (300.0, 1200.0))
 """Sets of lags [s] that LagRidge tries, around the 20 and 60 min of method sheet 001."""
-
-CANDIDATES = ('least_squares', 'static_ridge', 'classical_grey', 'stable_grey', 'lag_ridge')
-"""Names of the candidates, in the order of tables."""
 
 ELIGIBLE = ('least_squares', 'static_ridge', 'stable_grey', 'lag_ridge')
 """Candidates that 'auto' may choose; the classical grey model is there to be compared only."""
@@ -46,9 +44,6 @@ GREY_KINDS = {'classical_grey': 'classical', 'stable_grey': 'stable'}
 
 STABLE_GREY_RIDGE = 1e-3
 """Penalty of the stable grey candidate, method sheet 001 section 3.2."""
-
-Settings = dict[str, float | tuple[float, ...]]
-"""Settings of a candidate that were chosen on held-out samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,32 +100,6 @@ class TrainingSet:
         unit = np.nanstd(self.displacement, axis=0)
         unit = np.where(unit > 0.0, unit, 1.0)
         return self.displacement / unit, unit
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A fitted candidate and what it achieved on held-out samples.
-
-    Parameters
-    ----------
-    name : str
-        One of `CANDIDATES`.
-    settings : dict
-        Settings chosen on held-out samples, or fixed ones.
-    recursion : LinearRecursion or GreyRecursion
-        The fit to all training samples, all channels.
-    problems : tuple of str
-        Why the fit is not to be trusted; empty if it is.
-    held_out_rms, held_out_max : ndarray, shape (c,)
-        Residual on samples that the judged fits had not seen [m]; infinite if it diverged.
-    """
-
-    name: str
-    settings: Settings
-    recursion: AnyRecursion
-    problems: tuple[str, ...]
-    held_out_rms: Array
-    held_out_max: Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fuzzycnc_ros.core.estimator import Array
+from fuzzycnc_ros.core.arrays import Array
 
 DOMAIN_QUANTILE = 0.99
 """Share of the training samples that lie in the domain."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fuzzycnc_ros.core.estimator import Array
+from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.candidates import mean_of_square
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fuzzycnc_ros.core.estimator import Array
+from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.linear import (
     check_ridge,
     column_scale,
@@ -19,12 +19,12 @@ from fuzzycnc_ros.core.thermal.linear import (
 from fuzzycnc_ros.core.thermal.recursion import (
     AnyRecursion,
     GreyRecursion,
+    check_interval,
     development_of,
     pole_of,
 )
 from fuzzycnc_ros.core.thermal.regressor import (
     ThermalRegressor,
-    check_interval,
     check_training,
 )
 

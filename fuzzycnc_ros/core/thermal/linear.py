@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fuzzycnc_ros.core.estimator import Array
-from fuzzycnc_ros.core.thermal.recursion import LinearRecursion, first_order_lags
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.recursion import LinearRecursion, check_interval, first_order_lags
 from fuzzycnc_ros.core.thermal.regressor import (
     ThermalRegressor,
-    check_interval,
     check_training,
 )
 

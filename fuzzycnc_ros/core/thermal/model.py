@@ -9,19 +9,24 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fuzzycnc_ros.core.estimator import Array
+from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.text_hash import text_hash
-from fuzzycnc_ros.core.thermal.candidates import Candidate
+from fuzzycnc_ros.core.thermal.candidate import Candidate
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.model_document import (
     ModelFileError,
     read_document,
     write_document,
 )
-from fuzzycnc_ros.core.thermal.recursion import AnyRecursion, Stream, channel_of, combine
-from fuzzycnc_ros.core.thermal.regressor import check_interval
+from fuzzycnc_ros.core.thermal.recursion import (
+    AnyRecursion,
+    Stream,
+    channel_of,
+    check_interval,
+    combine,
+)
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, ThermalRun
-from fuzzycnc_ros.core.thermal.selection import SensorSelection
+from fuzzycnc_ros.core.thermal.selected import SensorSelection
 
 OUTSIDE_FACTOR = 2.0
 """Widening of the standard deviation outside the domain, method sheet 001 section 8.E."""

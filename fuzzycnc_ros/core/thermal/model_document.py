@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
-from fuzzycnc_ros.core.estimator import Array
-from fuzzycnc_ros.core.thermal.candidates import CANDIDATES, Candidate, Settings
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, Candidate, Settings
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.recursion import AnyRecursion, GreyRecursion, LinearRecursion
-from fuzzycnc_ros.core.thermal.selection import SensorCluster, SensorSelection
+from fuzzycnc_ros.core.thermal.selected import SensorCluster, SensorSelection
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.model import ThermalModel

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from fuzzycnc_ros.core.estimator import Array
+from fuzzycnc_ros.core.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,3 +387,9 @@ def check_shapes(owner: object, **shapes: tuple[int, ...]) -> None:
             raise ValueError(
                 f'{name}: expected finite numbers of shape {shape}, but found shape {values.shape}'
             )
+
+
+def check_interval(interval: float) -> None:
+    """Refuse an interval that is not a positive number of seconds."""
+    if not (np.isfinite(interval) and interval > 0.0):
+        raise ValueError(f'interval: expected a positive number of s, but found {interval}')

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.estimator import Array
+from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.folds import selection_folds
 from fuzzycnc_ros.core.thermal.grey import stable_poles
 from fuzzycnc_ros.core.thermal.linear import lag_features

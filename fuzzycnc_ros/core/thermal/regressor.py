@@ -8,10 +8,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fuzzycnc_ros.core.estimator import Array, Estimator, check_features, check_fitted
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.estimator import Estimator, check_features, check_fitted
 from fuzzycnc_ros.core.thermal.recursion import (
     AnyRecursion,
     Stream,
+    check_interval,
     run_slices,
 )
 
@@ -87,12 +89,6 @@ class ThermalRegressor(Estimator):
         if not hasattr(self, '_stream'):
             self.start()
         return self._stream
-
-
-def check_interval(interval: float) -> None:
-    """Refuse an interval that is not a positive number of seconds."""
-    if not (np.isfinite(interval) and interval > 0.0):
-        raise ValueError(f'interval: expected a positive number of s, but found {interval}')
 
 
 def check_training(

@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from fuzzycnc_ros.core.estimator import Array
+from fuzzycnc_ros.core.arrays import Array
 
 
 def even_blocks(

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fuzzycnc_ros.core.thermal.candidate import CANDIDATES
 from fuzzycnc_ros.core.thermal.candidates import (
-    CANDIDATES,
     ELIGIBLE,
     JudgedCandidate,
     TrainingSet,
@@ -23,8 +23,8 @@ from fuzzycnc_ros.core.thermal.run import (
     ThermalRun,
     check_training_runs,
 )
+from fuzzycnc_ros.core.thermal.selected import SensorSelection
 from fuzzycnc_ros.core.thermal.selection import (
-    SensorSelection,
     all_sensors,
     select_sensors,
 )
