@@ -125,5 +125,6 @@ class InProcessGraph:
                 probe=False,
                 topic=(),
                 published=np.zeros(0, np.uint64),
+                readers=np.zeros(0, np.uint32),
             )
             self._provenance(f'machine_tick/{node}', turn)

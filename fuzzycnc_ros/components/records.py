@@ -270,6 +270,7 @@ class MachineTick(Record):
     probe_number: int = 0
     topic: Names
     published: Counts
+    readers: Offsets
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -195,16 +195,16 @@ class ComponentNode:
             for topic in lasting
         ]
 
-    def matched(self, topics: tuple[str, ...]) -> bool:
+    def matched(self, readers: Mapping[str, int]) -> bool:
         """Whether both ends of all routes of this node are matched.
 
         Parameters
         ----------
-        topics : tuple of str
-            Topics that somebody in the run publishes, absolute names.
+        readers : mapping of str to int
+            Topics of the run, absolute names, and how many of its nodes read each.
         """
         return routes_matched(
-            self.node, self._subscriptions.values(), self._publishers.values(), topics
+            self.node, self._subscriptions.values(), self._publishers.values(), readers
         )
 
     @property

@@ -110,7 +110,9 @@ class PlayerNode:
                 config.lockstep_nodes,
                 advance=self._tick,
                 published=lambda: self._published,
-                matched=lambda topics: routes_matched(node, (), self._publishers.values(), topics),
+                matched=lambda readers: routes_matched(
+                    node, (), self._publishers.values(), readers
+                ),
                 finished=self._finish,
                 recorder=config.lockstep_recorder,
                 answer_timeout=config.answer_timeout,

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics of a node: QoS (docs/architecture.md says why these depths) and whether routes stand."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -19,6 +19,9 @@ HISTORY_DEPTH = 100
 SUBSCRIPTION_DEPTH = 10
 LOCKSTEP_DEPTH = 2000
 """In lock-step a node may get hundreds of messages in one turn, none of which may be lost."""
+
+
+EMPTY: Mapping[str, int] = {}
 
 
 def create_publisher(node: Node, type_name: str, topic: str, durability: Durability) -> Any:
@@ -81,7 +84,7 @@ def routes_matched(
     node: Node,
     subscriptions: Collection[Any],
     publishers: Collection[Any],
-    topics: Collection[str] = (),
+    readers: Mapping[str, int] = EMPTY,
 ) -> bool:
     """Whether both ends of all routes of a node are matched, as far as the graph is known.
 
@@ -91,16 +94,18 @@ def routes_matched(
         The node.
     subscriptions, publishers : collection
         Its ends.
-    topics : collection of str
-        Topics that somebody publishes although the graph may not show it yet.
+    readers : mapping of str to int
+        Topics of the run, absolute names, and how many nodes of the run read each; the graph as
+        seen from here may not show them yet.
     """
     heard = all(
         item.get_publisher_count()
-        >= max(node.count_publishers(item.topic_name), int(item.topic_name in topics))
+        >= max(node.count_publishers(item.topic_name), int(item.topic_name in readers))
         for item in subscriptions
     )
     return heard and all(
-        item.get_subscription_count() >= node.count_subscribers(item.topic_name)
+        item.get_subscription_count()
+        >= max(node.count_subscribers(item.topic_name), readers.get(item.topic_name, 0))
         for item in publishers
     )
 

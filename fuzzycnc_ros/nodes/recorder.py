@@ -9,6 +9,7 @@ The callback only queues; a thread writes.  In a lock-step run the recorder take
 import re
 import struct
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 from rclpy.node import Node
@@ -214,10 +215,10 @@ class RecorderNode:
         """All that was announced has come: say how far the bag is."""
         self._publish_progress(self._thread.progress(), stamp)
 
-    def _matched(self, topics: tuple[str, ...]) -> bool:
+    def _matched(self, readers: Mapping[str, int]) -> bool:
         self._discover()
-        missing = [t for t in topics if self._wanted(t) and t not in self._subscriptions]
-        return not missing and routes_matched(self.node, self._subscriptions.values(), (), topics)
+        missing = [t for t in readers if self._wanted(t) and t not in self._subscriptions]
+        return not missing and routes_matched(self.node, self._subscriptions.values(), (), readers)
 
     def _publish_progress(self, progress: Progress, stamp: int) -> None:
         record = RecorderProgress(

@@ -3,7 +3,7 @@
 """The machine's side of a lock-step run over DDS: give turns, tick by tick."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -65,7 +65,8 @@ class Sequencer:
     published : callable
         Returns the machine's own publications so far, absolute topic to count.
     matched : callable
-        Says whether both ends of all the machine's own routes are matched.
+        Told how many nodes of the run read each topic; says whether both ends of all the
+        machine's own routes are matched.
     finished : callable
         Called once, when the programme is over and all turns are taken.
     recorder : bool
@@ -84,7 +85,7 @@ class Sequencer:
         *,
         advance: Callable[[], int | None],
         published: Callable[[], dict[str, int]],
-        matched: Callable[[tuple[str, ...]], bool],
+        matched: Callable[[Mapping[str, int]], bool],
         finished: Callable[[], None],
         recorder: bool,
         answer_timeout: float,
@@ -162,7 +163,7 @@ class Sequencer:
         if self.over:
             return
         if not self._running:
-            if not self.waiting_for and self._matched(tuple(self._all_counts())):
+            if not self.waiting_for and self._routes_stand():
                 self._running = True
                 self._next()
         elif self._waiting is not None and now - self._since > self._waiting.timeout:
@@ -201,10 +202,11 @@ class Sequencer:
     ) -> None:
         if not item.lost:
             return
-        news = set(counts) - set(self._counts)
+        news = set(counts) - set(self._counts) or set(answer.reads) - set(item.reads)
         self._counts.update(counts)
+        item.reads = answer.reads
         if news:
-            # Earlier answers did not vouch for these topics: everybody is asked again.
+            # Earlier answers did not vouch for these topics and readers: all are asked again.
             self._probes += 1
             if not self._running:
                 for other in self._participants:
@@ -213,7 +215,6 @@ class Sequencer:
         if answer.probe_number < self._probes:
             return
         item.lost = False
-        item.reads = answer.reads
         item.next_deadline = answer.next_deadline
         item.seen = {}
         if self._running:
@@ -271,10 +272,34 @@ class Sequencer:
     def _probe(self, item: Participant) -> None:
         self._send(item, self._all_counts(), probe=True)
 
+    def _readers(self) -> dict[str, int]:
+        """Return how many nodes of the run read each of its topics.
+
+        A writer that has not met a reader yet does not send to it, though the reader may have
+        met the writer: each writer has to see as many readers as have answered.
+        """
+        readers = dict.fromkeys(self._all_counts(), 0)
+        for topic in self._received:
+            if topic in readers:  # else nobody in the run writes what the machine would read
+                readers[topic] += 1
+        for item in self._participants:
+            for topic in item.reads:
+                readers[topic] = readers.get(topic, 0) + 1
+        return readers
+
+    def _routes_stand(self) -> bool:
+        """Whether the machine's own writers have met all readers of the run."""
+        readers = self._readers()
+        turns = (item.publisher for item in self._participants)
+        return self._matched(readers) and all(
+            p.get_subscription_count() > readers.get(p.topic_name, 0) for p in turns
+        )
+
     def _all_counts(self) -> dict[str, int]:
         return {**self._counts, **self._own()}
 
     def _send(self, item: Participant, counts: dict[str, int], *, probe: bool = False) -> None:
+        readers = self._readers() if probe else {}
         tick = MachineTick(
             stamp=self._stamp,
             tick=self.tick,
@@ -283,5 +308,6 @@ class Sequencer:
             probe_number=self._probes if probe else 0,
             topic=tuple(counts),
             published=np.array(list(counts.values()), dtype=np.uint64),
+            readers=np.array([readers[t] for t in counts] if probe else [], dtype=np.uint32),
         )
         item.publisher.publish(encode(tick, RCLPY))

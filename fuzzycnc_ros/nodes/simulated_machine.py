@@ -5,6 +5,7 @@
 import json
 import sys
 import time
+from collections.abc import Mapping
 
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -42,7 +43,7 @@ class SimulatedMachineNode(ComponentNode):
                 config.lockstep_nodes,
                 advance=self._tick,
                 published=lambda: self.published,
-                matched=self.matched,
+                matched=self._all_matched,
                 finished=self._finish,
                 recorder=config.lockstep_recorder,
                 answer_timeout=config.answer_timeout,
@@ -61,6 +62,12 @@ class SimulatedMachineNode(ComponentNode):
     def _heard(self, topic: str, sequence_number: int) -> None:
         if self.sequencer is not None:
             self.sequencer.received(topic, sequence_number)
+
+    def _all_matched(self, readers: Mapping[str, int]) -> bool:
+        clock = self._clock
+        return clock.get_subscription_count() >= readers.get(clock.topic_name, 0) and self.matched(
+            readers
+        )
 
     def _tick(self) -> int | None:
         stamp = self.component.next_tick
@@ -84,7 +91,7 @@ class SimulatedMachineNode(ComponentNode):
         assert isinstance(config, SimulatedMachineConfig)
         wanted = {*config.lockstep_nodes, *(('recorder',) if config.lockstep_recorder else ())}
         missing = wanted - set(self.node.get_node_names())
-        if missing or not self.matched(()):
+        if missing or not self.matched({}):
             self._complete_since = None
         elif self._complete_since is None:
             self._complete_since = time.monotonic()

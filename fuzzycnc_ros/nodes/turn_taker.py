@@ -8,7 +8,7 @@ speed of a route can change a result.
 """
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -43,7 +43,8 @@ class TurnTaker:
     writes : sequence of str
         Absolute names of the topics that the node publishes.
     matched : callable
-        Told all topics of the run; says whether both ends of all the node's routes are matched.
+        Told the topics of the run and how many of its nodes read each; says whether both ends of
+        all the node's routes are matched.
     patience : float
         Wall time [s] to wait for announced inputs before working without them.
     """
@@ -56,7 +57,7 @@ class TurnTaker:
         *,
         reads: Callable[[], tuple[str, ...]],
         writes: Iterable[str],
-        matched: Callable[[tuple[str, ...]], bool],
+        matched: Callable[[Mapping[str, int]], bool],
         patience: float = 0.5,
     ) -> None:
         self._node = node
@@ -94,7 +95,8 @@ class TurnTaker:
         tick = decode(MachineTick, message)
         if tick.probe:
             # An unmatched node stays silent: the sequencer asks again.
-            if self._matched(tick.topic):
+            readers = dict(zip(tick.topic, tick.readers.tolist(), strict=True))
+            if self._matched(readers):
                 self._answer(tick, missed=False)
             return
         self._turn, self._turn_since = tick, time.monotonic()
