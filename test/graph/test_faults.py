@@ -70,12 +70,12 @@ class Shift:
         """Wait for the end of the duty."""
         assert self.observer.until_ended(self.machine) == 0
 
-    def restart(self, node, heard, parameters):
+    def restart(self, node, heard, parameters, back=lambda record: True):
         """Kill a node; start it again two minutes of machine time later; return when [min].
 
         The machine stands still while the process starts and mostly while it is discovered: how
         long that takes on a loaded computer is no part of the test.  `heard` is the list of
-        what the node publishes.
+        what the node publishes, and `back` says of a record whether it is at work again.
         """
         self.graph.kill(self.nodes[node])
         killed = self.minute
@@ -88,8 +88,8 @@ class Shift:
             self.machine.send(signal.SIGCONT)
             self.observer.spin_for(0.03)
             self.machine.send(signal.SIGSTOP)
-            self.observer.spin_for(0.1)
-            return len(heard) > known
+            self.observer.spin_for(0.2)
+            return any(back(record) for record in heard[known:])
 
         self.observer.until(pulse, f'{node} is back')
         self.machine.send(signal.SIGCONT)
@@ -247,7 +247,9 @@ def test_predictor_is_killed_and_restarted(graph, observer, model_file, tmp_path
     shift = Shift(graph, observer, model_file, lockstep=False, overrides=overrides, **REAL_TIME)
     shift.until_minute(90)
     model = {'model': str(model_file), 'use_sim_time': True}
-    killed = shift.restart('thermal_predictor', shift.error, {**model, **kept})
+    killed = shift.restart(
+        'thermal_predictor', shift.error, {**model, **kept}, back=lambda error: error.valid
+    )
     shift.until_minute(END)
     assert shift.machine.interrupt() == 0
     shift.check_limits()
@@ -260,7 +262,8 @@ def test_predictor_is_killed_and_restarted(graph, observer, model_file, tmp_path
     first = valid.index(True)
     # Before the latched reference has come it says that it knows nothing.
     assert all(np.isnan(item.error).all() for item in back[:first])
-    assert (back[first].stamp - START) / MINUTE < killed + 15
+    # A longer gap would not be bridged.
+    assert (back[first].stamp - START) / MINUTE < killed + 20
     assert (back[-1].stamp - START) / MINUTE > END - 5
     for item in back[first:]:
         minute = (item.stamp - START) / MINUTE
