@@ -157,7 +157,7 @@ def _run(out: Path, seed: int, progress: _Steps, started: float) -> tuple[DemoRe
             model=dict(zip(model.channel, model.default, strict=True)),
             seed=seed,
         )
-        _write_report(out, runs, calibration.runs, latency, result, replayed.notes)
+        _write_report(out, log, runs, calibration.runs, latency, result, replayed.notes)
     result.wall_s = round(time.monotonic() - started, 2)
     return result, summary_table(runs)
 
@@ -203,6 +203,7 @@ def _run_live(
 
 def _write_report(
     out: Path,
+    log: Any,
     runs: Any,
     calibration: Any,
     latency: list[float],
@@ -211,9 +212,7 @@ def _write_report(
 ) -> None:
     from fuzzycnc_ros.core.thermal import sensor_count_curve
     from fuzzycnc_ros.report import Latency, ReportData, SensorCountCurve, render_html
-    from fuzzycnc_ros.scenario import ShiftLog
 
-    log = ShiftLog.from_bag(out / 'bag')
     held_out = log.thermal_run(UNSEEN[0], *log.spans()[0])
     points = sensor_count_curve(calibration, held_out, counts=CURVE_COUNTS, refine=True)
     curve = SensorCountCurve(
