@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.thermal import GreyModel
-from fuzzycnc_ros.core.thermal.recursion import first_order_lags
+from fuzzycnc_ros.core.thermal.recursions import first_order_lags
 
 
 def dynamic_data(pole=0.9, samples=150, inputs=2, seed=0, noise=0.0):

@@ -174,7 +174,7 @@ def changed(document, *path, value):
         (('candidates', 'lag_ridge', 'recursion', 'pole', 0), None, 'expected a number'),
         (('candidates', 'lag_ridge', 'recursion', 'drive', 0), [1.0], 'expected 3 numbers'),
         (('candidates', 'lag_ridge', 'recursion', 'offset'), [0.0], 'expected'),
-        (('candidates', 'lag_ridge', 'recursion', 'form'), 'pickle', "'linear' or 'grey'"),
+        (('candidates', 'lag_ridge', 'recursion', 'form'), 'pickle', 'one of linear, grey'),
         (('candidates', 'lag_ridge', 'held_out_rms'), [0.0], 'expected 2 numbers'),
         (('candidates', 'classical_grey', 'recursion', 'exact'), 1, 'true or false'),
         (('selection', 'clusters', 0, 'gain'), [], 'expected'),

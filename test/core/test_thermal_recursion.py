@@ -5,15 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.thermal.recursion import (
+from fuzzycnc_ros.core.thermal.document import Node
+from fuzzycnc_ros.core.thermal.recursions import (
     GreyRecursion,
     LinearRecursion,
     Stream,
-    channel_of,
     combine,
     development_of,
     pole_of,
+    read_recursion,
     run_slices,
+    write_recursion,
 )
 
 
@@ -122,20 +124,36 @@ def test_pole_and_development_coefficient_are_inverse():
 
 @pytest.mark.parametrize('recursion', RECURSIONS)
 def test_channels_can_be_taken_apart_and_joined(recursion):
-    parts = [channel_of(recursion, channel) for channel in range(recursion.channels)]
+    parts = [recursion.channel(channel) for channel in range(recursion.channels)]
     assert np.allclose(combine(parts).run(rises()), recursion.run(rises()), rtol=1e-13)
 
 
 def test_equal_banks_are_shared():
-    one, two = channel_of(linear(), 0), channel_of(linear(), 1)
+    one, two = linear().channel(0), linear().channel(1)
     assert len(combine([one, two]).pole) == 4
-    assert len(combine([one, channel_of(linear(5), 0)]).pole) == 8
+    assert len(combine([one, linear(5).channel(0)]).pole) == 8
 
 
-def test_forms_do_not_mix():
-    for parts in ([], [linear(), grey(True)], [grey(True), grey(False)]):
-        with pytest.raises(ValueError, match='same form'):
-            combine(parts)
+@pytest.mark.parametrize(
+    'parts',
+    [(linear(), grey(True)), (grey(True), grey(False)), (grey(True), linear(), grey(False))],
+)
+def test_forms_that_do_not_mix_run_side_by_side(parts):
+    recursion = combine(parts)
+    assert recursion.channels == sum(part.channels for part in parts)
+    expected = np.concatenate([part.run(rises()) for part in parts], axis=1)
+    assert np.array_equal(recursion.run(rises()), expected)
+    stream = Stream(recursion)
+    assert np.allclose([stream.step(row) for row in rises()], expected, rtol=1e-12, atol=1e-12)
+    again = read_recursion(Node(write_recursion(recursion), 'test'), recursion.inputs)
+    assert np.array_equal(again.run(rises()), expected)
+    one = recursion.channel(recursion.channels - 1)
+    assert np.allclose(one.run(rises())[:, 0], expected[:, -1], rtol=1e-13, atol=0.0)
+
+
+def test_nothing_cannot_be_joined():
+    with pytest.raises(ValueError, match='at least one'):
+        combine([])
 
 
 @pytest.mark.parametrize('pole', [1.0, -0.1, np.nan])

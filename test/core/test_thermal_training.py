@@ -19,7 +19,7 @@ from fuzzycnc_ros.core.thermal import (
 from fuzzycnc_ros.core.thermal.candidates import Candidate, JudgedCandidate, preferred
 from fuzzycnc_ros.core.thermal.folds import selection_folds, training_folds
 from fuzzycnc_ros.core.thermal.ranking import grey_relational_grade
-from fuzzycnc_ros.core.thermal.recursion import LinearRecursion, first_order_lags
+from fuzzycnc_ros.core.thermal.recursions import LinearRecursion, first_order_lags
 from fuzzycnc_ros.core.thermal.refinement import REFINE_SWEEPS
 
 PARTS = (300.0, 1800.0, 14400.0)

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, Candidate
+    from fuzzycnc_ros.core.thermal.document import ModelFileError
     from fuzzycnc_ros.core.thermal.evaluation import Evaluation, evaluate
     from fuzzycnc_ros.core.thermal.grey import GreyModel
     from fuzzycnc_ros.core.thermal.linear import LagRidge, LeastSquares, StaticRidge
     from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel
-    from fuzzycnc_ros.core.thermal.model_document import ModelFileError
     from fuzzycnc_ros.core.thermal.model_file import load_model
     from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
     from fuzzycnc_ros.core.thermal.selected import SensorCluster, SensorSelection
@@ -64,7 +64,7 @@ _MODULES = {
         'ModelMismatchError',
         'ThermalModel',
     ),
-    'model_document': ('ModelFileError',),
+    'document': ('ModelFileError',),
     'model_file': ('load_model',),
     'run': (
         'ThermalDataError',

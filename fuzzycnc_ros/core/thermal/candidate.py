@@ -5,7 +5,7 @@
 from dataclasses import dataclass
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.recursion import AnyRecursion
+from fuzzycnc_ros.core.thermal.recursions import Recursion
 
 CANDIDATES = ('least_squares', 'static_ridge', 'classical_grey', 'stable_grey', 'lag_ridge')
 """Names of the candidates, in the order of tables."""
@@ -24,7 +24,7 @@ class Candidate:
         One of `CANDIDATES`.
     settings : dict
         Settings chosen on held-out samples, or fixed ones.
-    recursion : LinearRecursion or GreyRecursion
+    recursion : Recursion
         The fit to all training samples, all channels.
     problems : tuple of str
         Why the fit is not to be trusted; empty if it is.
@@ -34,7 +34,7 @@ class Candidate:
 
     name: str
     settings: Settings
-    recursion: AnyRecursion
+    recursion: Recursion
     problems: tuple[str, ...]
     held_out_rms: Array
     held_out_max: Array

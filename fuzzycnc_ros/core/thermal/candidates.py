@@ -27,7 +27,7 @@ from fuzzycnc_ros.core.thermal.moments import (
     spread,
     stable_grey_from_sums,
 )
-from fuzzycnc_ros.core.thermal.recursion import combine
+from fuzzycnc_ros.core.thermal.recursions import combine
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 
 RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)

@@ -16,9 +16,9 @@ from fuzzycnc_ros.core.thermal.linear import (
     linear_recursion,
     ridge_solution,
 )
-from fuzzycnc_ros.core.thermal.recursion import (
-    AnyRecursion,
+from fuzzycnc_ros.core.thermal.recursions import (
     GreyRecursion,
+    Recursion,
     check_interval,
     development_of,
     pole_of,
@@ -202,7 +202,7 @@ class GreyModel(ThermalRegressor):
         self.a_ = float(solution[0] / norm[0])
         self.b_: Array = solution[1:] / norm[1:] * unit
         self.phi_ = float(pole_of(np.array([self.a_]))[0])
-        self.recursion_: AnyRecursion = self._accumulated_recursion(0.0)
+        self.recursion_: Recursion = self._accumulated_recursion(0.0)
         self.problems_ = _problems(self.a_, self.condition_)
 
     def _accumulated_recursion(self, initial: float) -> GreyRecursion:

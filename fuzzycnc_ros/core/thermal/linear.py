@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.recursion import LinearRecursion, check_interval, first_order_lags
+from fuzzycnc_ros.core.thermal.recursions import LinearRecursion, check_interval, first_order_lags
 from fuzzycnc_ros.core.thermal.regressor import (
     ThermalRegressor,
     check_training,

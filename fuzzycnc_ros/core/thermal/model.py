@@ -12,16 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal.candidate import Candidate
+from fuzzycnc_ros.core.thermal.document import ModelFileError
 from fuzzycnc_ros.core.thermal.domain import Domain
-from fuzzycnc_ros.core.thermal.model_document import (
-    ModelFileError,
-    read_document,
-    write_document,
-)
-from fuzzycnc_ros.core.thermal.recursion import (
-    AnyRecursion,
+from fuzzycnc_ros.core.thermal.model_document import read_document, write_document
+from fuzzycnc_ros.core.thermal.recursions import (
+    Recursion,
     Stream,
-    channel_of,
     check_interval,
     combine,
 )
@@ -81,7 +77,7 @@ class ThermalModel:
     residual_deviation: Array
     omitted: Mapping[str, str] = field(default_factory=dict)
     reference: str = REFERENCE_RULE
-    _default_recursion: AnyRecursion = field(init=False, repr=False)
+    _default_recursion: Recursion = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Check that the parts belong together and assemble the default's recursion.
@@ -99,7 +95,7 @@ class ThermalModel:
         else:
             recursion = combine(
                 [
-                    channel_of(self.candidates[name].recursion, channel)
+                    self.candidates[name].recursion.channel(channel)
                     for channel, name in enumerate(self.default)
                 ]
             )
@@ -158,7 +154,7 @@ class ThermalModel:
                 'with_interval'
             )
 
-    def recursion(self, candidate: str | None = None) -> AnyRecursion:
+    def recursion(self, candidate: str | None = None) -> Recursion:
         """Return the recursion of a candidate, or of the default.
 
         Raises

@@ -15,8 +15,9 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, Candidate, Settings
+from fuzzycnc_ros.core.thermal.document import ModelFileError, Node
 from fuzzycnc_ros.core.thermal.domain import Domain
-from fuzzycnc_ros.core.thermal.recursion import AnyRecursion, GreyRecursion, LinearRecursion
+from fuzzycnc_ros.core.thermal.recursions import read_recursion, write_recursion
 from fuzzycnc_ros.core.thermal.selected import SensorCluster, SensorSelection
 
 if TYPE_CHECKING:
@@ -33,10 +34,6 @@ UNITS = {'time': 's', 'rise': 'K', 'displacement': 'm'}
 
 SIZE_MAX = 16 * 1024 * 1024
 """Largest model file that is read [byte]; 76 inputs with all candidates take below 1 MiB."""
-
-
-class ModelFileError(ValueError):
-    """A document is no usable model file; the message says where and why."""
 
 
 def write_document(model: 'ThermalModel') -> str:
@@ -100,7 +97,7 @@ def read_document(text: str) -> dict[str, Any]:
         raise
     except (ValueError, RecursionError) as error:
         raise ModelFileError(f'model file: expected JSON, but found {error}') from error
-    root = _Node(document, 'model file')
+    root = Node(document, 'model file')
     if root.get('schema').text() != SCHEMA:
         raise ModelFileError(
             f'model file: expected the schema {SCHEMA!r}, but found '
@@ -123,74 +120,6 @@ def read_document(text: str) -> dict[str, Any]:
         raise ModelFileError(f'model file: {error}') from error
 
 
-class _Node:
-    """A value of the document and where it stands."""
-
-    def __init__(self, value: Any, where: str) -> None:
-        self.value = value
-        self.where = where
-
-    def refuse(self, expected: str) -> NoReturn:
-        """Raise an error that shows the value, shortened."""
-        found = repr(self.value)
-        found = found if len(found) <= 60 else f'{found[:57]}...'
-        raise ModelFileError(f'{self.where}: expected {expected}, but found {found}')
-
-    def get(self, key: str) -> '_Node':
-        """Return a member of an object."""
-        if not isinstance(self.value, dict) or key not in self.value:
-            self.refuse(f'an object with {key!r}')
-        return _Node(self.value[key], f'{self.where}, {key}')
-
-    def items(self) -> dict[str, '_Node']:
-        """Return the members of an object."""
-        if not isinstance(self.value, dict):
-            self.refuse('an object')
-        return {key: _Node(item, f'{self.where}, {key}') for key, item in self.value.items()}
-
-    def list(self) -> 'list[_Node]':
-        """Return the elements of a list."""
-        if not isinstance(self.value, list):
-            self.refuse('a list')
-        return [_Node(item, f'{self.where}[{at}]') for at, item in enumerate(self.value)]
-
-    def text(self) -> str:
-        """Return a text."""
-        if not isinstance(self.value, str):
-            self.refuse('a text')
-        return self.value
-
-    def texts(self) -> tuple[str, ...]:
-        """Return a list of texts."""
-        return tuple(node.text() for node in self.list())
-
-    def number(self) -> float:
-        """Return a finite number; JSON's true and false are none."""
-        if isinstance(self.value, bool) or not isinstance(self.value, (int, float)):
-            self.refuse('a number')
-        # A huge whole number would overflow the conversion.
-        if abs(self.value) > 1e300 or not isfinite(self.value):
-            self.refuse('a finite number')
-        return float(self.value)
-
-    def numbers(self) -> tuple[float, ...]:
-        """Return a list of finite numbers."""
-        return tuple(node.number() for node in self.list())
-
-    def numbers_or_infinite(self) -> Array:
-        """Return a list of numbers where null stands for infinity, which JSON has not."""
-        return np.array([np.inf if n.value is None else n.number() for n in self.list()])
-
-    def matrix(self, columns: int) -> Array:
-        """Return a list of rows of `columns` finite numbers each; it may have no row."""
-        rows = []
-        for node in self.list():
-            rows.append(node.numbers())
-            if len(rows[-1]) != columns:
-                node.refuse(f'{columns} numbers')
-        return np.array(rows, dtype=np.float64).reshape(len(rows), columns)
-
-
 def _no_constant(name: str) -> NoReturn:
     raise ModelFileError(f'model file: expected finite numbers, but found {name}')
 
@@ -205,26 +134,7 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
         'problems': list(candidate.problems),
         'held_out_rms': _finite_or_null(candidate.held_out_rms),
         'held_out_max': _finite_or_null(candidate.held_out_max),
-        'recursion': _recursion(candidate.recursion),
-    }
-
-
-def _recursion(recursion: AnyRecursion) -> dict[str, Any]:
-    if isinstance(recursion, GreyRecursion):
-        return {
-            'form': 'grey',
-            'exact': recursion.exact,
-            'a': recursion.a.tolist(),
-            'b': recursion.b.tolist(),
-            'initial': recursion.initial.tolist(),
-        }
-    return {
-        'form': 'linear',
-        'pole': recursion.pole.tolist(),
-        'drive': recursion.drive.tolist(),
-        'readout': recursion.readout.tolist(),
-        'direct': recursion.direct.tolist(),
-        'offset': recursion.offset.tolist(),
+        'recursion': write_recursion(candidate.recursion),
     }
 
 
@@ -249,7 +159,7 @@ def _selection(selection: SensorSelection) -> dict[str, Any]:
     }
 
 
-def _fields(root: _Node) -> dict[str, Any]:
+def _fields(root: Node) -> dict[str, Any]:
     inputs = root.get('inputs').texts()
     channels = root.get('channels').list()
     domain = root.get('domain')
@@ -278,17 +188,17 @@ def _fields(root: _Node) -> dict[str, Any]:
     )
 
 
-def _positive(node: _Node) -> float:
+def _positive(node: Node) -> float:
     value = node.number()
     if value < 0.0:
         node.refuse('a number of 0 or more')
     return value
 
 
-def _read_candidate(name: str, node: _Node, inputs: int) -> Candidate:
+def _read_candidate(name: str, node: Node, inputs: int) -> Candidate:
     if name not in CANDIDATES:
         node.refuse(f'one of {", ".join(CANDIDATES)} and not {name!r}')
-    recursion = _read_recursion(node.get('recursion'), inputs)
+    recursion = read_recursion(node.get('recursion'), inputs)
     scores = {
         field: node.get(field).numbers_or_infinite() for field in ('held_out_rms', 'held_out_max')
     }
@@ -305,38 +215,14 @@ def _read_candidate(name: str, node: _Node, inputs: int) -> Candidate:
     )
 
 
-def _read_settings(node: _Node) -> Settings:
+def _read_settings(node: Node) -> Settings:
     settings: Settings = {}
     for name, item in node.items().items():
         settings[name] = item.numbers() if isinstance(item.value, list) else item.number()
     return settings
 
 
-def _read_recursion(node: _Node, inputs: int) -> AnyRecursion:
-    form = node.get('form').text()
-    if form == 'grey':
-        exact = node.get('exact')
-        if not isinstance(exact.value, bool):
-            exact.refuse('true or false')
-        return GreyRecursion(
-            a=np.array(node.get('a').numbers()),
-            b=node.get('b').matrix(inputs),
-            initial=np.array(node.get('initial').numbers()),
-            exact=exact.value,
-        )
-    if form != 'linear':
-        node.get('form').refuse("'linear' or 'grey'")
-    pole = np.array(node.get('pole').numbers())
-    return LinearRecursion(
-        pole=pole,
-        drive=node.get('drive').matrix(inputs),
-        readout=node.get('readout').matrix(len(pole)),
-        direct=node.get('direct').matrix(inputs),
-        offset=np.array(node.get('offset').numbers()),
-    )
-
-
-def _read_selection(node: _Node) -> SensorSelection:
+def _read_selection(node: Node) -> SensorSelection:
     index = node.get('xie_beni')
     return SensorSelection(
         method=node.get('method').text(),
@@ -348,7 +234,7 @@ def _read_selection(node: _Node) -> SensorSelection:
     )
 
 
-def _read_cluster(node: _Node) -> SensorCluster:
+def _read_cluster(node: Node) -> SensorCluster:
     cluster = SensorCluster(
         member=node.get('member').texts(),
         score=node.get('score').numbers(),

@@ -5,8 +5,9 @@
 import os
 from pathlib import Path
 
+from fuzzycnc_ros.core.thermal.document import ModelFileError
 from fuzzycnc_ros.core.thermal.model import ThermalModel
-from fuzzycnc_ros.core.thermal.model_document import SIZE_MAX, ModelFileError
+from fuzzycnc_ros.core.thermal.model_document import SIZE_MAX
 
 
 def load_model(source: str | os.PathLike[str]) -> ThermalModel:

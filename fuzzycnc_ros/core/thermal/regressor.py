@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.estimator import Estimator, check_features, check_fitted
-from fuzzycnc_ros.core.thermal.recursion import (
-    AnyRecursion,
+from fuzzycnc_ros.core.thermal.recursions import (
+    Recursion,
     Stream,
     check_interval,
     run_slices,
@@ -27,7 +27,7 @@ class ThermalRegressor(Estimator):
     """
 
     interval: float
-    recursion_: AnyRecursion
+    recursion_: Recursion
 
     def predict(self, X: ArrayLike, *, runs: ArrayLike | None = None) -> Array:  # noqa: N803
         """Return the thermal error of whole runs, each from its own start.

@@ -1,0 +1,178 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recursions of different forms side by side, each speaking for some of the channels."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.document import Node
+from fuzzycnc_ros.core.thermal.recursions.base import Recursion
+
+
+@dataclass(frozen=True, eq=False)
+class ParallelRecursion(Recursion):
+    """Several recursions of the same inputs.
+
+    Parameters
+    ----------
+    parts : tuple of Recursion
+        Recursions of one or more channels each.
+    order : ndarray, shape (c,)
+        Where each channel stands when the channels of the parts are lined up.
+    """
+
+    FORM: ClassVar[str] = 'parallel'
+
+    parts: tuple[Recursion, ...]
+    order: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        """Refuse parts of different inputs and an order that is none."""
+        if not self.parts or len({part.inputs for part in self.parts}) > 1:
+            raise ValueError('parts: expected recursions of the same inputs, but found others')
+        channels = sum(part.channels for part in self.parts)
+        if sorted(self.order.tolist()) != list(range(channels)):
+            raise ValueError(
+                f'order: expected each of {channels} channels once, but found {self.order}'
+            )
+
+    @property
+    def inputs(self) -> int:
+        """Number p of inputs."""
+        return self.parts[0].inputs
+
+    @property
+    def channels(self) -> int:
+        """Number c of channels."""
+        return len(self.order)
+
+    @cached_property
+    def _cuts(self) -> list[slice]:
+        """Where the state of each part lies."""
+        ends = np.cumsum([len(part.initial_state()) for part in self.parts])
+        starts = np.concatenate([[0], ends[:-1]])
+        return [slice(first, last) for first, last in zip(starts, ends, strict=True)]
+
+    def initial_state(self) -> Array:
+        """Return the states of all parts, one after the other."""
+        return np.concatenate([part.initial_state() for part in self.parts])
+
+    def step(self, rise: Array, state: Array) -> tuple[Array, Array]:
+        """Return the thermal errors (c,) [m] and the next state for one sample of rises (p,)."""
+        values, states = [], []
+        for part, cut in zip(self.parts, self._cuts, strict=True):
+            value, after = part.step(rise, state[cut])
+            values.append(value)
+            states.append(after)
+        return np.concatenate(values)[self.order], np.concatenate(states)
+
+    def run(self, rise: Array) -> Array:
+        """Return the thermal errors (n, c) [m] of a whole run of rises (n, p) [K]."""
+        return np.concatenate([part.run(rise) for part in self.parts], axis=1)[:, self.order]
+
+    def with_interval(self, ratio: float) -> 'ParallelRecursion':
+        """Return the recursions for an interval `ratio` times as long."""
+        return ParallelRecursion(
+            tuple(part.with_interval(ratio) for part in self.parts), self.order
+        )
+
+    def channel(self, channel: int) -> Recursion:  # type: ignore[override]
+        """Return the recursion of one channel, in its own form."""
+        wanted = int(self.order[channel])
+        for part in self.parts:
+            if wanted < part.channels:
+                return part.channel(wanted)
+            wanted -= part.channels
+        raise IndexError(channel)
+
+    def document(self) -> dict[str, Any]:
+        """Return the parts as JSON values."""
+        return {
+            'order': self.order.tolist(),
+            'parts': [write_recursion(part) for part in self.parts],
+        }
+
+    @classmethod
+    def read(cls, node: Node, inputs: int) -> 'ParallelRecursion':
+        """Return the recursions of a document."""
+        parts = []
+        for item in node.get('parts').list():
+            if item.get('form').value == cls.FORM:
+                item.refuse('a single recursion')
+            parts.append(read_recursion(item, inputs))
+        return cls(tuple(parts), node.get('order').vector().astype(np.int64))
+
+
+def combine(recursions: Sequence[Recursion]) -> Recursion:
+    """Return one recursion whose channels are those of `recursions`, which share their inputs.
+
+    Parameters
+    ----------
+    recursions : sequence of Recursion
+        Recursions of one or more channels each.
+
+    Returns
+    -------
+    Recursion
+        Of their own form where they have one and it can hold all, else of several side by side.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or their inputs differ.
+    """
+    if not recursions:
+        raise ValueError('recursions: expected at least one, but found none')
+    groups: dict[type[Recursion], list[int]] = {}
+    for number, item in enumerate(recursions):
+        groups.setdefault(type(item), []).append(number)
+    parts: list[Recursion] = []
+    lined_up: list[int] = []
+    for form, numbers in groups.items():
+        items = [recursions[number] for number in numbers]
+        merged = items[0] if len(items) == 1 else form.merge(items)
+        parts.extend(items if merged is None else [merged])
+        lined_up.extend(numbers)
+    starts = np.cumsum([0, *(item.channels for item in recursions)])
+    # Position of each channel of `recursions` once the groups are lined up.
+    channel = np.concatenate([np.arange(starts[n], starts[n + 1]) for n in lined_up])
+    order = np.argsort(channel)
+    if len(parts) == 1 and np.array_equal(order, np.arange(len(order))):
+        return parts[0]
+    return ParallelRecursion(tuple(parts), order)
+
+
+def write_recursion(recursion: Recursion) -> dict[str, Any]:
+    """Return a recursion as JSON values, with its form."""
+    return {'form': recursion.FORM, **recursion.document()}
+
+
+def read_recursion(node: Node, inputs: int) -> Recursion:
+    """Return the recursion of a document.
+
+    Parameters
+    ----------
+    node : Node
+        What `write_recursion` returned.
+    inputs : int
+        Number of inputs that it must have.
+
+    Raises
+    ------
+    ModelFileError
+        If the form is unknown or a value is missing, of another type or shape.
+    """
+    # The forms import this module's neighbours; a table made here needs no order of loading.
+    from fuzzycnc_ros.core.thermal.recursions import FORMS
+
+    forms = {form.FORM: form for form in FORMS}
+    name = node.get('form').text()
+    if name not in forms:
+        node.get('form').refuse(f'one of {", ".join(forms)}')
+    return forms[name].read(node, inputs)
