@@ -212,8 +212,7 @@ class _ComponentReplay:
         }
         self._points = self._collect_points(configurations)
         first = configurations[0]
-        model_comes_later = any(p.event and p.event.name == 'use_model' for p in self._points)
-        if isinstance(self._component, ThermalPredictor) and first.model and not model_comes_later:
+        if isinstance(self._component, ThermalPredictor) and first.model:
             self._component.use_model(first.model)
 
     def run(self) -> None:

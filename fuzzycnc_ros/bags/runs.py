@@ -16,6 +16,7 @@ from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 
 TEMPERATURES_TYPE = 'fuzzycnc_msgs/msg/Temperatures'
 DISPLACEMENT_TYPE = 'fuzzycnc_msgs/msg/Displacement'
+MACHINE_STATE_TYPE = 'fuzzycnc_msgs/msg/MachineState'
 
 _STATUS_OK = 0
 
@@ -76,7 +77,8 @@ def read_run(
     ThermalRun
         Time in s from the first temperature sample of the bag; readings whose status is not OK
         are NaN; each sample has the newest displacement that is not newer than itself and newer
-        than the sample before, NaN if there is none.
+        than the sample before, NaN if there is none, and the newest spindle speed of
+        `machine_state` that is not newer than itself, where the bag has that topic.
 
     Raises
     ------
@@ -96,10 +98,15 @@ def read_run(
         other = find_topic(
             reader, displacement, DISPLACEMENT_TYPE, machine if namespace is None else namespace
         )
+        state = _state_topic(reader, machine if namespace is None else namespace)
         temperature = _Samples(source, topic, ('sensor',), 'sensor')
         moving = _Samples(source, other, ('axis', 'channel'), 'channel')
-        for kind, _, _, message in reader.messages([topic, other]):  # one pass over the file
-            if kind == topic:
+        speeds: list[tuple[int, float]] = []
+        topics = [topic, other] if state is None else [topic, other, state]
+        for kind, _, _, message in reader.messages(topics):  # one pass over the file
+            if kind == state:
+                speeds.append((_stamp(message), message.spindle_speed))
+            elif kind == topic:
                 temperature.add(message, message.temperature, message.status == _STATUS_OK)
             else:
                 if message.includes_compensation and not compensated:
@@ -136,6 +143,7 @@ def read_run(
             channel=moved.names[1],
             axis=moved.names[0],
             displacement=joined[inside],
+            spindle_speed=None if not speeds else _held(measured.stamp, speeds)[inside],
         )
     except ThermalDataError as error:
         raise RunError(f'{source}: {error}') from error
@@ -242,6 +250,27 @@ class _Samples:
             )
         names = tuple(tuple(entry) for entry in self._names)
         return Series(stamp, names, np.array(self._rows, dtype=np.float64))
+
+
+def _state_topic(reader: BagReader, machine: str) -> str | None:
+    """Return the machine's topic `machine_state`, None if the bag has none with messages."""
+    wanted = _absolute(f'{machine}/machine_state')
+    for topic, connection in reader.connections.items():
+        if (
+            _absolute(topic) == wanted
+            and connection.type == MACHINE_STATE_TYPE
+            and connection.message_count
+        ):
+            return topic
+    return None
+
+
+def _held(stamp: NDArray[np.int64], speeds: Sequence[tuple[int, float]]) -> NDArray[np.float64]:
+    """Return the newest speed at each stamp, NaN before the first, as a predictor sees it."""
+    ordered = sorted(speeds)
+    at = np.searchsorted([when for when, _ in ordered], stamp, side='right') - 1
+    values = np.array([speed for _, speed in ordered])
+    return np.where(at >= 0, values[np.maximum(at, 0)], np.nan)
 
 
 def _absolute(topic: str) -> str:

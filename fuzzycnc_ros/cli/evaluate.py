@@ -3,7 +3,7 @@
 """`fuzzycnc evaluate`: a model judged on recorded runs."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,35 +16,21 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_text,
 )
+from fuzzycnc_ros.cli.options import Bags, End, Report, Start
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.thermal import Evaluation, ThermalModel, ThermalRun
-    from fuzzycnc_ros.report import CompensationRun, Table
+    from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun
+    from fuzzycnc_ros.report import CompensationRun
 
 
 def evaluate(
-    bags: Annotated[
-        list[Path], typer.Argument(metavar='BAG...', help='Bags of runs, each from a cold start.')
-    ],
+    bags: Bags,
     model: Annotated[
         Path, typer.Option(metavar='MODEL', help='Model file made by `fuzzycnc train`.')
     ],
-    start: Annotated[
-        Optional[float],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
-            show_default=False, help="First second that counts, from the bag's first sample."
-        ),
-    ] = None,
-    end: Annotated[
-        Optional[float],  # noqa: UP045
-        typer.Option(
-            show_default=False, help="Last second that counts, from the bag's first sample."
-        ),
-    ] = None,
-    report: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(show_default=False, metavar='FILE.html', help='Write a page with plots.'),
-    ] = None,
+    start: Start = None,
+    end: End = None,
+    report: Report = None,
     json_file: JsonFile = None,
 ) -> None:
     """Compare a model's predictions with what was measured, beside plain baselines.
@@ -58,10 +44,11 @@ def evaluate(
         fuzzycnc evaluate spindle --model spindle.json --report spindle.html
     """
     from fuzzycnc_ros.bags.runs import read_run
-    from fuzzycnc_ros.cli.train import default_text, problem_lines
+    from fuzzycnc_ros.cli.train import default_text, problem_lines, refused_names
     from fuzzycnc_ros.core.text_hash import text_hash as digest
     from fuzzycnc_ros.core.thermal import evaluate as judge
     from fuzzycnc_ros.core.thermal import load_model
+    from fuzzycnc_ros.report.comparison import LEFT, residual_document, residual_table
 
     for path in (report, json_file):
         check_folder(path)
@@ -75,7 +62,15 @@ def evaluate(
             if report is not None:
                 pages.append(_page(trained, run, start))
     for result in results:
-        show(_table(result))
+        show(
+            residual_table(
+                f'{result.run}: {LEFT}',
+                result.channel,
+                result.rms,
+                result.largest,
+                refused_names(trained),
+            )
+        )
         say(
             f'{result.samples} samples, {100.0 * result.in_domain:.0f} % of them in the domain '
             'of the training'
@@ -94,53 +89,21 @@ def evaluate(
                 'hash': digest(text),
                 'default': dict(zip(trained.channel, trained.default, strict=True)),
             },
-            'runs': {result.run: _figures(result) for result in results},
+            'runs': {
+                result.run: residual_document(result.channel, result.rms, result.largest)
+                for result in results
+            },
             'samples': {result.run: result.samples for result in results},
             'in_domain': {result.run: result.in_domain for result in results},
         },
     )
 
 
-def _table(result: 'Evaluation') -> 'Table':
-    """Return rms and largest residual of every candidate on every channel."""
-    from fuzzycnc_ros.report import Column, Table, candidate_label
-    from fuzzycnc_ros.report.summary import micrometres
-
-    columns = [Column('Model', numeric=False)]
-    for channel in result.channel:
-        columns += [Column('rmse', channel), Column('max', channel)]
-    names = ['uncompensated', 'default']
-    names[1:1] = [name for name in result.rms if name not in names]
-    rows = []
-    for name in names:
-        figures = zip(result.rms[name], result.largest[name], strict=True)
-        cells = [micrometres(value) for pair in figures for value in pair]
-        rows.append((candidate_label(name), *cells))
-    return Table(
-        f'{result.run}: residual thermal error [µm]',
-        tuple(columns),
-        tuple(rows),
-        highlight=frozenset({names.index('default')}),
-    )
-
-
-def _figures(result: 'Evaluation') -> dict[str, Any]:
-    """Return candidate -> channel -> figures, in the form of `summary_document`."""
-    return {
-        name: {
-            channel: {'rms_um': 1e6 * float(rms), 'max_um': 1e6 * float(largest)}
-            for channel, rms, largest in zip(
-                result.channel, result.rms[name], result.largest[name], strict=True
-            )
-        }
-        for name in result.rms
-    }
-
-
 def _page(model: 'ThermalModel', run: 'ThermalRun', start: float | None) -> 'CompensationRun':
     """Return a recorded run with the predictions of all candidates, for plots."""
     import numpy as np
 
+    from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
     from fuzzycnc_ros.core.thermal.training import at_interval
     from fuzzycnc_ros.report import CompensationRun
 
@@ -148,7 +111,11 @@ def _page(model: 'ThermalModel', run: 'ThermalRun', start: float | None) -> 'Com
     inside = even.inside(start)
     rise = model.rises(even)
     with np.errstate(over='ignore', invalid='ignore'):
-        predicted = {name: model.predict(rise, name)[inside] for name in model.candidates}
+        predicted = {
+            name: model.predict(rise, name)[inside]
+            for name in model.candidates
+            if even.spindle_speed is not None or not name.endswith(SPEED_SUFFIX)
+        }
         predicted['default'] = model.predict(rise)[inside]
     label = {
         member: number

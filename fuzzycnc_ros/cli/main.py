@@ -11,6 +11,8 @@ from typing import Annotated, Any
 import typer
 
 from fuzzycnc_ros import __version__
+from fuzzycnc_ros.cli.compare import compare
+from fuzzycnc_ros.cli.curve import curve
 from fuzzycnc_ros.cli.demo import demo
 from fuzzycnc_ros.cli.evaluate import evaluate
 from fuzzycnc_ros.cli.graph_processes import GraphError
@@ -36,6 +38,11 @@ From your own recording to a judged model:
     fuzzycnc train shift --end 86400 --out model.json
     fuzzycnc evaluate shift --start 86400 --model model.json
 
+Which model, and how many sensors, on runs that nothing has seen:
+
+    fuzzycnc compare monday tuesday wednesday --report models.html
+    fuzzycnc curve monday tuesday wednesday --report sensors.html
+
 `fuzzycnc COMMAND --help` explains each command with examples.
 """
 
@@ -53,6 +60,8 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     'replay': replay,
     'train': train,
     'evaluate': evaluate,
+    'compare': compare,
+    'curve': curve,
     'import-csv': import_csv,
     'info': info,
 }

@@ -17,6 +17,20 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_text,
 )
+from fuzzycnc_ros.cli.fit_progress import FitCounter
+from fuzzycnc_ros.cli.options import (
+    ALL,
+    Bags,
+    Clusters,
+    End,
+    Interval,
+    Seed,
+    Sensors,
+    Speed,
+    Start,
+    names_of,
+)
+from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, STANDARD
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal import ThermalModel
@@ -24,56 +38,48 @@ if TYPE_CHECKING:
 
 
 def train(
-    bags: Annotated[
-        list[Path], typer.Argument(metavar='BAG...', help='Bags of runs, each from a cold start.')
-    ],
+    bags: Bags,
     out: Annotated[Path, typer.Option(metavar='MODEL', help='Model file to write.')],
     model: Annotated[
         str,
         typer.Option(
             metavar='NAME',
-            help='Model to use on every channel: least_squares, static_ridge, stable_grey, '
-            'lag_ridge or classical_grey; auto takes the best on what was held out.',
+            help=f'Model to use on every channel: {", ".join(CANDIDATES)}; auto takes the best '
+            'on what was held out.',
         ),
     ] = 'auto',
-    interval: Annotated[
-        float, typer.Option(help='Sampling interval of the model [s]; faster runs are averaged.')
-    ] = 60.0,
-    sensors: Annotated[
-        str,
+    models: Annotated[
+        Optional[list[str]],  # noqa: UP045 - typer 0.9 does not read the newer form
         typer.Option(
-            help='clusters = one sensor per cluster, all = every sensor that warms up, '
-            'auto = all up to 24 sensors, clusters above.'
-        ),
-    ] = 'auto',
-    clusters: Annotated[int, typer.Option(help='Number of clusters.')] = 5,
-    start: Annotated[
-        Optional[float],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
-            show_default=False, help="First second to train on, from the bag's first sample."
+            metavar='NAME,...',
+            show_default=False,
+            help=f'Models to fit, judge and choose from, or {ALL}; {", ".join(STANDARD)} unless '
+            'told otherwise.',
         ),
     ] = None,
-    end: Annotated[
-        Optional[float],  # noqa: UP045
-        typer.Option(
-            show_default=False, help="Last second to train on, from the bag's first sample."
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option(help='Seed of the clustering.')] = 0,
+    interval: Interval = 60.0,
+    sensors: Sensors = 'auto',
+    clusters: Clusters = 5,
+    speed: Speed = True,
+    start: Start = None,
+    end: End = None,
+    seed: Seed = 0,
     force: Annotated[bool, typer.Option('--force', help='Overwrite the model file.')] = False,
     json_file: JsonFile = None,
 ) -> None:
     """Train thermal models on recorded runs, and write them with their scores to one file.
 
-    Sensors are chosen, every candidate model is fitted, and each is judged on what it was not
-    fitted to: whole runs where there are several, contiguous stretches of a single one. The file
-    keeps all candidates; each channel uses the best, unless --model names one.
+    Sensors are chosen, the models of --models are fitted, and each is judged on what it was not
+    fitted to: whole runs where there are several; of a single one its thermal cycles, or else
+    contiguous stretches. The file keeps all of them; each channel uses the best, unless --model
+    names one. Where all runs carry the spindle speed, some models read it.
 
     A bag holds `temperatures` and `displacement`; `fuzzycnc import-csv` makes one of a table.
 
         fuzzycnc train monday tuesday wednesday --out mill.json
         fuzzycnc train shift --end 86850 --out spindle.json --sensors all
         fuzzycnc train shift --model lag_ridge --out mill.json --force
+        fuzzycnc train shift --models all --no-speed --out mill.json
     """
     from fuzzycnc_ros.bags.runs import read_run
     from fuzzycnc_ros.core.thermal import train_model
@@ -82,6 +88,8 @@ def train(
         check_new(out, remedy='add --force')
     for path in (out, json_file):
         check_folder(path)
+    names = names_of('--models', models or list(STANDARD), CANDIDATES)
+    phrase = FitCounter()
     with progress_bar('training') as tell:
         runs = []
         for done, bag in enumerate(bags):
@@ -93,8 +101,12 @@ def train(
             interval=interval,
             sensors=sensors,
             n_clusters=clusters,
+            candidates=names,
+            spindle_speed=speed,
             random_state=seed,
-            progress=lambda stage, name, done, total: tell(f'{stage} {name}', done, total),
+            progress=lambda stage, name, done, total: tell(
+                phrase(stage, name, done, total), done, total
+            ),
         )
     text = trained.to_json()
     write_text(out, text)
@@ -106,60 +118,67 @@ def train(
     for line in problem_lines(trained):
         say(line)
     say(f'in use: {default_text(trained)}')
+    say(f'spindle speed: {speed_text(trained)}')
     say(f'{out}: written, hash {trained.hash[:16]}')
     write_json(json_file, _document(trained, out, trained.hash))
 
 
 def candidate_table(model: 'ThermalModel') -> 'Table':
     """Return the candidates' residuals on what they were not fitted to."""
-    from fuzzycnc_ros.report import Column, Table, candidate_label
-    from fuzzycnc_ros.report.summary import micrometres
+    from fuzzycnc_ros.report.comparison import residual_table
 
-    columns = [Column('Model', numeric=False)]
-    for channel in model.channel:
-        columns += [Column('rms', channel), Column('max', channel)]
-    rows = []
-    for name, item in model.candidates.items():
-        figures = zip(item.held_out_rms, item.held_out_max, strict=True)
-        cells = [micrometres(value) for pair in figures for value in pair]
-        rows.append((candidate_label(name), *cells))
-    names = list(model.candidates)
-    strong = {
-        (names.index(name), 1 + 2 * column + figure)
-        for column, name in enumerate(model.default)
-        for figure in (0, 1)
-    }
-    return Table(
-        'Residual on held-out samples [µm]', tuple(columns), tuple(rows), frozenset(strong)
+    return residual_table(
+        'Residual on held-out samples',
+        model.channel,
+        {name: item.held_out_rms for name, item in model.candidates.items()},
+        {name: item.held_out_max for name, item in model.candidates.items()},
+        refused_names(model),
+        in_use=model.default,
     )
+
+
+def refused_names(model: 'ThermalModel') -> frozenset[str]:
+    """Return the candidates that are not to be trusted."""
+    return frozenset(name for name, item in model.candidates.items() if item.problems)
 
 
 def problem_lines(model: 'ThermalModel') -> list[str]:
     """Return what is wrong with candidates, a line each."""
-    from fuzzycnc_ros.report import candidate_label
+    from fuzzycnc_ros.report.comparison import refusal_line
 
     flagged = [
-        f'{candidate_label(name)} is not to be trusted: {problem}'
+        refusal_line(name, '; '.join(item.problems), in_table=True)
         for name, item in model.candidates.items()
-        for problem in item.problems
+        if item.problems
     ]
     left_out = [
-        f'{candidate_label(name)} was left out: {reason}' for name, reason in model.omitted.items()
+        refusal_line(name, reason, in_table=False) for name, reason in model.omitted.items()
     ]
     return flagged + left_out
 
 
 def default_text(model: 'ThermalModel') -> str:
     """Return which candidate each channel uses."""
-    from fuzzycnc_ros.report import candidate_label
+    from fuzzycnc_ros.report.comparison import by_channel
 
-    if len(set(model.default)) == 1:
-        return candidate_label(model.default[0])
-    pairs = zip(model.channel, model.default, strict=True)
-    return ', '.join(f'{channel} {candidate_label(name)}' for channel, name in pairs)
+    return by_channel(dict(zip(model.channel, model.default, strict=True)))
+
+
+def speed_text(model: 'ThermalModel') -> str:
+    """Return whether the spindle speed is used."""
+    if model.needs_speed:
+        return 'used; the machine has to publish it with machine_state'
+    return 'known, but not used by the model in use' if model.drivers else 'not used'
 
 
 def _document(model: 'ThermalModel', path: Path, digest: str) -> dict[str, Any]:
+    from fuzzycnc_ros.report.comparison import residual_document
+
+    held_out = residual_document(
+        model.channel,
+        {name: item.held_out_rms for name, item in model.candidates.items()},
+        {name: item.held_out_max for name, item in model.candidates.items()},
+    )
     return {
         'model': str(path),
         'hash': digest,
@@ -176,17 +195,11 @@ def _document(model: 'ThermalModel', path: Path, digest: str) -> dict[str, Any]:
             name: {
                 'settings': item.settings,
                 'problems': item.problems,
-                'held_out': {
-                    channel: {'rms_um': 1e6 * rms, 'max_um': 1e6 * largest}
-                    for channel, rms, largest in zip(
-                        model.channel,
-                        item.held_out_rms.tolist(),
-                        item.held_out_max.tolist(),
-                        strict=True,
-                    )
-                },
+                'held_out': held_out[name],
             }
             for name, item in model.candidates.items()
         },
         'omitted': dict(model.omitted),
+        'drivers': model.drivers,
+        'needs_speed': model.needs_speed,
     }

@@ -1,23 +1,25 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rises of a model's inputs, with cluster mates standing in for sensors that failed.
+"""Rises of a model's inputs, with other sensors standing in for those that failed.
 
-A mate's rise times the gain that was trained keeps the residual within 6 um (Y) and 4 um (Z) of
-the mill of method sheet 001 section 8.C in the worst of 50 cases; taking the dead sensor for
-zero costs up to 42 um.
+A ridge estimate from all sensors that can be read stands in where the model knows the machine's
+sensors.  It keeps the residual within the limits of method sheet 001 section 8.C, 6 um (Y) and
+4 um (Z), as one cluster mate's rise times its trained gain does, and costs less in the mean;
+taking the dead sensor for zero costs up to 42 um.
 """
 
 import numpy as np
 
 from fuzzycnc_ros.components.records import Bools, Floats, Names, SensorSelection, ThermalReference
 from fuzzycnc_ros.core.thermal import ModelMismatchError, ThermalModel
-from fuzzycnc_ros.core.thermal.mate_vote import MateVote
+from fuzzycnc_ros.core.thermal.sensor_watch import Estimate, MateEstimate, SensorWatch
 
 MATES_MAX = 4
-"""Mates that may vote on a sensor or stand in for it."""
+"""Cluster mates that may stand in for a sensor."""
 
-VOTING_CORRELATION = 0.95
-"""Correlation in training that a mate needs to vote: 0.65 is enough to stand in, not to judge."""
+MISSED_MAX = 0.5
+"""What an estimate may miss in training, rms [K], to stand in for a sensor without a mate in its
+own cluster: no more than the watch tolerates."""
 
 
 class RiseSource:
@@ -26,15 +28,15 @@ class RiseSource:
     Parameters
     ----------
     model : ThermalModel
-        The model; its selection names the mates.
+        The model; its selection names the mates, its watch knows the sensors.
     sensor : tuple of str
         Sensors of the stream, in its order.
     reference : ThermalReference
         Temperatures that rises are meant against.
     selection : SensorSelection, optional
         A published selection; its mates take precedence for sensors that it chose too.
-    vote : MateVote, optional
-        Watches for slow faults.
+    watch : SensorWatch, optional
+        Watches for slow faults; it is of the model's watch.
 
     Raises
     ------
@@ -48,7 +50,7 @@ class RiseSource:
         sensor: Names,
         reference: ThermalReference,
         selection: SensorSelection | None,
-        vote: MateVote | None = None,
+        watch: SensorWatch | None = None,
     ) -> None:
         model.check_stream(sensor, model.interval)
         position = {name: index for index, name in enumerate(sensor)}
@@ -56,33 +58,30 @@ class RiseSource:
         self.sensor = sensor
         self._inputs = model.inputs
         self._interval = model.interval
-        self._vote = vote
+        self._watch = watch
         self._reference = np.array([zero.get(name, np.nan) for name in sensor])
         self._columns = np.array([position[name] for name in model.inputs])
-        self._mates: list[list[str]] = []
-        size = len(model.inputs)
-        self._mate_columns = np.zeros((size, MATES_MAX), dtype=np.int64)
-        self._gains = np.full((size, MATES_MAX), np.nan)
-        self._votes = np.zeros((size, MATES_MAX), dtype=np.bool_)
-        mates = _mates(model, selection)
-        for row, name in enumerate(model.inputs):
-            usable = [
-                (mate, gain, correlation)
-                for mate, gain, correlation in mates.get(name, ())
+        self._field = _Field(model, position) if model.watch is not None else None
+        published = _published(selection)
+        self._mates: list[list[tuple[str, int, float]]] = []
+        self._published: list[bool] = []
+        for cluster in model.selection.clusters:
+            trained = zip(cluster.substitute, cluster.gain, strict=True)
+            mates = [
+                (mate, position[mate], gain)
+                for mate, gain in published.get(cluster.chosen, trained)
                 if mate in position and np.isfinite(zero.get(mate, np.nan))
             ][:MATES_MAX]
-            self._mates.append([mate for mate, *_ in usable])
-            for column, (mate, gain, correlation) in enumerate(usable):
-                self._mate_columns[row, column] = position[mate]
-                self._gains[row, column] = gain
-                self._votes[row, column] = correlation >= VOTING_CORRELATION
-            if not usable and not np.isfinite(zero.get(name, np.nan)):
+            self._mates.append(mates)
+            self._published.append(cluster.chosen in published)
+            if not mates and not np.isfinite(zero.get(cluster.chosen, np.nan)):
                 raise ModelMismatchError(
-                    f'the thermal reference lacks {name} and all of its mates; '
+                    f'the thermal reference lacks {cluster.chosen} and all of its mates; '
                     'set it anew while the machine is cold'
                 )
         self.substituted: Names = ()
         self.substitute: Names = ()
+        """For each of them the mate that is most like it; others may contribute."""
         self.lost: Names = ()
         self.voted_out: Names = ()
         """Inputs that read something, but not what their mates expect."""
@@ -99,42 +98,76 @@ class RiseSource:
         """
         rises = np.where(good, temperature - self._reference, np.nan)
         rise: Floats = rises[self._columns]
-        expected = self._gains * rises[self._mate_columns]
         usable = np.isfinite(rise)
-        if self._vote is not None:
-            votes = np.where(self._votes, expected, np.nan)
-            faulty = usable & self._vote.update(rise, votes, self._interval)
+        field = None if self._field is None else self._field.of(rises)
+        if self._watch is not None and field is not None:
+            faulty = usable & self._watch.update(field, self._interval)
             self.voted_out = tuple(self._inputs[n] for n in np.flatnonzero(faulty))
             usable &= ~faulty
         if usable.all():
             self.substituted = self.substitute = self.lost = ()
             return rise
+        # What failed must not stand in for others.
+        rises[self._columns[~usable]] = np.nan
         replaced, by, lost = [], [], []
         for number in np.flatnonzero(~usable):
-            able = np.flatnonzero(np.isfinite(expected[number]))
-            if len(able):
-                rise[number] = expected[number, able[0]]
-                replaced.append(self._inputs[number])
-                by.append(self._mates[number][able[0]])
+            name = self._inputs[number]
+            mate, rise[number] = self._stand_in(int(number), rises)
+            if mate:
+                replaced.append(name)
+                by.append(mate)
             else:
-                lost.append(self._inputs[number])
+                lost.append(name)
         self.substituted, self.substitute, self.lost = tuple(replaced), tuple(by), tuple(lost)
         return None if lost else rise
 
+    def _stand_in(self, number: int, rises: Floats) -> tuple[str, float]:
+        """Return the best mate of an input and the rise that stands in for it; '' if none."""
+        first, estimate = '', np.nan
+        for mate, column, gain in self._mates[number]:
+            if np.isfinite(rises[column]):
+                first, estimate = mate, gain * float(rises[column])
+                break
+        if self._field is None or self._published[number]:
+            return first, estimate
+        found = self._field.estimate(number, rises)
+        if first:
+            return first, found.rise
+        return (found.mate, found.rise) if found.missed <= MISSED_MAX else ('', np.nan)
 
-def _mates(
-    model: ThermalModel, selection: SensorSelection | None
-) -> dict[str, list[tuple[str, float, float]]]:
-    """Return the mates of each input with gain and correlation, best first."""
-    mates = {
-        cluster.chosen: list(
-            zip(cluster.substitute, cluster.gain, cluster.correlation, strict=True)
-        )
-        for cluster in model.selection.clusters
+
+class _Field:
+    """The sensors that a model's watch knows, as they are found in a stream.
+
+    Parameters
+    ----------
+    model : ThermalModel
+        A model with a watch.
+    position : dict of str to int
+        Place of each sensor in the stream.
+    """
+
+    def __init__(self, model: ThermalModel, position: dict[str, int]) -> None:
+        assert model.watch is not None
+        self._sensor = model.watch.sensor
+        self._there = np.array([name in position for name in self._sensor])
+        self._columns = np.array([position.get(name, 0) for name in self._sensor])
+        self._estimate = MateEstimate(model.watch)
+
+    def of(self, rises: Floats) -> Floats:
+        """Return the rises in the order of the watch, NaN where the stream has none."""
+        return np.where(self._there, rises[self._columns], np.nan)
+
+    def estimate(self, number: int, rises: Floats) -> Estimate:
+        """Return what all sensors that can be read say of an input."""
+        return self._estimate.of(number, self.of(rises))
+
+
+def _published(selection: SensorSelection | None) -> dict[str, list[tuple[str, float]]]:
+    """Return the mates that a published selection names, with their gains, best first."""
+    if selection is None:
+        return {}
+    return {
+        item.chosen: list(zip(item.substitute, item.gain.tolist(), strict=True))
+        for item in selection.cluster
     }
-    if selection is not None:
-        for item in selection.cluster:
-            if item.chosen in mates:
-                gains, correlations = item.gain.tolist(), item.correlation.tolist()
-                mates[item.chosen] = list(zip(item.substitute, gains, correlations, strict=True))
-    return mates

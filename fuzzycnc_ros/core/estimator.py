@@ -7,6 +7,7 @@ Estimators follow scikit-learn's conventions: parameters are stored untouched by
 """
 
 import inspect
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,10 @@ from fuzzycnc_ros.core.arrays import Array
 
 class NotFittedError(ValueError, AttributeError):
     """An estimator was asked for something that only a fit provides."""
+
+
+class DataConversionWarning(UserWarning):
+    """Data had another shape than expected, but what is meant is clear."""
 
 
 class ParameterMixin:
@@ -89,6 +94,42 @@ def check_matrix(samples: ArrayLike, name: str = 'X') -> Array:
     return matrix
 
 
+def check_target(estimator: Any, target: ArrayLike) -> Array:
+    """Return a target as a vector of doubles, NaN where it was not measured.
+
+    Parameters
+    ----------
+    estimator : object
+        Estimator under training, for the message.
+    target : array_like, shape (n,)
+        Values by samples.  A column (n, 1) is taken with a warning.
+
+    Raises
+    ------
+    ValueError
+        If it is absent, complex or infinite.
+    """
+    if target is None:
+        raise ValueError(
+            f'y: expected one value per sample. {type(estimator).__name__} requires y to be '
+            'passed, but the target y is None'
+        )
+    raw = np.asarray(target)
+    if np.iscomplexobj(raw):
+        raise ValueError('y: expected real numbers. Complex data not supported')
+    values = np.asarray(raw, dtype=np.float64)
+    if values.ndim == 2 and values.shape[1] == 1:
+        warnings.warn(
+            'A column-vector y was passed when a 1d array was expected; pass y.ravel()',
+            DataConversionWarning,
+            stacklevel=3,
+        )
+        values = values[:, 0]
+    if np.isinf(values).any():
+        raise ValueError('y: expected finite values or NaN, but found infinity')
+    return values
+
+
 if TYPE_CHECKING:
     Estimator = ParameterMixin
 
@@ -99,6 +140,9 @@ if TYPE_CHECKING:
             """Return the label of each sample."""
             raise NotImplementedError
 
+    class RegressionEstimator(ParameterMixin):
+        """Base of regressors."""
+
     def check_features(estimator: Any, samples: Any, *, reset: bool) -> Array:
         """Return the samples as a matrix that fits the estimator."""
         raise NotImplementedError
@@ -106,8 +150,8 @@ if TYPE_CHECKING:
 else:
     try:
         from sklearn.base import BaseEstimator as Estimator
-        from sklearn.base import ClusterMixin
-        from sklearn.exceptions import NotFittedError
+        from sklearn.base import ClusterMixin, RegressorMixin
+        from sklearn.exceptions import DataConversionWarning, NotFittedError
 
         try:
             from sklearn.utils.validation import validate_data
@@ -119,6 +163,9 @@ else:
 
         class ClusterEstimator(ClusterMixin, Estimator):
             """Base of cluster estimators."""
+
+        class RegressionEstimator(RegressorMixin, Estimator):
+            """Base of regressors."""
 
         def check_features(estimator: Any, samples: Any, *, reset: bool) -> Array:
             """Return the samples as a matrix that fits the estimator, by scikit-learn's rules."""
@@ -133,6 +180,9 @@ else:
             def fit_predict(self, X: ArrayLike, y: Any = None, **params: Any) -> NDArray[np.int64]:  # noqa: N803
                 """Fit and return the label of each sample."""
                 return self.fit(X).labels_
+
+        class RegressionEstimator(ParameterMixin):
+            """Base of regressors."""
 
         def check_features(estimator: Any, samples: Any, *, reset: bool) -> Array:
             """Return the samples as a matrix with the number of features seen by `fit`."""

@@ -3,7 +3,8 @@
 """Node `thermal_predictor`: the model file, and the action `train_thermal_model`.
 
 Training runs in a thread of its own, so that the node goes on predicting; a timer carries its
-progress to the client and a cancellation to it.
+progress to the client and a cancellation to it.  A cancelled goal is answered at once; its thread
+ends at the next progress that it tells, and a training asked for meanwhile waits for that.
 """
 
 import queue
@@ -13,9 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from fuzzycnc_msgs.action import TrainThermalModel
@@ -26,11 +29,17 @@ from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.host import ComponentNode
-from fuzzycnc_ros.nodes.parameters import ParameterError
+from fuzzycnc_ros.nodes.parameters import ParameterError, changed, refusal
 from fuzzycnc_ros.nodes.timers import wall_timer
 
 POLL = 0.05
 """Wall time [s] between two looks at a training."""
+
+TOLD_AT_ONCE = 5
+"""Most feedback sent at one look: a client keeps ten, and loses the oldest of a longer burst."""
+
+
+_NO_FILE = 'model: expected a model file but found an empty name; a model in use stays in use'
 
 
 class CancelledError(Exception):
@@ -47,9 +56,12 @@ class Training:
     progress: 'queue.SimpleQueue[tuple[str, str, int, int]]' = field(
         default_factory=queue.SimpleQueue
     )
+    untold: list[tuple[str, str, int, int]] = field(default_factory=list)
     thread: threading.Thread | None = None
+    before: threading.Thread | None = None
+    """A cancelled training that has not ended yet: two at once would slow the predictor down."""
     model: ThermalModel | None = None
-    error: str = ''
+    error: str = 'the training broke off; the log of the node says where'
 
     def work(self, bags: Sequence[str], name: str) -> None:
         """Read the runs and train; what goes wrong ends up in `error`."""
@@ -57,6 +69,9 @@ class Training:
         from fuzzycnc_ros.core.thermal import train_model
 
         try:
+            if self.before is not None:
+                self.note('wait', '', 0, 1)
+                self.before.join()
             runs = []
             for done, bag in enumerate(bags):
                 self.note('read', bag, done, len(bags))
@@ -73,6 +88,17 @@ class Training:
             raise CancelledError
         self.progress.put((stage, candidate, done, total))
 
+    def news(self) -> list[tuple[str, str, int, int]]:
+        """Return the progress to be told now; of one candidate's steps the newest suffices."""
+        while not self.progress.empty():
+            step = self.progress.get()
+            if self.untold and _same_work(self.untold[-1], step):
+                self.untold[-1] = step
+            else:
+                self.untold.append(step)
+        told, self.untold = self.untold[:TOLD_AT_ONCE], self.untold[TOLD_AT_ONCE:]
+        return told
+
 
 class ThermalPredictorNode(ComponentNode):
     """Serve the predictor and train its model."""
@@ -81,11 +107,11 @@ class ThermalPredictorNode(ComponentNode):
 
     def __init__(self, node: Node) -> None:
         super().__init__(node, ThermalPredictor)
-        config = self.component.configuration
-        assert isinstance(config, ThermalPredictorConfig)
-        if config.model:
-            self._load(Path(config.model).expanduser())
+        if self._settings.model:
+            self._load(Path(self._settings.model).expanduser())
         self._training: Training | None = None
+        self._thread: threading.Thread | None = None
+        """Thread of the newest training; it outlives one that was cancelled by a moment."""
         self._server = ActionServer(
             node,
             TrainThermalModel,
@@ -98,19 +124,41 @@ class ThermalPredictorNode(ComponentNode):
 
     def stop(self) -> None:
         """End a training that is under way."""
-        if self._training is not None and self._training.thread is not None:
+        if self._training is not None:
             self._training.stop.set()
-            self._training.thread.join()
+        if self._thread is not None:
+            self._thread.join()
         self._server.destroy()
         super().stop()
 
     def _load(self, path: Path) -> None:
         try:
-            self.component.use_model(path.read_text(encoding='utf-8'))
-        except OSError as error:
-            raise ParameterError(f'parameter model: {path}: {error.strerror}') from error
+            self.component.use_model(_model_text(path))
         except ValueError as error:
             raise ParameterError(f'parameter model: {path}: {error}') from error
+
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Let the model of another file take over; the other parameters as every node."""
+        files = [item.value for item in parameters if item.name == 'model']
+        # A file that is named again may have been trained anew.
+        if files and (files[-1] or self._settings.model):
+            path = Path(files[-1]).expanduser()
+            try:
+                # What else is set at once is checked first: all of it is taken, or nothing.
+                changed(self.component.configuration, parameters)
+                text = _model_text(path)
+            except ValueError as error:
+                return refusal(f'model: {path}: {error}' if files[-1] else _NO_FILE)
+            answer = self.request('use_model', {'model': text})
+            if not answer.success:
+                return refusal(f'model: {path}: {answer.message}')
+        return super()._on_parameters(parameters)
+
+    @property
+    def _settings(self) -> ThermalPredictorConfig:
+        config = self.component.configuration
+        assert isinstance(config, ThermalPredictorConfig)
+        return config
 
     def _on_goal(self, request: TrainThermalModel.Goal) -> GoalResponse:
         if self._training is not None:
@@ -120,11 +168,11 @@ class ThermalPredictorNode(ComponentNode):
 
     async def _train(self, goal: ServerGoalHandle) -> TrainThermalModel.Result:
         request = goal.request
-        training = Training(goal, Future(executor=self.node.executor))
+        training = Training(goal, Future(executor=self.node.executor), before=self._thread)
         training.thread = threading.Thread(
             target=training.work, args=(list(request.bag), request.model or 'auto'), daemon=True
         )
-        self._training = training
+        self._training, self._thread = training, training.thread
         training.thread.start()
         await training.finished
         self._training = None
@@ -137,14 +185,15 @@ class ThermalPredictorNode(ComponentNode):
             return
         if training.goal.is_cancel_requested:
             training.stop.set()
-        while not training.progress.empty():
-            stage, candidate, done, total = training.progress.get()
+        # Looked at before the progress is fetched, so that the last of it is told too.
+        ended = not training.thread.is_alive()
+        for stage, candidate, done, total in training.news():
             training.goal.publish_feedback(
                 TrainThermalModel.Feedback(
                     stage=stage, candidate=candidate, done=done, total=total
                 )
             )
-        if not training.thread.is_alive():
+        if (ended and not training.untold) or training.stop.is_set():
             training.finished.set_result(None)
 
     def _finish(self, training: Training, file: str) -> TrainThermalModel.Result:
@@ -174,6 +223,25 @@ class ThermalPredictorNode(ComponentNode):
             held_out_rms=_of_default(model, 'held_out_rms'),
             held_out_max=_of_default(model, 'held_out_max'),
         )
+
+
+def _same_work(one: tuple[str, str, int, int], other: tuple[str, str, int, int]) -> bool:
+    """Whether two steps belong to one candidate, or to the one search for sensors."""
+    return one[0] == other[0] and (one[1] == other[1] or one[0] == 'select_sensors')
+
+
+def _model_text(path: Path) -> str:
+    """Return the text of a model file.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be read.
+    """
+    try:
+        return path.read_text(encoding='utf-8')
+    except OSError as error:
+        raise ValueError(error.strerror) from error
 
 
 def _of_default(model: ThermalModel, name: str) -> list[float]:

@@ -4,11 +4,11 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.resources import files
 
 import numpy as np
 
 from fuzzycnc_ros.report import plots
+from fuzzycnc_ros.report.html import Figure, NumberedFigure, numbered, render_template
 from fuzzycnc_ros.report.model import (
     UNCOMPENSATED,
     CompensationRun,
@@ -17,23 +17,7 @@ from fuzzycnc_ros.report.model import (
     Score,
     SensorCountCurve,
 )
-from fuzzycnc_ros.report.requirement import require
 from fuzzycnc_ros.report.summary import candidate_label, micrometres, summary_table
-from fuzzycnc_ros.report.svg import to_inline_svg
-
-
-@dataclass(frozen=True)
-class _Figure:
-    """A numbered figure: what it shows, and what to look for."""
-
-    number: int
-    title: str
-    caption: str
-    svg: str
-
-    @property
-    def anchor(self) -> str:
-        return f'figure-{self.number}'
 
 
 @dataclass(frozen=True)
@@ -66,24 +50,20 @@ def render_html(data: ReportData) -> str:
     ModuleNotFoundError
         If matplotlib or jinja2 is not installed; the message says how to install it.
     """
-    jinja2 = require('jinja2')
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    source = files('fuzzycnc_ros.report').joinpath('templates', 'report.html')
-    template = environment.from_string(source.read_text(encoding='utf-8'))
     sections = _sections(data)
-    return str(
-        template.render(
-            data=data,
-            key_figures=[figure for run in data.runs for figure in _key_figures(run)],
-            table=summary_table(data.runs),
-            default_labels=', '.join(
-                dict.fromkeys(candidate_label(name) for run in data.runs for name in run.default)
-            ),
-            sections=sections,
-            figures=[figure for _, members in sections for figure in members],
-        )
+    return render_template(
+        'report.html',
+        title=data.title,
+        summary=data.summary,
+        facts=data.facts,
+        notes=data.notes,
+        key_figures=[figure for run in data.runs for figure in _key_figures(run)],
+        table=summary_table(data.runs),
+        default_labels=', '.join(
+            dict.fromkeys(candidate_label(name) for run in data.runs for name in run.default)
+        ),
+        sections=sections,
+        figures=[figure for _, members in sections for figure in members],
     )
 
 
@@ -106,11 +86,9 @@ def _remaining(before: Score, after: Score) -> str:
     return f'{100.0 * after.max / before.max:.0f}\u00a0%'
 
 
-def _sections(data: ReportData) -> list[tuple[str, list[_Figure]]]:
+def _sections(data: ReportData) -> list[tuple[str, list[NumberedFigure]]]:
     """Draw all figures, numbered through, by section."""
-    drawn: list[tuple[str, list[tuple[str, str, object]]]] = [
-        (f'Run {run.name}', list(_run_figures(run))) for run in data.runs
-    ]
+    drawn = [(f'Run {run.name}', list(_run_figures(run))) for run in data.runs]
     general = []
     if data.sensor_count_curve is not None:
         general.append(_sensor_count_figure(data.sensor_count_curve))
@@ -118,20 +96,13 @@ def _sections(data: ReportData) -> list[tuple[str, list[_Figure]]]:
         general.append(_latency_figure(data.latency))
     if general:
         drawn.append(('Sensors and latency', general))
-    sections, number = [], 0
-    for heading, members in drawn:
-        figures = []
-        for title, caption, figure in members:
-            number += 1
-            svg = to_inline_svg(figure, f'f{number}')
-            figures.append(_Figure(number, title, caption, svg))
-        sections.append((heading, figures))
-    return sections
+    figures = numbered([members for _, members in drawn])
+    return list(zip((heading for heading, _ in drawn), figures, strict=True))
 
 
-def _run_figures(run: CompensationRun) -> Iterator[tuple[str, str, object]]:
-    """Yield title, caption and figure of each plot of a run."""
-    yield (
+def _run_figures(run: CompensationRun) -> Iterator[Figure]:
+    """Yield the figures of a run."""
+    yield Figure(
         f'{run.name}: temperatures by cluster',
         f'All {len(run.sensor)} sensors, one panel per cluster, each with its own scale; the '
         f'{len(run.chosen)} chosen ones, which the model reads, are drawn thick. The lines of a '
@@ -139,21 +110,21 @@ def _run_figures(run: CompensationRun) -> Iterator[tuple[str, str, object]]:
         'neighbour can stand in for it when it fails.',
         plots.plot_temperatures(run),
     )
-    yield (
+    yield Figure(
         f'{run.name}: measured and predicted error',
         'Dots are the error without compensation. The model in use (thick) should run through '
         'them, above all where the spindle speed changes. A curve that leaves the frame is off '
         'by more than the frame shows.',
         plots.plot_prediction(run),
     )
-    yield (
+    yield Figure(
         f'{run.name}: error that is left',
         f'The blue line is the error {_left_by(run)}, the grey one the error without '
         f'compensation.{_band_text(run)}{_domain_text(run)}',
         plots.plot_residual(run),
     )
     if run.offset is not None:
-        yield (
+        yield Figure(
             f'{run.name}: compensation and its limits',
             f'Offsets added to the commanded position; they are minus the predicted error.'
             f'{_limit_text(run)}',
@@ -208,8 +179,8 @@ def _limit_text(run: CompensationRun) -> str:
     return text + f': the limit (dashed) cut it in {share:.0f}\u00a0% of the samples.'
 
 
-def _sensor_count_figure(curve: SensorCountCurve) -> tuple[str, str, object]:
-    return (
+def _sensor_count_figure(curve: SensorCountCurve) -> Figure:
+    return Figure(
         'How many sensors are worth having',
         f'Largest residual on the held-out run {curve.run} against the number of sensors that '
         'the model reads. Where the curve turns flat, more sensors add cost and failures but no '
@@ -218,8 +189,8 @@ def _sensor_count_figure(curve: SensorCountCurve) -> tuple[str, str, object]:
     )
 
 
-def _latency_figure(latency: Latency) -> tuple[str, str, object]:
-    return (
+def _latency_figure(latency: Latency) -> Figure:
+    return Figure(
         'From a temperature sample to its compensation',
         f'{len(latency.sample)} samples, wall-clock time between publishing the temperatures and '
         f'receiving the compensation: median {1e3 * latency.median:.2f} ms, 99th percentile '

@@ -1,92 +1,33 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of a compensation run as matplotlib figures; pyplot and its global state stay out.
+"""Plots of a compensation run."""
 
-Every figure is made inside `plot_style`, which sets type sizes and colours.  The neutral colours
-are also the marks by which `fuzzycnc_ros.report.svg` makes a figure follow the page's theme.
-"""
-
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from math import ceil
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.report.drawing import (
+    ACCENT,
+    CLUSTER_COLOURS,
+    FAINT,
+    INK,
+    MUTED,
+    SECOND,
+    THIRD,
+    WARNING,
+    add_legend,
+    new_figure,
+    panel_grid,
+    plot_style,
+    time_axis,
+)
 from fuzzycnc_ros.report.model import UNCOMPENSATED, CompensationRun, Latency, SensorCountCurve
-from fuzzycnc_ros.report.requirement import require
 from fuzzycnc_ros.report.summary import candidate_label, micrometres
 
-INK, MUTED, FAINT, GRID = '#14181d', '#56616d', '#8f99a5', '#e3e7ec'
-"""Neutral colours: text and measurements, labels, background curves, grid lines."""
-
-ACCENT, SECOND, THIRD, WARNING = '#2a74c4', '#d9772b', '#8d5fc4', '#d99a1c'
-"""Colours of the model in use, two others, and what calls for attention."""
-
-CLUSTER_COLOURS = (
-    '#2a74c4',
-    '#d9772b',
-    '#2e9e74',
-    '#b84a8f',
-    '#a9891b',
-    '#6a62cc',
-    '#2399b4',
-    '#cc4b5a',
-    '#6f9130',
-    '#94735c',
-)
-
-_STYLE = {
-    'axes.axisbelow': True,
-    'axes.edgecolor': MUTED,
-    'axes.facecolor': 'none',
-    'axes.grid': True,
-    'axes.labelcolor': MUTED,
-    'axes.linewidth': 0.6,
-    'axes.spines.right': False,
-    'axes.spines.top': False,
-    'axes.titlecolor': INK,
-    'axes.titlelocation': 'left',
-    'axes.titlesize': 9.5,
-    'axes.titleweight': 'bold',
-    'font.family': 'sans-serif',
-    'font.sans-serif': ['DejaVu Sans'],
-    'font.size': 8.5,
-    'grid.color': GRID,
-    'grid.linewidth': 0.6,
-    'legend.frameon': False,
-    'legend.labelcolor': INK,
-    'lines.linewidth': 1.4,
-    'lines.solid_capstyle': 'round',
-    'text.color': INK,
-    'xtick.color': MUTED,
-    'xtick.major.width': 0.6,
-    'ytick.color': MUTED,
-    'ytick.major.width': 0.6,
-    'svg.fonttype': 'none',
-    'svg.hashsalt': 'fuzzycnc',
-}
-
-_WIDTH, _LEGEND_HEIGHT = 10.0, 0.3  # [in]
 _BACKGROUND_ROWS = 160  # rows of a line that only gives the picture its background
 _DOTS = 140  # measured points that are drawn as dots
 _COMPARED = ('classical_grey', 'static_ridge', 'least_squares')  # first choice for comparison
-
-
-@contextmanager
-def plot_style() -> Iterator[None]:
-    """Hold the report's matplotlib settings while figures are made and saved."""
-    with require('matplotlib').rc_context(_STYLE):
-        yield
-
-
-def time_axis(time: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-    """Return time since the first row in the unit that reads best, and its label."""
-    elapsed = time - time[0]
-    if elapsed[-1] > 7200.0:
-        return elapsed / 3600.0, 'time [h]'
-    return elapsed / 60.0, 'time [min]'
 
 
 def plot_temperatures(run: CompensationRun) -> Any:
@@ -94,7 +35,7 @@ def plot_temperatures(run: CompensationRun) -> Any:
     with plot_style():
         labels = sorted(set(run.cluster), key=lambda label: (label < 0, label))
         has_speed = run.spindle_speed is not None
-        figure, panels = _panels(len(labels) + has_speed, columns=3, height=2.0)
+        figure, panels = panel_grid(len(labels) + has_speed, columns=3, height=2.0)
         x, x_label = time_axis(run.time)
         for axes, label in zip(panels, labels, strict=False):
             _draw_cluster(axes, run, x, label)
@@ -145,7 +86,7 @@ def plot_prediction(run: CompensationRun) -> Any:
             _label_axes(axes, x, x_label, 'thermal error [µm]')
             _limit_to(axes, measured)
         handles, labels = panels[0].get_legend_handles_labels()
-        _legend(figure, handles[::-1], labels[::-1])  # what is drawn in front comes first
+        add_legend(figure, handles[::-1], labels[::-1])  # what is drawn in front comes first
         return figure
 
 
@@ -179,7 +120,7 @@ def plot_residual(run: CompensationRun) -> Any:
                 f'{run.channel[c]}: at most {micrometres(after[c].max)} µm left of '
                 f'{micrometres(before[c].max)} µm'
             )
-        _legend(figure, *panels[0].get_legend_handles_labels())
+        add_legend(figure, *panels[0].get_legend_handles_labels())
         return figure
 
 
@@ -213,14 +154,14 @@ def plot_compensation(run: CompensationRun) -> Any:
                 )
             axes.plot(x, 1e6 * run.offset[:, c], color=INK, linewidth=1.0, label='commanded')
             _label_axes(axes, x, x_label, 'offset [µm]')
-        _legend(figure, *panels[0].get_legend_handles_labels())
+        add_legend(figure, *panels[0].get_legend_handles_labels())
         return figure
 
 
 def plot_sensor_count(curve: SensorCountCurve) -> Any:
     """Plot the largest residual on a held-out run against the number of sensors."""
     with plot_style():
-        figure = _figure(2.9)
+        figure = new_figure(2.9)
         axes = figure.subplots()
         colours = (ACCENT, SECOND, *CLUSTER_COLOURS[2:])
         for c, channel in enumerate(curve.channel):
@@ -244,14 +185,14 @@ def plot_sensor_count(curve: SensorCountCurve) -> Any:
         axes.set_ylim(bottom=0.0)
         axes.set_xlabel('number of sensors')
         axes.set_ylabel(f'largest residual on {curve.run} [µm]')
-        _legend(figure, *axes.get_legend_handles_labels())
+        add_legend(figure, *axes.get_legend_handles_labels())
         return figure
 
 
 def plot_latency(latency: Latency) -> Any:
     """Plot how long it took from a temperature sample to its compensation."""
     with plot_style():
-        figure = _figure(2.5)
+        figure = new_figure(2.5)
         axes = figure.subplots()
         milliseconds = 1e3 * latency.sample
         # One straggler must not squeeze all others into a single bar.
@@ -271,30 +212,14 @@ def plot_latency(latency: Latency) -> Any:
         axes.set_xlabel('latency [ms]; the last bar holds all that is longer')
         axes.set_ylabel('samples')
         axes.grid(visible=False, axis='x')
-        _legend(figure, *axes.get_legend_handles_labels())
+        add_legend(figure, *axes.get_legend_handles_labels())
         return figure
-
-
-def _figure(height: float) -> Any:
-    figure = require('matplotlib.figure').Figure(figsize=(_WIDTH, height), layout='constrained')
-    figure.patch.set_alpha(0.0)
-    return figure
-
-
-def _panels(count: int, *, columns: int, height: float) -> tuple[Any, list[Any]]:
-    """Return a figure with a grid of panels [in] high."""
-    rows = ceil(count / columns)
-    figure = _figure(0.3 + height * rows)
-    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
-    for axes in panels[count:]:
-        axes.remove()
-    return figure, panels[:count]
 
 
 def _channel_panels(run: CompensationRun) -> tuple[Any, list[Any]]:
     """Return a figure with one titled panel per channel, two in a row."""
     count = len(run.channel)
-    figure, panels = _panels(count, columns=min(2, count), height=2.9)
+    figure, panels = panel_grid(count, columns=min(2, count), height=2.9)
     for axes, channel in zip(panels, run.channel, strict=True):
         axes.set_title(channel)
     return figure, panels
@@ -366,20 +291,4 @@ def _shade_out_of_domain(
         color=WARNING,
         linewidth=0.0,
         label='outside the training domain',
-    )
-
-
-def _legend(figure: Any, handles: Sequence[Any], labels: Sequence[str]) -> None:
-    """Put one legend above all panels, in a row."""
-    # loc='outside upper left' would do both, but needs matplotlib 3.7.
-    room = _LEGEND_HEIGHT / figure.get_figheight()
-    figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - room))
-    figure.legend(
-        handles,
-        labels,
-        loc='upper left',
-        ncol=min(6, max(1, len(handles))),
-        columnspacing=1.6,
-        handlelength=1.6,
-        borderaxespad=0.2,
     )

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from math import inf, isfinite, isnan
 from typing import Any
 
+from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
 from fuzzycnc_ros.report.model import APPLIED, UNCOMPENSATED, CompensationRun, Score
 from fuzzycnc_ros.report.table import Column, Table
 
@@ -13,10 +14,21 @@ _LABELS = {
     UNCOMPENSATED: 'Uncompensated',
     'least_squares': 'Static least squares',
     'static_ridge': 'Static ridge',
-    'classical_grey': 'Classical GM(1,N)',
-    'derived_grey': 'Derived GM(1,N)',
-    'stable_grey': 'Stable grey model',
     'lag_ridge': 'LagRidge',
+    'classical_grey': 'Classical GM(1,N)',
+    'convolution_grey': 'Convolution GMC(1,N)',
+    'optimised_grey': 'Optimised OGM(1,N)',
+    'discrete_grey': 'Discrete DGM(1,N)',
+    'stable_grey': 'Stable grey model',
+    'anfis': 'ANFIS',
+    'grey_anfis': 'Stable grey + ANFIS',
+    'arma': 'ARMA',
+    'static_network': 'Network, static',
+    'dynamic_network': 'Network, dynamic',
+    'linear_network': 'LR + network',
+    'hybrid_network': 'Hybrid filter network',
+    'gaussian_process': 'Gaussian process',
+    'mlp': 'MLP',
     APPLIED: 'As applied on the machine',
 }
 
@@ -24,8 +36,21 @@ _LARGEST_SHOWN = 999.9e-6
 
 
 def candidate_label(name: str) -> str:
-    """Return a candidate's name for people: the known label, else its words."""
+    """Return a candidate's name for people: the known label, else its words.
+
+    Examples
+    --------
+    >>> candidate_label('mlp'), candidate_label('mlp_speed'), candidate_label('best_guess')
+    ('MLP', 'MLP with speed', 'Best guess')
+    """
+    if name.endswith(SPEED_SUFFIX):
+        return f'{candidate_label(name.removesuffix(SPEED_SUFFIX))} with speed'
     return _LABELS.get(name) or name.replace('_', ' ').capitalize()
+
+
+def has_diverged(length: float) -> bool:
+    """Return whether a residual [m] is beyond anything that a machine does; NaN is not."""
+    return not isnan(length) and not abs(length) <= _LARGEST_SHOWN
 
 
 def micrometres(length: float) -> str:
@@ -38,7 +63,7 @@ def micrometres(length: float) -> str:
     """
     if isnan(length):
         return '-'
-    if not isfinite(length) or abs(length) > _LARGEST_SHOWN:
+    if has_diverged(length):
         return 'diverged'
     return f'{1e6 * length:.1f}'
 

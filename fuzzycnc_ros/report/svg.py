@@ -6,7 +6,7 @@ import re
 from io import StringIO
 from typing import Any
 
-from fuzzycnc_ros.report.plots import ACCENT, FAINT, GRID, INK, MUTED, plot_style
+from fuzzycnc_ros.report.drawing import ACCENT, FAINT, GRID, INK, MUTED, plot_style
 
 _THEME = {
     INK: '--ink',
@@ -26,7 +26,7 @@ def to_inline_svg(figure: Any, name: str) -> str:
     Parameters
     ----------
     figure : matplotlib.figure.Figure
-        Figure of `fuzzycnc_ros.report.plots`.
+        Figure of this package's plots.
     name : str
         Name that is unique on the page; prefixes every id, since matplotlib gives the same
         ids to every figure.

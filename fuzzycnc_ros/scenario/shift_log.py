@@ -28,7 +28,7 @@ from fuzzycnc_ros.components.records import (
 from fuzzycnc_ros.components.substitution import RiseSource
 from fuzzycnc_ros.convert import decode
 from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun
-from fuzzycnc_ros.core.thermal.mate_vote import MateVote
+from fuzzycnc_ros.core.thermal.drivers import drive_of
 from fuzzycnc_ros.report import CompensationRun
 
 Floats = NDArray[np.float64]
@@ -119,6 +119,7 @@ class ShiftLog:
             channel=moved[0].channel,
             axis=moved[0].axis,
             displacement=_at_stamps(samples, moved, 'displacement', len(moved[0].channel)),
+            spindle_speed=_spindle_speed(samples, self.records('machine_state', start, stop)),
         )
 
 
@@ -170,6 +171,7 @@ def _compensation_run(
     samples: list[Temperatures] = log.records('temperatures', *span)
     errors: list[ThermalError] = log.records('thermal_error', *span)
     rise, known = _rises(log, model, samples, errors, span)
+    rise = np.hstack([rise, drive_of(recorded, model.drivers)])
     size = len(model.channel)
     predicted = {}
     for candidate in model.candidates:
@@ -200,29 +202,19 @@ def _compensation_run(
         offset=_offsets(samples, log.records('compensation', *span), model.axis),
         applied=_offsets(samples, log.records('compensation_applied', *span), model.axis),
         offset_limit=offset_max,
-        spindle_speed=np.array(
-            [s.spindle_speed for s in _newest(samples, log.records('machine_state', *span))]
-        ),
+        spindle_speed=_spindle_speed(samples, log.records('machine_state', *span)),
     )
+
+
+def _spindle_speed(samples: Sequence[Temperatures], states: Sequence[MachineState]) -> Floats:
+    """Return the spindle speed that was known at each sample [rad/s]."""
+    return np.array([state.spindle_speed for state in _newest(samples, states)])
 
 
 def _temperature(samples: Sequence[Temperatures]) -> Floats:
     temperature = np.array([item.temperature for item in samples])
     temperature[np.array([item.status for item in samples]) != Status.OK] = np.nan
     return temperature
-
-
-class _PublishedVote(MateVote):
-    """Finds the faults that the predictor found, by what it published."""
-
-    def __init__(self, inputs: Sequence[str]) -> None:
-        super().__init__(len(inputs), limit=0.0, tolerance=0.0, persistence=0.0)
-        self._inputs = inputs
-        self.substituted: Sequence[str] = ()
-
-    def update(self, rise: Floats, expected: Floats, elapsed: float) -> NDArray[np.bool_]:
-        """Return which inputs were substituted, shape (p,)."""
-        return np.array([name in self.substituted for name in self._inputs])
 
 
 def _rises(
@@ -240,12 +232,12 @@ def _rises(
         return rise, known
     selections: list[SensorSelection] = log.records('sensor_selection', -1, span[1])
     selection = selections[-1] if selections else None
-    vote = _PublishedVote(model.inputs)
-    source = RiseSource(model, samples[0].sensor, references[0], selection, vote)
+    source = RiseSource(model, samples[0].sensor, references[0], selection)
     substituted = {item.stamp: item.substituted for item in errors}
     for row, sample in enumerate(samples):
-        vote.substituted = substituted.get(sample.stamp, ())
-        found = source.rise(sample.temperature, sample.status == Status.OK)
+        # What the predictor found to be faulty is as good as not read.
+        faulty = np.isin(sample.sensor, substituted.get(sample.stamp, ()))
+        found = source.rise(sample.temperature, (sample.status == Status.OK) & ~faulty)
         known[row] = found is not None
         # Where nothing is known the models are held, not fed with a guess.
         rise[row] = found if found is not None else rise[max(row - 1, 0)]

@@ -184,7 +184,7 @@ def test_model_file_that_exists_is_kept(refused, fuzzycnc, bag, model):
 
 
 def test_training_that_fails_leaves_no_file(refused, bag):
-    refused('train', bag(), '--out', 'm.json', '--model', 'anfis', naming=["'anfis'", 'lag_ridge'])
+    refused('train', bag(), '--out', 'm.json', '--model', 'magic', naming=["'magic'", 'lag_ridge'])
     refused('train', bag('b'), '--out', 'm.json', '--end', '60', naming=['8', '2'])
     refused('train', bag('c'), '--out', 'm.json', '--start', '1e6', naming=['1000000', '7140'])
     assert not list(Path().glob('*m.json*'))

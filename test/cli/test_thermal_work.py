@@ -17,11 +17,11 @@ from fuzzycnc_ros.bags.recorder import REPORT_NAME
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.cli.simulate import median_figures
-from fuzzycnc_ros.cli.train import problem_lines
+from fuzzycnc_ros.cli.train import candidate_table, problem_lines
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal import evaluate, load_model
+from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, STANDARD
 
-CANDIDATES = ('least_squares', 'static_ridge', 'classical_grey', 'stable_grey', 'lag_ridge')
 SHORT = ('--duties', 'T2', '--train', 'D0,T1')
 
 
@@ -76,7 +76,8 @@ def test_train_writes_a_model_and_says_what_it_holds(fuzzycnc, bag):
     assert figures['runs'] == ['one', 'two']
     assert figures['sensors'] == list(model.inputs)
     assert figures['default'] == {'dz': model.default[0]}
-    assert set(figures['candidates']) | set(figures['omitted']) == set(CANDIDATES)
+    without_speed = {name for name in STANDARD if not name.endswith(SPEED_SUFFIX)}
+    assert set(figures['candidates']) | set(figures['omitted']) == without_speed
     assert 'Static ridge' in outcome.out
     assert ', '.join(model.inputs) in outcome.out
     assert 'm.json: written' in outcome.out
@@ -105,6 +106,20 @@ def test_what_is_not_to_be_trusted_is_said(model):
         'Classical GM(1,N) is not to be trusted: a = -0.1 is bad',
         'LagRidge was left out: too short',
     ]
+    shown = [row[0] for row in candidate_table(trained).rows]
+    assert 'Classical GM(1,N) *' in shown
+    assert 'Static ridge' in shown
+
+
+def test_train_considers_the_asked_models(fuzzycnc, bag):
+    outcome = fuzzycnc(
+        'train', bag(), '--out', 'm.json', '--models', 'mlp,static_ridge', '--models', 'lag_ridge'
+    )
+    assert outcome.code == 0, outcome
+    model = load_model(Path('m.json'))
+    assert list(model.candidates) == ['static_ridge', 'lag_ridge', 'mlp']
+    assert set(model.default) <= set(model.candidates)
+    assert 'spindle speed: not used' in outcome.out
 
 
 def test_evaluate_prints_what_the_core_finds(fuzzycnc, bag, model):
@@ -140,7 +155,7 @@ def test_simulate_writes_table_figures_and_report(fuzzycnc):
     assert outcome.code == 0, outcome
     figures = read_json('s.json')
     rows = figures['runs']['T2']
-    assert set(rows) == {'uncompensated', *CANDIDATES, 'default', 'applied'}
+    assert set(rows) == {'uncompensated', *STANDARD, 'default', 'applied'}
     assert rows['uncompensated']['y']['max_um'] == pytest.approx(38.5, abs=1.0)
     assert rows['default']['y']['max_um'] < 8.0
     assert figures['seeds'] == [{'seed': 0, 'runs': figures['runs']}]

@@ -20,7 +20,7 @@ from fuzzycnc_ros.report import (
 pytest.importorskip('matplotlib', reason='matplotlib is not installed')
 pytest.importorskip('jinja2', reason='jinja2 is not installed')
 
-from fuzzycnc_ros.report import plots
+from fuzzycnc_ros.report import drawing, plots
 from fuzzycnc_ros.report.svg import to_inline_svg
 
 
@@ -140,7 +140,7 @@ def test_figures_on_the_page_are_those_of_the_scores(page):
 
 def test_svg_follows_the_theme_of_the_page(page):
     svg = page[page.index('<svg') :]
-    for colour in (plots.INK, plots.MUTED, plots.FAINT, plots.GRID):
+    for colour in (drawing.INK, drawing.MUTED, drawing.FAINT, drawing.GRID):
         assert colour not in svg
     assert 'fill: var(--ink)' in svg
 

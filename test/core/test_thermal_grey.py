@@ -6,6 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.thermal import GreyModel
+from fuzzycnc_ros.core.thermal.grey import KINDS
 from fuzzycnc_ros.core.thermal.recursions import first_order_lags
 
 
@@ -124,7 +125,7 @@ def test_poles_keep_their_time_constants_at_another_interval():
     assert fast.interval == 60.0
 
 
-@pytest.mark.parametrize('kind', ['classical', 'derived', 'stable'])
+@pytest.mark.parametrize('kind', KINDS)
 def test_scaling_units_scales_the_prediction(kind):
     rise, target, runs, _ = dynamic_data(noise=1e-8)
     one = GreyModel(kind).fit(rise, target, runs=runs).predict(rise, runs=runs)
@@ -132,7 +133,7 @@ def test_scaling_units_scales_the_prediction(kind):
     assert np.allclose(1e6 * one, other, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize('kind', ['classical', 'derived', 'stable'])
+@pytest.mark.parametrize('kind', KINDS)
 def test_each_run_starts_anew(kind):
     rise, target, runs, _ = dynamic_data()
     model = GreyModel(kind).fit(rise, target, runs=runs)
@@ -145,7 +146,7 @@ def test_samples_out_of_use_do_not_matter():
     rise, target, runs, _ = dynamic_data(noise=1e-7)
     use = runs == 0
     disturbed = np.where(use, target, 1e-3)
-    for kind in ('classical', 'stable'):
+    for kind in KINDS:
         one = GreyModel(kind).fit(rise, disturbed, runs=runs, use=use)
         other = GreyModel(kind).fit(rise[use], target[use])
         assert one.a_ == pytest.approx(other.a_)
@@ -160,14 +161,17 @@ def test_refusals():
         GreyModel('classical').fit(rise, np.where(np.arange(300) == 5, np.nan, target))
     with pytest.raises(ValueError, match='more than 3 measured samples'):
         GreyModel('classical').fit(rise[:3], target[:3])
-    with pytest.raises(ValueError, match='poles'):
-        GreyModel('stable', poles=(0.5, 1.0)).fit(rise, target)
+    for poles in ((0.5, 1.0), ()):
+        with pytest.raises(ValueError, match='one pole or more'):
+            GreyModel('stable', poles=poles).fit(rise, target)
     with pytest.raises(ValueError, match='ridge'):
         GreyModel('stable', ridge=0.0).fit(rise, target)
     with pytest.raises(ValueError, match='initial'):
         GreyModel('stable').fit(rise, target).predict(rise, initial=1.0)
     with pytest.raises(ValueError, match='switches'):
         GreyModel('stable').fit(rise, target, use=[True])
+    with pytest.raises(ValueError, match='use: expected a measured sample'):
+        GreyModel('stable').fit(rise, target, use=np.zeros(300, bool))
 
 
 def test_probing_gaps_are_ignored_by_the_stable_form():

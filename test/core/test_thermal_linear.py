@@ -112,6 +112,8 @@ def test_estimators_follow_the_conventions():
         'ridge': 1e-3,
         'interval': 60.0,
         'fit_intercept': False,
+        'drivers': 0,
+        'driver_lags': (1200.0, 3600.0, 14400.0),
     }
     assert model.set_params(ridge=0.1).ridge == 0.1
     assert model.fit(*data()) is model

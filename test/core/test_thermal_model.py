@@ -54,7 +54,10 @@ def test_a_model_survives_its_file(model):
     assert model.to_json() == text
     run = machine_run('c', 2)
     for name in (None, *model.candidates):
-        assert np.array_equal(again.predict(run, name), model.predict(run, name))
+        # Sums over arrays of another memory layout may differ in the last digit.
+        assert np.allclose(again.predict(run, name), model.predict(run, name), rtol=1e-12)
+    one, other = again.predict(run), ThermalModel.from_json(text).predict(run)
+    assert np.array_equal(one, other)
     assert np.array_equal(again.in_domain(run.rise()), model.in_domain(run.rise()))
     assert again.selection == model.selection or np.isnan(model.selection.xie_beni)
     assert again.candidates['lag_ridge'].settings == model.candidates['lag_ridge'].settings
@@ -105,10 +108,10 @@ def test_streams_that_do_not_fit_are_refused_with_the_difference(model):
         model.check_stream(['T1', 'T2', 'T3'], float('nan'))
     with pytest.raises(ModelMismatchError, match='3 columns'):
         model.predict(np.zeros((5, 2)))
-    with pytest.raises(ValueError, match=r"nan of sensor 'T2' at sample 1.*substitute"):
+    with pytest.raises(ValueError, match=r"nan of input 'T2' at sample 1.*substitute"):
         model.predict([[0.0, 0.0, 0.0], [0.0, np.nan, 0.0]])
-    with pytest.raises(ValueError, match=r"candidate: expected one of .* found 'anfis'"):
-        model.start('anfis')
+    with pytest.raises(ValueError, match=r"candidate: expected one of .* found 'mlp'"):
+        model.start('mlp')
 
 
 def test_domain_covers_training_and_flags_what_is_far(model):
@@ -118,7 +121,8 @@ def test_domain_covers_training_and_flags_what_is_far(model):
     assert not model.in_domain(far)
     near = model.domain.mean
     assert np.allclose(model.standard_deviation(near), model.residual_deviation)
-    assert np.allclose(model.standard_deviation(far), 2.0 * model.residual_deviation)
+    wider = 2.0 * model.domain.distance(far) / model.domain.limit
+    assert np.allclose(model.standard_deviation(far), wider * model.residual_deviation)
     assert model.standard_deviation(run.rise()).shape == (200, 2)
 
 
@@ -138,6 +142,7 @@ def test_conversion_to_another_interval(model):
         assert np.allclose(
             slow.predict(constant, name)[-1], model.predict(constant, name)[-1], rtol=1e-3
         )
+    assert 'holds for one interval' in slow.omitted['hybrid_network']
     with pytest.raises(ValueError, match='interval'):
         model.with_interval(0.0)
 
@@ -155,7 +160,7 @@ def changed(document, *path, value):
     ('path', 'value', 'message'),
     [
         (('schema',), 'something', "schema 'fuzzycnc/thermal-model'"),
-        (('schema_version',), 2, 'schema version 1, but found 2'),
+        (('schema_version',), 3, 'schema version 2, but found 3'),
         (('units', 'displacement'), 'um', 'expected the units'),
         (('interval',), -60.0, 'interval'),
         (('interval',), True, 'interval: expected a number'),

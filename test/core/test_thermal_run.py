@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun, check_training_runs
+from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
+from fuzzycnc_ros.core.thermal.training_runs import check_training_runs
 
 
 def make(samples=20, interval=60.0, **changes):

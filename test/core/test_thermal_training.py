@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.thermal import (
-    CANDIDATES,
     GreyModel,
     ModelMismatchError,
     ThermalDataError,
@@ -16,7 +15,13 @@ from fuzzycnc_ros.core.thermal import (
     sensor_count_curve,
     train_model,
 )
-from fuzzycnc_ros.core.thermal.candidates import Candidate, JudgedCandidate, preferred
+from fuzzycnc_ros.core.thermal.candidate import STANDARD
+from fuzzycnc_ros.core.thermal.candidates import (
+    DIVERGED,
+    Candidate,
+    JudgedCandidate,
+    preferred,
+)
 from fuzzycnc_ros.core.thermal.folds import selection_folds, training_folds
 from fuzzycnc_ros.core.thermal.ranking import grey_relational_grade
 from fuzzycnc_ros.core.thermal.recursions import LinearRecursion, first_order_lags
@@ -170,7 +175,8 @@ def test_folds_never_judge_on_what_they_trained(runs):
 def test_training_beats_the_uncompensated_machine_on_an_unseen_run(runs, unseen):
     model = train_model(runs, n_clusters=3, sensors='clusters')
     result = evaluate(model, unseen)
-    assert set(result.rms) == {'uncompensated', 'default', *CANDIDATES}
+    fitted = {name for name in STANDARD if not name.endswith('_speed')}
+    assert set(result.rms) == {'uncompensated', 'default', *fitted}
     assert (result.rms['default'] < 0.1 * result.rms['uncompensated']).all()
     assert (result.rms['default'] <= result.largest['default']).all()
     assert model.inputs == model.selection.chosen
@@ -233,9 +239,11 @@ def test_sparse_probing_trains_all_but_the_forms_that_accumulate():
 
 def test_a_named_model_is_used_for_every_channel(runs):
     for name in ('lag_ridge', 'stable_grey', 'static_ridge', 'least_squares'):
-        assert train_model(runs, model=name, n_clusters=3).default == (name, name)
-    with pytest.raises(ValueError, match=r"model: expected auto or one of .* found 'anfis'"):
-        train_model(runs, model='anfis')
+        assert train_model(runs, model=name, candidates=()).default == (name, name)
+    with pytest.raises(ValueError, match=r"model: expected auto or one of .* found 'best'"):
+        train_model(runs, model='best')
+    with pytest.raises(ValueError, match=r"model: expected auto or one of .* found 'best'"):
+        train_model(runs, candidates=('lag_ridge', 'best'))
     with pytest.raises(ValueError, match='sensors: expected auto, clusters or all'):
         train_model(runs, sensors='some')
 
@@ -251,11 +259,13 @@ def test_an_unstable_model_is_flagged_and_refused():
         ('Y',),
         1e-6 * np.exp(time / 900.0)[:, np.newaxis],
     )
-    model = train_model([growing], sensors='all')
+    model = train_model([growing], sensors='all', candidates=('static_ridge', 'classical_grey'))
     assert 'not positive' in model.candidates['classical_grey'].problems[0]
     assert 'classical_grey' not in model.default
     with pytest.raises(ThermalDataError, match=r"'classical_grey' is refused: a = -"):
-        train_model([growing], model='classical_grey', sensors='all')
+        train_model([growing], model='classical_grey', sensors='all', candidates=())
+    with pytest.raises(ThermalDataError, match='expected a candidate that can be trusted'):
+        train_model([growing], sensors='all', candidates=('classical_grey',))
 
 
 def test_progress_is_told_to_the_end(runs):
@@ -264,8 +274,12 @@ def test_progress_is_told_to_the_end(runs):
     selecting = [step for step in told if step[0] == 'select_sensors']
     fitting = [step for step in told if step[0] == 'fit']
     assert selecting[-1][2] == selecting[-1][3] == REFINE_SWEEPS * 12
-    assert [step[1] for step in fitting] == list(CANDIDATES)
-    assert fitting[-1][2:] == (5, 5)
+    names = list(dict.fromkeys(step[1] for step in fitting))
+    assert names == [name for name in STANDARD if not name.endswith('_speed')]
+    # Every single fit is told, so that a training can be cancelled soon.
+    assert sum(step[1] == 'hybrid_network' for step in fitting) >= 2 * (len(runs) + 1)
+    assert [step[2] for step in fitting] == sorted(step[2] for step in fitting)
+    assert fitting[-1][2] == fitting[-1][3] == len(STANDARD)
 
 
 def test_cancelling_comes_through_and_changes_nothing(runs):
@@ -322,7 +336,7 @@ def judged(name, fold_error):
         np.empty(0), np.empty((0, 1)), np.empty((2, 0)), np.ones((2, 1)), np.zeros(2)
     )
     rms = np.sqrt(errors.mean(axis=0))
-    return JudgedCandidate(Candidate(name, {}, recursion, (), rms, rms), errors)
+    return JudgedCandidate(Candidate(name, {}, recursion, (), rms, rms), errors, rms)
 
 
 def test_the_overall_best_is_kept_unless_a_rival_is_better_beyond_chance():
@@ -331,3 +345,24 @@ def test_the_overall_best_is_kept_unless_a_rival_is_better_beyond_chance():
     better = judged('stable_grey', [[0.5, 9.0], [0.6, 9.0], [0.4, 9.0]])
     assert preferred([best, lucky], np.ones(2)) == ('lag_ridge', 'lag_ridge')
     assert preferred([best, better], np.ones(2)) == ('stable_grey', 'lag_ridge')
+
+
+def test_a_network_must_win_beyond_chance():
+    best = judged('lag_ridge', [[1.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
+    lucky = judged('hybrid_network', [[0.2, 0.2], [1.1, 1.1], [1.0, 1.0]])
+    winner = judged('hybrid_network', [[0.5, 0.5], [0.6, 0.6], [0.4, 0.4]])
+    assert preferred([lucky, best], np.ones(2)) == ('lag_ridge', 'lag_ridge')
+    assert preferred([winner, best], np.ones(2)) == ('hybrid_network', 'hybrid_network')
+    # Among linear models the smaller error suffices: one of them has to be taken.
+    linear = judged('stable_grey', [[0.2, 0.2], [1.1, 1.1], [1.0, 1.0]])
+    assert preferred([linear, best], np.ones(2)) == ('stable_grey', 'stable_grey')
+
+
+def test_a_model_that_does_not_hold_where_it_was_not_fitted_is_refused(runs):
+    model = train_model(runs, candidates=('lag_ridge', 'arma'), sensors='clusters', n_clusters=3)
+    growing = judged('lag_ridge', [[np.inf, 1.0]])
+    assert not np.isfinite(growing.candidate.held_out_rms[0])
+    for name, item in model.candidates.items():
+        bare = max(float(np.abs(run.displacement).max()) for run in runs)
+        diverged = not (item.held_out_max < DIVERGED * bare).all()
+        assert diverged == any('on held-out samples' in text for text in item.problems), name

@@ -126,7 +126,7 @@ def simulate_duty(duty: Duty, interval: float = 60.0) -> ThermalRun:
     -------
     ThermalRun
         Rows from time 0 to the end of the duty, both included: 201 rows for 200 min at the
-        default interval.
+        default interval.  A row's spindle speed is that of the interval before it.
 
     Raises
     ------
@@ -135,6 +135,7 @@ def simulate_duty(duty: Duty, interval: float = 60.0) -> ThermalRun:
     """
     mill = duty.mill()
     temperature, displacement = [mill.sensor_temperatures()], [mill.displacement()]
+    speed = [0.0]
     for block in duty.blocks:
         rows = round(block.duration / interval) if interval > 0.0 else 0
         if rows < 1 or abs(rows * interval - block.duration) > 1e-6:
@@ -146,11 +147,13 @@ def simulate_duty(duty: Duty, interval: float = 60.0) -> ThermalRun:
             mill.advance(interval, block.spindle_speed)
             temperature.append(mill.sensor_temperatures())
             displacement.append(mill.displacement())
+            speed.append(block.spindle_speed)
     return _run(
         duty.name,
         interval * np.arange(len(temperature), dtype=np.float64),
         temperature,
         np.array(displacement),
+        np.array(speed),
     )
 
 
@@ -232,6 +235,7 @@ def _run(
     time: NDArray[np.float64],
     temperature: Sequence[NDArray[np.float64]] | NDArray[np.float64],
     displacement: NDArray[np.float64],
+    spindle_speed: NDArray[np.float64] | None,
 ) -> ThermalRun:
     return ThermalRun(
         name=name,
@@ -241,6 +245,7 @@ def _run(
         channel=MILL_AXES,
         axis=MILL_AXES,
         displacement=displacement,
+        spindle_speed=spindle_speed,
     )
 
 
@@ -248,7 +253,7 @@ def _add_noise(run: ThermalRun, rng: np.random.Generator) -> ThermalRun:
     temperature = run.temperature + rng.normal(0.0, TEMPERATURE_NOISE, run.temperature.shape)
     noise = [rng.normal(0.0, DISPLACEMENT_NOISE, len(run.time)) for _ in MILL_AXES]
     displacement = run.displacement + np.column_stack(noise)
-    return _run(run.name, run.time, temperature, displacement)
+    return _run(run.name, run.time, temperature, displacement, run.spindle_speed)
 
 
 def _with_faults(run: ThermalRun, faults: Sequence[SensorFault]) -> ThermalRun:
@@ -256,4 +261,4 @@ def _with_faults(run: ThermalRun, faults: Sequence[SensorFault]) -> ThermalRun:
         return run
     injector = FaultInjector(MILL_SENSORS, faults)
     rows = [injector.apply(t, row) for t, row in zip(run.time, run.temperature, strict=True)]
-    return _run(run.name, run.time, rows, run.displacement)
+    return _run(run.name, run.time, rows, run.displacement, run.spindle_speed)

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lumped thermal network of the simulated mill: numbers, one implicit step, sensors, error.
 
-The figures are those of method sheet 001, section 8.  A node is a lump of metal with a heat
-capacity, a loss to the surroundings and links to its neighbours.
+The figures are those of method sheet 001, section 8.
 """
 
 from dataclasses import dataclass
@@ -13,6 +12,8 @@ from math import exp, isfinite, pi
 
 import numpy as np
 from numpy.typing import NDArray
+
+from fuzzycnc_ros.core.machine.thermal_network import ThermalNetwork
 
 STEP_SECONDS = 5
 """Internal step [s]; the check values of the sheet belong to it."""
@@ -49,8 +50,6 @@ _NODES: dict[str, tuple[float, float]] = {
     'zs': (2.8, 0.5),  # screw of Z
     'ys': (4.0, 0.8),  # screw of Y
 }
-NODES = tuple(_NODES)
-_INDEX = {name: i for i, name in enumerate(NODES)}
 
 # Conductance between two nodes [W/K].
 _LINKS: dict[tuple[str, str], float] = {
@@ -85,23 +84,21 @@ _LINKS: dict[tuple[str, str], float] = {
     ('ys', 'bt'): 8.0,
 }
 
-NODE_CAPACITY = np.array([1e3 * capacity for capacity, _ in _NODES.values()])
+_NETWORK = ThermalNetwork.of(_NODES, _LINKS)
+_mean_row = _NETWORK.mean_row
+
+NODES = _NETWORK.node
+"""Names of the nodes, in the order of every array."""
+
+_INDEX = {name: i for i, name in enumerate(NODES)}
+
+NODE_CAPACITY = _NETWORK.capacity
 """Heat capacity of each node, shape (nodes,) [J/K]."""
 
-NODE_LOSS = np.array([loss for _, loss in _NODES.values()])
+NODE_LOSS = _NETWORK.loss
 """Loss of each node to the surroundings at standstill, shape (nodes,) [W/K]."""
 
 _FRONT, _REAR = _INDEX['fb'], _INDEX['rb']
-
-
-def _conductance() -> NDArray[np.float64]:
-    """Laplacian of the links, shape (nodes, nodes) [W/K]."""
-    matrix = np.zeros((len(NODES), len(NODES)))
-    for (a, b), value in _LINKS.items():
-        i, j = _INDEX[a], _INDEX[b]
-        matrix[[i, j], [i, j]] += value
-        matrix[[i, j], [j, i]] -= value
-    return matrix
 
 
 @dataclass(frozen=True)
@@ -164,19 +161,11 @@ def thermal_step(spindle_speed: float) -> ThermalStep:
     if u > 0.0:  # the screws warm up while a program moves the axes
         heat[_INDEX['zs']] = 12.0
         heat[_INDEX['ys']] = 15.0
-    storage = NODE_CAPACITY / STEP_SECONDS
-    solved = np.linalg.inv(np.diag(storage + loss) + _conductance())
+    solved, storage = _NETWORK.implicit_euler(STEP_SECONDS, loss)
     matrix = np.column_stack(
         [solved * storage, solved @ loss, solved[:, _FRONT], solved[:, _REAR], solved @ heat]
     )
     return ThermalStep(matrix, (55.0 * u**1.5, 35.0 * u**1.5))
-
-
-def _mean_row(*names: str) -> NDArray[np.float64]:
-    """Weights that average the named nodes, shape (nodes,) [-]."""
-    row = np.zeros(len(NODES))
-    row[[_INDEX[name] for name in names]] = 1.0 / len(names)
-    return row
 
 
 def _along(names: tuple[str, ...], count: int) -> list[NDArray[np.float64]]:

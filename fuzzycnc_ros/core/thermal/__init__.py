@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Thermal error: sensor selection, grey and lagged linear models, model files.
+"""Thermal error: sensor selection, linear, grey, fuzzy and network models, choice, model files.
 
 The names below are loaded when they are first used.  A node that only runs a model then starts
 without the estimators, whose base, scikit-learn's, takes a second to load.
@@ -10,6 +10,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fuzzycnc_ros.core.thermal.anfis import Anfis, GreyAnfis
+    from fuzzycnc_ros.core.thermal.baselines import GaussianProcess, Mlp
     from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, Candidate
     from fuzzycnc_ros.core.thermal.document import ModelFileError
     from fuzzycnc_ros.core.thermal.evaluation import Evaluation, evaluate
@@ -17,6 +19,13 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.linear import LagRidge, LeastSquares, StaticRidge
     from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel
     from fuzzycnc_ros.core.thermal.model_file import load_model
+    from fuzzycnc_ros.core.thermal.networks import (
+        Arma,
+        DynamicNetwork,
+        HybridFilterNetwork,
+        LinearNetwork,
+        StaticNetwork,
+    )
     from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
     from fuzzycnc_ros.core.thermal.selected import SensorCluster, SensorSelection
     from fuzzycnc_ros.core.thermal.selection import SensorCount, select_sensors, sensor_count_curve
@@ -24,16 +33,25 @@ if TYPE_CHECKING:
 
 __all__ = [
     'CANDIDATES',
+    'Anfis',
+    'Arma',
     'Candidate',
+    'DynamicNetwork',
     'Evaluation',
+    'GaussianProcess',
+    'GreyAnfis',
     'GreyModel',
+    'HybridFilterNetwork',
     'LagRidge',
     'LeastSquares',
+    'LinearNetwork',
+    'Mlp',
     'ModelFileError',
     'ModelMismatchError',
     'SensorCluster',
     'SensorCount',
     'SensorSelection',
+    'StaticNetwork',
     'StaticRidge',
     'ThermalDataError',
     'ThermalModel',
@@ -46,6 +64,8 @@ __all__ = [
 ]
 
 _MODULES = {
+    'anfis': ('Anfis', 'GreyAnfis'),
+    'baselines': ('GaussianProcess', 'Mlp'),
     'candidate': (
         'CANDIDATES',
         'Candidate',
@@ -59,6 +79,13 @@ _MODULES = {
         'LagRidge',
         'LeastSquares',
         'StaticRidge',
+    ),
+    'networks': (
+        'Arma',
+        'DynamicNetwork',
+        'HybridFilterNetwork',
+        'LinearNetwork',
+        'StaticNetwork',
     ),
     'model': (
         'ModelMismatchError',

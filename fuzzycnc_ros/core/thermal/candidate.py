@@ -3,14 +3,63 @@
 """A fitted candidate model, as a model file keeps it."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.recursions import Recursion
 
-CANDIDATES = ('least_squares', 'static_ridge', 'classical_grey', 'stable_grey', 'lag_ridge')
-"""Names of the candidates, in the order of tables."""
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.thermal.recursions import Recursion
 
-Settings = dict[str, float | tuple[float, ...]]
+BASELINES = ('least_squares', 'static_ridge', 'lag_ridge')
+"""Plain models that every table shows beside the others."""
+
+NETWORKS = (
+    'anfis',
+    'grey_anfis',
+    'arma',
+    'static_network',
+    'dynamic_network',
+    'linear_network',
+    'hybrid_network',
+    'hybrid_network_speed',
+    'gaussian_process',
+    'gaussian_process_speed',
+    'mlp',
+    'mlp_speed',
+)
+"""Models that are not linear in their inputs: chosen only if they win beyond chance."""
+
+CANDIDATES = (
+    'least_squares',
+    'static_ridge',
+    'lag_ridge',
+    'lag_ridge_speed',
+    'classical_grey',
+    'convolution_grey',
+    'optimised_grey',
+    'discrete_grey',
+    'stable_grey',
+    *NETWORKS,
+)
+"""Names of all candidates, in the order of tables."""
+
+STANDARD = (
+    *BASELINES,
+    'lag_ridge_speed',
+    'classical_grey',
+    'stable_grey',
+    'grey_anfis',
+    'hybrid_network',
+)
+"""Candidates that training fits unless told otherwise; a comparison fits all."""
+
+COMPARED_ONLY = ('classical_grey', 'convolution_grey', 'optimised_grey', 'discrete_grey', 'arma')
+"""Published forms that may diverge: fitted for tables, never chosen by themselves."""
+
+SPEED_SUFFIX = '_speed'
+"""What the name of a candidate that reads the spindle speed ends in."""
+
+Settings = dict[str, float | str | tuple[float, ...]]
 """Settings of a candidate that were chosen on held-out samples."""
 
 
@@ -34,7 +83,7 @@ class Candidate:
 
     name: str
     settings: Settings
-    recursion: Recursion
+    recursion: 'Recursion'
     problems: tuple[str, ...]
     held_out_rms: Array
     held_out_max: Array

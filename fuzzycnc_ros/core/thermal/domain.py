@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a model has been trained, so that it can say when it extrapolates."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,15 +27,18 @@ class Domain:
         Inverse covariance of the rises [1/K^2].
     limit : float
         Mahalanobis distance that 99 % of the training samples stay below [-].
+    drive : ndarray, shape (d,)
+        Largest driver that it was trained on [-]; empty where the model reads none.
     """
 
     mean: Array
     inverse_covariance: Array
     limit: float
+    drive: Array = field(default_factory=lambda: np.empty(0))
 
     @staticmethod
-    def of(rise: Array) -> 'Domain':
-        """Describe the training rises (n, p) [K]."""
+    def of(rise: Array, drive: Array | None = None) -> 'Domain':
+        """Describe the training rises (n, p) [K] and drivers (n, d) [-]."""
         mean: Array = np.asarray(rise.mean(axis=0), dtype=np.float64)
         covariance = np.atleast_2d(np.cov(rise, rowvar=False))
         # Collinear sensors differ by less than their noise, which says nothing of the domain.
@@ -43,10 +46,28 @@ class Domain:
         inverse = np.asarray(np.linalg.inv(covariance + noise), dtype=np.float64)
         domain = Domain(mean, inverse, np.inf)
         limit = float(np.quantile(domain.distance(rise), DOMAIN_QUANTILE))
-        return replace(domain, limit=limit)
+        largest = np.empty(0) if drive is None else np.asarray(drive.max(axis=0))
+        return replace(domain, limit=limit, drive=largest)
 
-    def distance(self, rise: Array) -> Array:
-        """Return the Mahalanobis distance [-] of rises (..., p) [K] from the mean."""
-        apart = rise - self.mean
+    def distance(self, samples: Array) -> Array:
+        """Return the distance [-] of rises [K] and, behind them, drivers [-] from the training.
+
+        Parameters
+        ----------
+        samples : ndarray, shape (..., p) or (..., p + d)
+            Rises, or rises and drivers.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Mahalanobis distance of the rises, or `limit` times the largest ratio of a driver to
+            the largest that it was trained on, whichever is more.
+        """
+        inputs = len(self.mean)
+        apart = samples[..., :inputs] - self.mean
         square = ((apart @ self.inverse_covariance) * apart).sum(axis=-1)
-        return np.asarray(np.sqrt(np.maximum(square, 0.0)))
+        distance = np.sqrt(np.maximum(square, 0.0))
+        if samples.shape[-1] == inputs or not len(self.drive):
+            return np.asarray(distance)
+        ratio = samples[..., inputs:] / np.where(self.drive > 0.0, self.drive, np.inf)
+        return np.asarray(np.maximum(distance, self.limit * ratio.max(axis=-1)))

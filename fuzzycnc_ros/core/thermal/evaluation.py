@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.candidates import mean_of_square
+from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
 from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.residuals import mean_of_square
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 from fuzzycnc_ros.core.thermal.training import at_interval
 
@@ -33,6 +34,12 @@ class Evaluation:
         candidate and of 'default'; infinite if it diverged, NaN if nothing was measured.
     in_domain : float
         Share of the judged samples inside the model's domain [-].
+    time : ndarray, shape (n,)
+        Time of each judged sample [s].
+    measured : ndarray, shape (n, c)
+        Thermal error [m]; NaN where nothing was probed.
+    predicted : mapping of str to ndarray, shape (n, c)
+        Prediction behind each row of `rms` [m]; infinite or NaN where it diverged.
     """
 
     run: str
@@ -43,6 +50,9 @@ class Evaluation:
     rms: Mapping[str, Array]
     largest: Mapping[str, Array]
     in_domain: float
+    time: Array
+    measured: Array
+    predicted: Mapping[str, Array]
 
 
 def evaluate(
@@ -90,7 +100,11 @@ def evaluate(
             f'run {run.name!r}: expected measured displacements in the window, but found none'
         )
     predictions = {'uncompensated': np.zeros_like(even.displacement)}
-    predictions |= {name: item.recursion.run(rise) for name, item in model.candidates.items()}
+    predictions |= {
+        name: item.recursion.run(rise)
+        for name, item in model.candidates.items()
+        if even.spindle_speed is not None or not name.endswith(SPEED_SUFFIX)
+    }
     predictions['default'] = model.recursion().run(rise)
     rms, largest = {}, {}
     for name, predicted in predictions.items():
@@ -110,4 +124,7 @@ def evaluate(
         rms=rms,
         largest=largest,
         in_domain=float(model.in_domain(rise[inside]).mean()),
+        time=even.time[inside],
+        measured=measured,
+        predicted={name: predicted[inside] for name, predicted in predictions.items()},
     )

@@ -27,6 +27,13 @@ One length alone would favour the model whose memory happens to fit it: short st
 interpolated by anything, long ones leave little to train on."""
 
 
+REST_MIN = 1800.0
+"""Shortest standstill after which a start of the spindle begins a new thermal cycle [s]."""
+
+CYCLES_MIN = 3
+"""Fewest cycles of a single run that are held out one by one; two leave one to train on."""
+
+
 def run_rows(runs: Sequence[ThermalRun]) -> list[slice]:
     """Return the rows of each run when their samples are stacked."""
     ends = list(accumulate(len(run.time) for run in runs))
@@ -55,7 +62,8 @@ def selection_folds(runs: Sequence[ThermalRun]) -> tuple[NDArray[np.int64], list
 def training_folds(runs: Sequence[ThermalRun]) -> tuple[NDArray[np.int64], list[Fold]]:
     """Return the stretch of each stacked sample, and the folds for choosing a model.
 
-    Leave one run out; of a single run, leave contiguous stretches of three lengths out.
+    Leave one run out.  Of a single run leave one thermal cycle out, where the recorded spindle
+    speed shows at least three; else leave contiguous stretches of three lengths out.
 
     Raises
     ------
@@ -64,6 +72,12 @@ def training_folds(runs: Sequence[ThermalRun]) -> tuple[NDArray[np.int64], list[
     """
     if len(runs) > 1:
         return _measured(runs, *_leave_one_run_out(runs))
+    cycle = thermal_cycles(runs[0])
+    if int(cycle.max()) + 1 >= CYCLES_MIN:
+        try:
+            return _measured(runs, cycle, _leave_one_out(int(cycle.max()) + 1))
+        except ThermalDataError:
+            pass  # probed in too few of the cycles; stretches may still do
     samples = len(runs[0].time)
     block = np.arange(samples) * STRETCHES // samples
     folds = []
@@ -81,10 +95,13 @@ def _measured(
     """Keep the folds with measured displacements on both sides; probing may be sparse."""
     measured = np.concatenate([np.isfinite(run.displacement).all(axis=1) for run in runs])
     count = np.bincount(block[measured], minlength=int(block.max()) + 1)
+    tested = np.array([count[list(fold.test)].sum() for fold in folds])
+    # A fold of a few samples would weigh as much as the others and decide by chance.
+    enough = max(1.0, 0.1 * float(np.median(tested[tested > 0]))) if tested.any() else np.inf
     kept = [
         fold
-        for fold in folds
-        if count[list(fold.train)].sum() >= SAMPLES_MIN and count[list(fold.test)].sum() > 0
+        for fold, samples in zip(folds, tested, strict=True)
+        if count[list(fold.train)].sum() >= SAMPLES_MIN and samples >= enough
     ]
     if not kept:
         raise ThermalDataError(
@@ -94,9 +111,36 @@ def _measured(
     return block, kept
 
 
+def thermal_cycles(run: ThermalRun) -> NDArray[np.int64]:
+    """Return the number of the thermal cycle of each sample, shape (n,).
+
+    A cycle begins where the spindle starts after it stood still for half an hour; what comes
+    before the first start belongs to the first cycle.  Without a recorded speed there is one.
+    """
+    cycle = np.zeros(len(run.time), dtype=np.int64)
+    if run.spindle_speed is None:
+        return cycle
+    speed = np.nan_to_num(np.abs(run.spindle_speed))
+    turning = speed > 0.01 * max(float(speed.max()), 1e-9)
+    stopped_at, number = -np.inf, -1
+    for k in range(len(turning)):
+        if not turning[k]:
+            if k and turning[k - 1]:
+                stopped_at = run.time[k]
+        elif not k or not turning[k - 1]:
+            number += run.time[k] - stopped_at >= REST_MIN
+        cycle[k] = max(number, 0)
+    return cycle
+
+
 def _leave_one_run_out(runs: Sequence[ThermalRun]) -> tuple[NDArray[np.int64], list[Fold]]:
     block = np.repeat(np.arange(len(runs)), [len(run.time) for run in runs])
-    everyone = range(len(runs))
-    return block, [
-        Fold(tuple(other for other in everyone if other != run), (run,)) for run in everyone
+    return block, _leave_one_out(len(runs))
+
+
+def _leave_one_out(blocks: int) -> list[Fold]:
+    everyone = range(blocks)
+    return [
+        Fold(tuple(other for other in everyone if other != left_out), (left_out,))
+        for left_out in everyone
     ]

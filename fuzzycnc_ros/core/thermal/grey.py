@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Grey models GM(1,N) of the thermal error: as published, solved exactly, and made stable."""
+"""Grey models GM(1,N) of the thermal error: as published, in its variants, and made stable."""
 
 import copy
 from collections.abc import Sequence
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.grey_variants import CONSTANTS, GreyCoefficients, regression
 from fuzzycnc_ros.core.thermal.linear import (
     check_ridge,
     column_scale,
@@ -16,15 +17,10 @@ from fuzzycnc_ros.core.thermal.linear import (
     linear_recursion,
     ridge_solution,
 )
-from fuzzycnc_ros.core.thermal.recursions import (
-    GreyRecursion,
-    Recursion,
-    check_interval,
-    development_of,
-    pole_of,
-)
+from fuzzycnc_ros.core.thermal.recursions import Recursion, check_interval, development_of
 from fuzzycnc_ros.core.thermal.regressor import (
     ThermalRegressor,
+    check_sample_count,
     check_training,
 )
 
@@ -34,8 +30,8 @@ POLES_PER_MINUTE = (0.0, 0.2, 0.4, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0
 CONDITION_MAX = 1e6
 """Condition number of the scaled regression matrix above which a classical fit is refused."""
 
-KINDS = ('classical', 'derived', 'stable')
-"""Forms of the grey model."""
+KINDS = (*CONSTANTS, 'stable')
+"""Forms of the grey model; all but the stable one accumulate their target."""
 
 
 class GreyModel(ThermalRegressor):
@@ -43,10 +39,13 @@ class GreyModel(ThermalRegressor):
 
     Parameters
     ----------
-    kind : {'classical', 'derived', 'stable'}
+    kind : {'classical', 'derived', 'convolution', 'optimised', 'discrete', 'stable'}
         'classical' fits eq. (14) and predicts by the published time response (15)-(16);
         'derived' has the same coefficients, but solves eq. (12) exactly as a recursion;
-        'stable' fits the output error of that recursion, its pole bounded below 1.
+        'convolution' is GMC(1,N): averaged drivers, a constant, solved by the trapezium rule;
+        'optimised' is OGM(1,N): eq. (12) plus h1 (k-1) + h2, solved exactly;
+        'discrete' is DGM(1,N): the next accumulated value is regressed on the present one;
+        'stable' fits the output error of the derived recursion, its pole bounded below 1.
     interval : float
         Sampling interval of the training samples [s].
     ridge : float
@@ -60,8 +59,11 @@ class GreyModel(ThermalRegressor):
         Development coefficient [-].
     b_ : ndarray, shape (p,)
         Driving coefficients, target unit per driver unit [m/K].
+    constants_ : ndarray
+        Constants beside them: u of the convolution form, h1 and h2 of the optimised and discrete
+        ones, none else [m].
     phi_ : float
-        Pole of the recursion, (1 - a/2) / (1 + a/2) [-].
+        Pole of the recursion [-]: exp(-a) of the convolution form, (1 - a/2) / (1 + a/2) else.
     condition_ : float
         Condition number of the scaled regression matrix [-].
     stable_ : bool
@@ -117,7 +119,8 @@ class GreyModel(ThermalRegressor):
             Drivers; here the rises of the chosen sensors [K].  None fits GM(1,1) to one run,
             in the classical and derived forms.
         y : array_like, shape (n,)
-            Target [m].  The stable form ignores NaN, the others cannot accumulate over it.
+            Target [m].  The stable form ignores NaN; the others cannot accumulate over it and
+            leave out runs that were not measured at all.
         runs : array_like, shape (n,), optional
             Label of the run that each sample belongs to; each accumulates from its own start.
         use : array_like of bool, shape (n,), optional
@@ -132,20 +135,22 @@ class GreyModel(ThermalRegressor):
         """
         if self.kind not in KINDS:
             raise ValueError(f'kind: expected one of {", ".join(KINDS)}, but found {self.kind!r}')
-        target = np.asarray(y, dtype=np.float64)
-        used = np.ones(target.shape, bool) if use is None else np.asarray(use, dtype=bool)
         if X is None:
-            if self.kind == 'stable' or runs is not None:
+            if self.kind not in ('classical', 'derived') or runs is not None:
                 raise ValueError(
                     'X: expected drivers, but found None; GM(1,1) is classical, one run'
                 )
-            X = constant_input(len(target))  # noqa: N806
+            X = constant_input(np.size(y))  # noqa: N806
+        drivers, target, rows = check_training(self, X, y, runs)
+        used = np.ones(target.shape, bool) if use is None else np.asarray(use, dtype=bool)
         if used.shape != target.shape:
             raise ValueError(f'use: expected {target.size} switches, but found {used.shape}')
+        if not np.isfinite(target[used]).any():
+            raise ValueError('use: expected a measured sample to fit, but found none')
         if self.kind == 'stable':
-            self._fit_stable(X, np.where(used, target, np.nan), runs)
+            self._fit_stable(drivers, np.where(used, target, np.nan), rows)
         else:
-            self._fit_accumulated(X, target, runs, used)
+            self._fit_accumulated(drivers, target, rows, used)
         self.stable_ = self.a_ > 0.0
         self.reliable_ = not self.problems_
         return self
@@ -179,64 +184,78 @@ class GreyModel(ThermalRegressor):
         if self.kind == 'stable':
             raise ValueError(f'initial: expected 0 for the stable form, but found {initial}')
         raised = copy.copy(self)
-        raised.recursion_ = self._accumulated_recursion(initial)
+        coefficients = GreyCoefficients(self.kind, self.a_, self.b_, self.constants_)
+        raised.recursion_ = coefficients.recursion(initial)
         return ThermalRegressor.predict(raised, X, runs=runs)
 
     def _fit_accumulated(
-        self, samples: ArrayLike, y: Array, runs: ArrayLike | None, used: NDArray[np.bool_]
+        self, drivers: Array, target: Array, rows: Sequence[slice], used: NDArray[np.bool_]
     ) -> None:
-        drivers, target, rows = check_training(self, samples, y, runs, np.shape(samples)[-1] + 1)
-        if np.isnan(target).any():
+        check_sample_count(target, drivers.shape[1] + 1 + CONSTANTS[self.kind])
+        rows = [run for run in rows if np.isfinite(target[run]).any()]
+        missing = sum(int(np.isnan(target[run]).sum()) for run in rows)
+        if missing:
             raise ValueError(
-                f'y: expected a value in every sample, but found {int(np.isnan(target).sum())} '
-                f'NaN; the {self.kind} form accumulates its target: use the stable form'
+                f'y: expected a value in every sample, but found {missing} NaN; the {self.kind} '
+                'form accumulates its target: use the stable form'
             )
         check_interval(self.interval)
-        unit = float(np.abs(target).max()) or 1.0
-        matrix, left = _regression(drivers, target / unit, rows, used)
+        unit = float(np.nanmax(np.abs(target))) or 1.0
+        matrix, left = regression(self.kind, drivers, target / unit, rows, used)
         # Unit columns, so that the condition number tells collinearity and not units.
         norm = np.linalg.norm(matrix, axis=0)
         norm[norm == 0.0] = 1.0
         solution, _, _, singular = np.linalg.lstsq(matrix / norm, left, rcond=None)
         self.condition_ = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf
-        self.a_ = float(solution[0] / norm[0])
-        self.b_: Array = solution[1:] / norm[1:] * unit
-        self.phi_ = float(pole_of(np.array([self.a_]))[0])
-        self.recursion_: Recursion = self._accumulated_recursion(0.0)
-        self.problems_ = _problems(self.a_, self.condition_)
+        fitted = GreyCoefficients.of(self.kind, solution / norm, unit)
+        self.a_ = fitted.a
+        self.b_: Array = fitted.b
+        self.constants_: Array = fitted.constants
+        self.phi_ = fitted.pole
+        self.recursion_: Recursion = fitted.recursion(0.0)
+        self.problems_ = self._accumulated_problems()
 
-    def _accumulated_recursion(self, initial: float) -> GreyRecursion:
-        return GreyRecursion(
-            a=np.array([self.a_]),
-            b=self.b_[np.newaxis],
-            initial=np.array([initial]),
-            exact=self.kind == 'derived',
-        )
+    def _accumulated_problems(self) -> tuple[str, ...]:
+        problems = []
+        slowest = float(stable_poles(self.interval)[-1])
+        if not self.a_ > 0.0:
+            problems.append(
+                f'a = {self.a_:.4g} is not positive: the prediction grows without bound'
+            )
+        elif self.phi_ > slowest:
+            problems.append(
+                f'the pole {self.phi_:.6g} lies beyond {slowest:.6g}, the slowest that is '
+                'trusted: the prediction sums up its errors'
+            )
+        if not self.condition_ <= CONDITION_MAX:
+            problems.append(
+                f'the condition number {self.condition_:.3g} exceeds {CONDITION_MAX:g}: the '
+                'drivers are collinear, the coefficients arbitrary'
+            )
+        return tuple(problems)
 
-    def _fit_stable(self, samples: ArrayLike, y: Array, runs: ArrayLike | None) -> None:
-        drivers, target, rows = check_training(self, samples, y, runs)
+    def _fit_stable(self, drivers: Array, target: Array, rows: Sequence[slice]) -> None:
         check_ridge(self.ridge)
         poles = stable_poles(self.interval) if self.poles is None else _checked(self.poles)
         measured = np.isfinite(target)
         scale = column_scale(drivers[measured])
         unit = float(target[measured].std()) or 1.0
         values = target[measured] / unit
-        best: tuple[float, int, Array, Array] | None = None
-        for index in range(len(poles)):
-            features = lag_features(drivers / scale, rows, poles[index : index + 1], direct=False)
-            features = features[measured]
-            theta = ridge_solution(features, values, self.ridge)
-            residual = values - features @ theta
-            cost = float(residual @ residual) / len(values) + self.ridge * float(theta @ theta)
-            if best is None or cost < best[0]:
-                best = (cost, index, theta, features)
-        if best is None:
-            raise ValueError('poles: expected at least one, but found none')
-        _, index, theta, features = best
+        # One pass over the samples for all poles: the pass is what takes time.
+        lagged = lag_features(drivers / scale, rows, poles, direct=False)[measured]
+        banks = np.split(lagged, len(poles), axis=1)
+        thetas = [ridge_solution(features, values, self.ridge) for features in banks]
+        costs = [
+            float(np.mean((values - features @ theta) ** 2) + self.ridge * theta @ theta)
+            for features, theta in zip(banks, thetas, strict=True)
+        ]
+        index = int(np.argmin(costs))
+        theta, features = thetas[index], banks[index]
         weight = unit * theta / scale
         self.phi_ = float(poles[index])
         self.a_ = float(development_of(poles[index]))
         self.b_ = weight * (1.0 - self.phi_) * (1.0 + self.a_ / 2.0)
+        self.constants_ = np.empty(0)
         self.condition_ = float(np.linalg.cond(features / column_scale(features)))
         self.recursion_ = linear_recursion(weight, poles[index : index + 1], False, 0.0)
         # A pole of 0 is a static machine; at the other end the best one may lie beyond.
@@ -263,32 +282,6 @@ def stable_poles(interval: float) -> Array:
 
 def _checked(poles: Sequence[float]) -> Array:
     grid = np.asarray(poles, dtype=np.float64)
-    if grid.ndim != 1 or not ((grid >= 0.0) & (grid < 1.0)).all():
-        raise ValueError(f'poles: expected poles in [0, 1), but found {poles}')
+    if grid.ndim != 1 or not len(grid) or not ((grid >= 0.0) & (grid < 1.0)).all():
+        raise ValueError(f'poles: expected one pole or more in [0, 1), but found {poles}')
     return grid
-
-
-def _regression(
-    drivers: Array, target: Array, rows: Sequence[slice], used: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """Return B and Y of eq. (14), the used rows of k = 2..n of every run stacked."""
-    blocks = []
-    for run in rows:
-        total = np.cumsum(target[run])
-        background = 0.5 * (total[1:] + total[:-1])
-        driver = np.cumsum(drivers[run], axis=0)[1:]
-        keep = used[run][1:]
-        blocks.append((np.column_stack([-background, driver])[keep], target[run][1:][keep]))
-    return np.concatenate([b for b, _ in blocks]), np.concatenate([y for _, y in blocks])
-
-
-def _problems(a: float, condition: float) -> tuple[str, ...]:
-    problems = []
-    if not a > 0.0:
-        problems.append(f'a = {a:.4g} is not positive: the prediction grows without bound')
-    if not condition <= CONDITION_MAX:
-        problems.append(
-            f'the condition number {condition:.3g} exceeds {CONDITION_MAX:g}: the drivers are '
-            'collinear, the coefficients arbitrary'
-        )
-    return tuple(problems)

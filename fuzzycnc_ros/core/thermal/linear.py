@@ -6,11 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.recursions import LinearRecursion, check_interval, first_order_lags
 from fuzzycnc_ros.core.thermal.regressor import (
     ThermalRegressor,
+    check_sample_count,
     check_training,
 )
 
@@ -50,8 +52,9 @@ class LeastSquares(ThermalRegressor):
         ValueError
             If there are not more measured samples than parameters.
         """
-        rise, target, _ = check_training(self, X, y, runs, np.shape(X)[-1] + 1)
-        self.recursion_ = fit_linear(rise, target, np.empty(0), True, 0.0, True)
+        rise, target, _ = check_training(self, X, y, runs)
+        check_sample_count(target, rise.shape[1] + 1)
+        self.recursion_ = static_recursion(rise, target, 0.0)
         self.coef_: Array = self.recursion_.direct[0]
         self.intercept_ = float(self.recursion_.offset[0])
         return self
@@ -87,7 +90,7 @@ class StaticRidge(ThermalRegressor):
         """Fit rises (n, p) [K] to the thermal error (n,) [m]; NaN targets are ignored."""
         rise, target, _ = check_training(self, X, y, runs)
         check_ridge(self.ridge)
-        self.recursion_ = fit_linear(rise, target, np.empty(0), True, self.ridge, True)
+        self.recursion_ = static_recursion(rise, target, self.ridge)
         self.coef_: Array = self.recursion_.direct[0]
         self.intercept_ = float(self.recursion_.offset[0])
         return self
@@ -106,11 +109,18 @@ class LagRidge(ThermalRegressor):
         Sampling interval of the training samples [s].
     fit_intercept : bool
         Whether a constant is added; without one the model is anchored at zero rise.
+    drivers : int
+        Number of last columns of the input that are no rises but heat sources, such as the
+        squared spindle speed.
+    driver_lags : sequence of float
+        Time constants of the lags of these columns [s].
 
     Attributes
     ----------
-    coef_ : ndarray, shape (1 + number of lags, p)
+    coef_ : ndarray, shape (1 + number of lags, p - drivers)
         Thermal error per kelvin of each rise, then of each of its lags [m/K].
+    driver_coef_ : ndarray, shape (1 + number of driver lags, drivers)
+        Thermal error per unit of each driver, then of each of its lags [m].
 
     Examples
     --------
@@ -127,11 +137,15 @@ class LagRidge(ThermalRegressor):
         ridge: float = 1e-3,
         interval: float = 60.0,
         fit_intercept: bool = False,
+        drivers: int = 0,
+        driver_lags: Sequence[float] = (1200.0, 3600.0, 14400.0),
     ) -> None:
         self.lags = lags
         self.ridge = ridge
         self.interval = interval
         self.fit_intercept = fit_intercept
+        self.drivers = drivers
+        self.driver_lags = driver_lags
 
     def fit(
         self,
@@ -153,11 +167,20 @@ class LagRidge(ThermalRegressor):
         """
         rise, target, rows = check_training(self, X, y, runs)
         check_ridge(self.ridge)
+        if not 0 <= self.drivers < rise.shape[1]:
+            raise ValueError(
+                f'drivers: expected 0 to {rise.shape[1] - 1} of {rise.shape[1]} columns, but '
+                f'found {self.drivers}'
+            )
+        split = rise.shape[1] - self.drivers
         pole = poles_of_lags(self.lags, self.interval)
-        features = lag_features(rise, rows, pole)
-        self.recursion_ = fit_linear(features, target, pole, True, self.ridge, self.fit_intercept)
-        gain = self.recursion_.readout.reshape(len(pole), -1)
-        self.coef_: Array = np.concatenate([self.recursion_.direct, gain])
+        driver_pole = poles_of_lags(self.driver_lags, self.interval)
+        features = driven_features(rise, rows, split, pole, driver_pole)
+        weight, offset = solve_linear(features, target, self.ridge, self.fit_intercept)
+        self.recursion_ = driven_recursion(weight, split, pole, self.drivers, driver_pole, offset)
+        coefficient = (1 + len(pole)) * split
+        self.coef_: Array = weight[:coefficient].reshape(1 + len(pole), split)
+        self.driver_coef_: Array = weight[coefficient:].reshape(1 + len(driver_pole), -1)
         return self
 
 
@@ -226,10 +249,10 @@ def column_scale(values: Array) -> Array:
     return np.where(scale > 0.0, scale, 1.0)
 
 
-def fit_linear(
-    features: Array, target: Array, pole: Array, direct: bool, ridge: float, intercept: bool
-) -> LinearRecursion:
-    """Fit features made by `lag_features` to a target and return the recursion.
+def solve_linear(
+    features: Array, target: Array, ridge: float, intercept: bool
+) -> tuple[Array, float]:
+    """Return the weights (q,) of features (n, q) and the constant that fit a target (n,).
 
     Features and target are scaled before solving: 1e-6 m beside 40 K is ill-conditioned.
     """
@@ -241,9 +264,15 @@ def fit_linear(
     level = float(values.mean()) if intercept else 0.0
     unit = float(values.std()) or 1.0
     solution = unit * ridge_solution(columns - center, (values - level) / unit, ridge)
-    weight = solution / scale
-    offset = level - float(center @ solution)
-    return linear_recursion(weight, pole, direct, offset)
+    return solution / scale, level - float(center @ solution)
+
+
+def static_recursion(
+    rise: Array, target: Array, ridge: float, intercept: bool = True
+) -> LinearRecursion:
+    """Fit rises (n, p) to a target (n,) without lags."""
+    weight, offset = solve_linear(rise, target, ridge, intercept)
+    return linear_recursion(weight, np.empty(0), True, offset)
 
 
 def linear_recursion(weight: Array, pole: Array, direct: bool, offset: float) -> LinearRecursion:
@@ -256,4 +285,32 @@ def linear_recursion(weight: Array, pole: Array, direct: bool, offset: float) ->
         readout=weight[np.newaxis, direct * inputs :],
         direct=weight[np.newaxis, :inputs] if direct else np.zeros((1, inputs)),
         offset=np.array([offset]),
+    )
+
+
+def driven_features(
+    inputs: Array, rows: Sequence[slice], rises: int, pole: Array, driver_pole: Array
+) -> Array:
+    """Return rises and drivers, each with its own lags; the first `rises` columns are rises."""
+    features = lag_features(inputs[:, :rises], rows, pole)
+    if inputs.shape[1] == rises:
+        return features
+    return np.hstack([features, lag_features(inputs[:, rises:], rows, driver_pole)])
+
+
+def driven_recursion(
+    weight: Array, rises: int, pole: Array, drivers: int, driver_pole: Array, offset: float
+) -> LinearRecursion:
+    """Return the recursion of one channel from the weights of `driven_features`."""
+    split = (1 + len(pole)) * rises
+    own = linear_recursion(weight[:split], pole, True, offset)
+    if not drivers:
+        return own
+    driven = linear_recursion(weight[split:], driver_pole, True, 0.0)
+    return LinearRecursion(
+        pole=np.concatenate([own.pole, driven.pole]),
+        drive=block_diag(own.drive, driven.drive),
+        readout=np.hstack([own.readout, driven.readout]),
+        direct=np.hstack([own.direct, driven.direct]),
+        offset=own.offset,
     )

@@ -11,11 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.text_hash import text_hash
-from fuzzycnc_ros.core.thermal.candidate import Candidate
+from fuzzycnc_ros.core.thermal.band import Band
+from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, Candidate
 from fuzzycnc_ros.core.thermal.document import ModelFileError
 from fuzzycnc_ros.core.thermal.domain import Domain
+from fuzzycnc_ros.core.thermal.drivers import SPINDLE_SPEED, drive_of, speed_drive
 from fuzzycnc_ros.core.thermal.model_document import read_document, write_document
 from fuzzycnc_ros.core.thermal.recursions import (
+    BoundedRecursion,
     Recursion,
     Stream,
     check_interval,
@@ -23,9 +26,7 @@ from fuzzycnc_ros.core.thermal.recursions import (
 )
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, ThermalRun
 from fuzzycnc_ros.core.thermal.selected import SensorSelection
-
-OUTSIDE_FACTOR = 2.0
-"""Widening of the standard deviation outside the domain, method sheet 001 section 8.E."""
+from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatchModel
 
 REFERENCE_RULE = 'mean of the first three samples'
 """What rises are meant against, unless a thermal reference says otherwise."""
@@ -59,10 +60,19 @@ class ThermalModel:
         Rises that it was trained on.
     residual_deviation : ndarray, shape (c,)
         Standard deviation of the default's held-out residual [m].
+    drivers : tuple of str, length d
+        What the candidates may read behind the rises: the driver of the spindle speed, or
+        nothing where it was not recorded.
+    bound : ndarray, shape (c,), optional
+        Largest absolute error that the default may predict [m]; absent in old files, where it
+        has no bound.
     omitted : mapping of str to str
         Candidates that could not be fitted, and why.
     reference : str
         Rule by which the reference of the rises was found.
+    watch : SensorWatchModel, optional
+        How the sensors follow each other, to find faulty ones and to stand in for them; files
+        of earlier versions have none.
     """
 
     inputs: tuple[str, ...]
@@ -75,8 +85,11 @@ class ThermalModel:
     selection: SensorSelection
     domain: Domain
     residual_deviation: Array
+    drivers: tuple[str, ...] = ()
+    bound: Array | None = None
     omitted: Mapping[str, str] = field(default_factory=dict)
     reference: str = REFERENCE_RULE
+    watch: SensorWatchModel | None = None
     _default_recursion: Recursion = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -99,6 +112,8 @@ class ThermalModel:
                     for channel, name in enumerate(self.default)
                 ]
             )
+        if self.bound is not None:
+            recursion = BoundedRecursion(recursion, self.bound)
         object.__setattr__(self, '_default_recursion', recursion)
 
     def to_json(self) -> str:
@@ -124,6 +139,23 @@ class ThermalModel:
     def hash(self) -> str:
         """SHA-256 of the model file's text, 64 hexadecimal digits."""
         return text_hash(self.to_json())
+
+    @property
+    def needs_speed(self) -> bool:
+        """Whether the default reads the spindle speed."""
+        return any(name.endswith(SPEED_SUFFIX) for name in self.default)
+
+    def drive(self, spindle_speed: float) -> Array:
+        """Return what stands behind the rises in a sample, shape (d,) [-].
+
+        Parameters
+        ----------
+        spindle_speed : float
+            Spindle speed [rad/s]; not looked at unless the default needs it.
+        """
+        if not self.needs_speed:
+            return np.zeros(len(self.drivers))
+        return np.full(len(self.drivers), speed_drive(np.array(spindle_speed)))
 
     def check_stream(self, sensors: Sequence[str], interval: float) -> None:
         """Refuse a stream that the model was not made for.
@@ -183,8 +215,8 @@ class ThermalModel:
         Returns
         -------
         Stream
-            Its `step` takes the rises (p,) [K] and returns the thermal errors (c,) [m]; its
-            `state` is a flat array that a checkpoint may keep.
+            Its `step` takes the rises (p,) [K], with `drive` behind them, and returns the
+            thermal errors (c,) [m]; its `state` is a flat array that a checkpoint may keep.
         """
         return Stream(self.recursion(candidate))
 
@@ -193,9 +225,9 @@ class ThermalModel:
 
         Parameters
         ----------
-        source : ThermalRun or array_like, shape (n, p)
+        source : ThermalRun or array_like, shape (n, p + d)
             A run that carries the inputs at the model's interval, or the rises of the inputs
-            [K], from the start of the run.
+            [K] and the drivers behind them, from the start of the run.
         candidate : str, optional
             Candidate to run; the default of each channel if absent.
 
@@ -208,47 +240,62 @@ class ThermalModel:
         ------
         ModelMismatchError
             If the run lacks inputs or has another interval, or the rises have another width.
+        ThermalDataError
+            If the run lacks a spindle speed that the default needs.
         ValueError
             If a rise is NaN: a failed sensor needs its substitute first.
         """
         return self.recursion(candidate).run(self.rises(source))
 
     def rises(self, source: ThermalRun | ArrayLike) -> Array:
-        """Return the rises of the inputs, shape (n, p) [K], checked as `predict` says."""
+        """Return the samples of a run, shape (n, p + d), checked as `predict` says.
+
+        Rises [K] come first, then the drivers [-]; zeros where the run has no spindle speed and
+        the default needs none.
+        """
+        width = len(self.inputs) + len(self.drivers)
         if isinstance(source, ThermalRun):
             self.check_stream(source.sensor, source.interval)
-            rise = source.rise()[:, source.columns(self.inputs)]
+            if source.spindle_speed is None and not self.needs_speed:
+                drive = np.zeros((len(source.time), len(self.drivers)))
+            else:
+                drive = drive_of(source, self.drivers)
+            rise = np.hstack([source.rise()[:, source.columns(self.inputs)], drive])
         else:
             rise = np.asarray(source, dtype=np.float64)
-            if rise.ndim != 2 or rise.shape[1] != len(self.inputs):
+            if rise.ndim != 2 or rise.shape[1] != width:
                 raise ModelMismatchError(
-                    f'rise: expected {len(self.inputs)} columns ({", ".join(self.inputs)}), but '
-                    f'found shape {rise.shape}'
+                    f'rise: expected {width} columns ({", ".join(self.inputs + self.drivers)}), '
+                    f'but found shape {rise.shape}'
                 )
         bad = np.argwhere(~np.isfinite(rise))
         if len(bad):
             row, column = bad[0]
             raise ValueError(
-                f'rise: expected finite values, but found {rise[row, column]} of sensor '
-                f'{self.inputs[column]!r} at sample {row}; put a substitute in its place'
+                f'rise: expected finite values, but found {rise[row, column]} of input '
+                f'{(self.inputs + self.drivers)[column]!r} at sample {row}; put a substitute in '
+                'its place'
             )
         return rise
 
     def in_domain(self, rise: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether rises (..., p) [K] lie where the model was trained, shape (...)."""
+        """Return whether samples (..., p + d) lie where the model was trained, shape (...)."""
         values = np.asarray(rise, dtype=np.float64)
         return np.asarray(self.domain.distance(values) <= self.domain.limit)
 
     def standard_deviation(self, rise: ArrayLike) -> Array:
-        """Return the standard deviation of the prediction at rises (..., p) [K].
+        """Return the standard deviation of the prediction at samples (..., p + d).
 
         Returns
         -------
         ndarray, shape (..., c)
-            That of the held-out residual [m], twice as much outside the domain.
+            That of the held-out residual, wider with the distance from the training, or of the
+            model itself, whichever is larger [m]; see `Band`.
         """
-        factor = np.where(self.in_domain(rise), 1.0, OUTSIDE_FACTOR)
-        return np.asarray(factor[..., np.newaxis] * self.residual_deviation)
+        samples = np.asarray(rise, dtype=np.float64)
+        band = Band(self.residual_deviation, self.domain.limit)
+        said = self._default_recursion.standard_deviation(samples)
+        return band.at(self.domain.distance(samples), said)
 
     def with_interval(self, interval: float) -> 'ThermalModel':
         """Return the model for another sampling interval [s], method sheet 001 section 3.1.
@@ -256,15 +303,22 @@ class ThermalModel:
         Raises
         ------
         ValueError
-            If `interval` is not positive, or a candidate has no meaning at another interval.
+            If `interval` is not positive, or the default has no meaning at another interval;
+            other candidates without one are left out.
         """
         check_interval(interval)
         ratio = interval / self.interval
-        candidates = {
-            name: replace(item, recursion=item.recursion.with_interval(ratio))
-            for name, item in self.candidates.items()
-        }
-        return replace(self, interval=interval, candidates=candidates)
+        candidates, omitted = {}, dict(self.omitted)
+        for name, item in self.candidates.items():
+            try:
+                recursion = item.recursion.with_interval(ratio)
+            except ValueError as error:
+                if name in self.default:
+                    raise ValueError(f'candidate {name!r}: {error}') from error
+                omitted[name] = str(error)
+            else:
+                candidates[name] = replace(item, recursion=recursion)
+        return replace(self, interval=interval, candidates=candidates, omitted=omitted)
 
 
 def _check_parts(model: ThermalModel) -> None:
@@ -285,6 +339,19 @@ def _check_parts(model: ThermalModel) -> None:
             f'selection: expected the inputs {", ".join(model.inputs)} as chosen sensors, but '
             f'found {", ".join(model.selection.chosen)}'
         )
+    if model.drivers not in ((), (SPINDLE_SPEED,)):
+        raise ValueError(
+            f'drivers: expected none or {SPINDLE_SPEED}, but found {", ".join(model.drivers)}'
+        )
+    if model.domain.drive.shape != (len(model.drivers),):
+        raise ValueError(
+            f'domain: expected {len(model.drivers)} drivers, but found {len(model.domain.drive)}'
+        )
+    if model.watch is not None and model.watch.input != model.inputs:
+        raise ValueError(
+            f'watch: expected the inputs {", ".join(model.inputs)}, but found '
+            f'{", ".join(model.watch.input)}'
+        )
     if model.domain.mean.shape != (inputs,) or model.domain.inverse_covariance.shape != (
         inputs,
         inputs,
@@ -292,9 +359,10 @@ def _check_parts(model: ThermalModel) -> None:
         raise ValueError(f'domain: expected {inputs} inputs, but found {model.domain.mean.shape}')
     for name, candidate in model.candidates.items():
         shape = (candidate.recursion.channels, candidate.recursion.inputs)
-        if shape != (channels, inputs):
+        width = inputs + len(model.drivers)
+        if shape != (channels, width):
             raise ValueError(
-                f'candidate {name!r}: expected {channels} channels and {inputs} inputs, but '
+                f'candidate {name!r}: expected {channels} channels and {width} inputs, but '
                 f'found {shape[0]} and {shape[1]}'
             )
     for name in model.default:

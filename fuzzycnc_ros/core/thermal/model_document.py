@@ -7,7 +7,7 @@ and finiteness are checked, and nothing is executed, unlike with pickle.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -19,6 +19,7 @@ from fuzzycnc_ros.core.thermal.document import ModelFileError, Node
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.recursions import read_recursion, write_recursion
 from fuzzycnc_ros.core.thermal.selected import SensorCluster, SensorSelection
+from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatchModel
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.model import ThermalModel
@@ -26,8 +27,11 @@ if TYPE_CHECKING:
 SCHEMA = 'fuzzycnc/thermal-model'
 """What a model file says it is."""
 
-SCHEMA_VERSION = 1
-"""Version of the layout; a reader refuses others."""
+SCHEMA_VERSION = 2
+"""Version of the layout that is written."""
+
+READABLE_VERSIONS = (1, 2)
+"""Versions that are read; the first knew neither drivers nor bounds."""
 
 UNITS = {'time': 's', 'rise': 'K', 'displacement': 'm'}
 """Units of the numbers in a model file."""
@@ -43,15 +47,23 @@ def write_document(model: 'ThermalModel') -> str:
         'schema_version': SCHEMA_VERSION,
         'units': UNITS,
         'inputs': list(model.inputs),
+        'drivers': list(model.drivers),
         'interval': model.interval,
         'reference': model.reference,
         'channels': [
-            {'name': name, 'axis': axis, 'default': default, 'residual_deviation': deviation}
-            for name, axis, default, deviation in zip(
+            {
+                'name': name,
+                'axis': axis,
+                'default': default,
+                'residual_deviation': deviation,
+                'bound': bound,
+            }
+            for name, axis, default, deviation, bound in zip(
                 model.channel,
                 model.axis,
                 model.default,
                 model.residual_deviation.tolist(),
+                [None] * len(model.channel) if model.bound is None else model.bound.tolist(),
                 strict=True,
             )
         ],
@@ -63,7 +75,9 @@ def write_document(model: 'ThermalModel') -> str:
             'mean': model.domain.mean.tolist(),
             'inverse_covariance': model.domain.inverse_covariance.tolist(),
             'limit': model.domain.limit,
+            'drive': model.domain.drive.tolist(),
         },
+        'watch': None if model.watch is None else model.watch.document(),
     }
     return json.dumps(document, allow_nan=False) + '\n'
 
@@ -103,7 +117,7 @@ def read_document(text: str) -> dict[str, Any]:
             f'model file: expected the schema {SCHEMA!r}, but found '
             f'{root.get("schema").text()!r}; this is another kind of document'
         )
-    if root.get('schema_version').value != SCHEMA_VERSION:
+    if root.get('schema_version').value not in READABLE_VERSIONS:
         raise ModelFileError(
             f'model file: expected schema version {SCHEMA_VERSION}, but found '
             f'{root.get("schema_version").value!r}; train the model anew with this version'
@@ -116,6 +130,8 @@ def read_document(text: str) -> dict[str, Any]:
         return _fields(root)
     except ModelFileError:
         raise
+    except RecursionError as error:
+        raise ModelFileError('model file: expected recursions that are not nested') from error
     except ValueError as error:
         raise ModelFileError(f'model file: {error}') from error
 
@@ -163,6 +179,9 @@ def _fields(root: Node) -> dict[str, Any]:
     inputs = root.get('inputs').texts()
     channels = root.get('channels').list()
     domain = root.get('domain')
+    first = root.get('schema_version').value == 1
+    drivers = () if first else root.get('drivers').texts()
+    width = len(inputs) + len(drivers)
     return dict(
         inputs=inputs,
         interval=root.get('interval').number(),
@@ -170,7 +189,7 @@ def _fields(root: Node) -> dict[str, Any]:
         axis=tuple(node.get('axis').text() for node in channels),
         runs=root.get('training_runs').texts(),
         candidates={
-            name: _read_candidate(name, node, len(inputs))
+            name: _read_candidate(name, node, width)
             for name, node in root.get('candidates').items().items()
         },
         default=tuple(node.get('default').text() for node in channels),
@@ -179,13 +198,28 @@ def _fields(root: Node) -> dict[str, Any]:
             mean=np.array(domain.get('mean').numbers()),
             inverse_covariance=domain.get('inverse_covariance').matrix(len(inputs)),
             limit=domain.get('limit').number(),
+            drive=np.empty(0) if first else domain.get('drive').vector(),
         ),
         residual_deviation=np.array(
             [_positive(node.get('residual_deviation')) for node in channels]
         ),
+        drivers=drivers,
+        bound=_read_bound(channels, first),
         omitted={name: node.text() for name, node in root.get('omitted').items().items()},
         reference=root.get('reference').text(),
+        watch=None if first else _read_watch(root.get('watch')),
     )
+
+
+def _read_watch(node: Node) -> SensorWatchModel | None:
+    return None if node.value is None else SensorWatchModel.read(node)
+
+
+def _read_bound(channels: Sequence[Node], first: bool) -> Array | None:
+    nodes = [] if first else [node.get('bound') for node in channels]
+    if all(node.value is None for node in nodes):
+        return None
+    return np.array([node.number() for node in nodes])
 
 
 def _positive(node: Node) -> float:
@@ -218,7 +252,10 @@ def _read_candidate(name: str, node: Node, inputs: int) -> Candidate:
 def _read_settings(node: Node) -> Settings:
     settings: Settings = {}
     for name, item in node.items().items():
-        settings[name] = item.numbers() if isinstance(item.value, list) else item.number()
+        if isinstance(item.value, list):
+            settings[name] = item.numbers()
+        else:
+            settings[name] = item.text() if isinstance(item.value, str) else item.number()
     return settings
 
 

@@ -9,7 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.estimator import Estimator, check_features, check_fitted
+from fuzzycnc_ros.core.estimator import (
+    RegressionEstimator,
+    check_features,
+    check_fitted,
+    check_target,
+)
 from fuzzycnc_ros.core.thermal.recursions import (
     Recursion,
     Stream,
@@ -20,7 +25,7 @@ from fuzzycnc_ros.core.thermal.recursions import (
 Self = TypeVar('Self', bound='ThermalRegressor')
 
 
-class ThermalRegressor(Estimator):
+class ThermalRegressor(RegressionEstimator):
     """Base of the models that map rises to the thermal error of one channel.
 
     A subclass learns `recursion_` in `fit`; everything else follows from that.
@@ -96,7 +101,6 @@ def check_training(
     samples: ArrayLike,
     target: ArrayLike,
     runs: ArrayLike | None,
-    parameters_max: int | None = None,
 ) -> tuple[Array, Array, list[slice]]:
     """Return rises (n, p), target (n,) and the rows of each run after checking them.
 
@@ -106,30 +110,35 @@ def check_training(
         Estimator under training; it notes the number of inputs.
     samples, target, runs : array_like
         Arguments of `fit`; the target may hold NaN where nothing was measured.
-    parameters_max : int, optional
-        Number of free parameters that must stay below the number of measured samples; absent
-        where a ridge makes the fit well posed.
 
     Raises
     ------
     ValueError
-        If lengths disagree, the target is infinite or never measured, or there are too few
-        samples.
+        If lengths disagree, or the target is absent, infinite or never measured.
     """
+    measured = check_target(estimator, target)
     rise = check_features(estimator, samples, reset=True)
-    measured = np.asarray(target, dtype=np.float64)
     if measured.shape != (len(rise),):
         raise ValueError(
             f'y: expected {len(rise)} values, one per sample, but found shape {measured.shape}'
         )
-    if np.isinf(measured).any():
-        raise ValueError('y: expected finite values or NaN, but found infinity')
-    count = int(np.isfinite(measured).sum())
-    if count == 0:
+    if np.isnan(measured).all():
         raise ValueError('y: expected measured values, but found only NaN')
-    if parameters_max is not None and count <= parameters_max:
-        raise ValueError(
-            f'y: expected more than {parameters_max} measured samples for as many parameters, '
-            f'but found {count}; record longer, use fewer sensors, or a ridge'
-        )
     return rise, measured, run_slices(runs, len(rise))
+
+
+def check_sample_count(target: Array, parameters: int) -> None:
+    """Refuse a target (n,) with no more measured samples than a fit has free parameters.
+
+    Raises
+    ------
+    ValueError
+        The message names the remedies.
+    """
+    count = int(np.isfinite(target).sum())
+    if count <= parameters:
+        raise ValueError(
+            f'y: expected more than {parameters} measured samples for as many parameters, but '
+            f'found {count} sample{"" if count == 1 else "s"}; record longer, use fewer sensors, '
+            'or a ridge'
+        )

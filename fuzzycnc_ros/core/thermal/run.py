@@ -22,6 +22,9 @@ DISPLACEMENT_MAX = 500e-6
 RISE_RATE_MAX = 10.0
 """Fastest plausible rise within one minute [K]; beyond it a plug is loose."""
 
+SPINDLE_SPEED_MAX = 20000.0
+"""Largest plausible spindle speed [rad/s], 190,000 rpm; beyond it units were mixed up."""
+
 RISE_MIN = 0.5
 """Smallest range of a rise that teaches anything [K]; below it there is only noise."""
 
@@ -59,6 +62,8 @@ class ThermalRun:
         ISO 841 axis that each channel belongs to.
     displacement : array_like, shape (n, c)
         Thermal error, actual minus nominal [m]; NaN where nothing was probed.
+    spindle_speed : array_like, shape (n,), optional
+        Measured spindle speed [rad/s]; NaN where unknown, absent where it was not recorded.
 
     Raises
     ------
@@ -79,6 +84,7 @@ class ThermalRun:
     channel: tuple[str, ...]
     axis: tuple[str, ...]
     displacement: NDArray[np.float64]
+    spindle_speed: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         """Take read-only copies and check them."""
@@ -86,6 +92,8 @@ class ThermalRun:
             object.__setattr__(self, field, tuple(str(item) for item in getattr(self, field)))
         for field in ('time', 'temperature', 'displacement'):
             object.__setattr__(self, field, _read_only(getattr(self, field)))
+        if self.spindle_speed is not None:
+            object.__setattr__(self, 'spindle_speed', _read_only(self.spindle_speed))
         _check_shapes(self)
         _check_names(self)
         _check_time(self)
@@ -203,9 +211,10 @@ class ThermalRun:
                 f'run {self.name!r}: expected gaps of at most {longest:g} s, but found '
                 f'{steps[gap]:.6g} s after sample {gap}; use the part before or after it'
             )
-        even = even_blocks(
-            self.time, np.hstack([self.temperature, self.displacement]), interval, JITTER_MAX
-        )
+        columns = [self.temperature, self.displacement]
+        if self.spindle_speed is not None:
+            columns.append(self.spindle_speed[:, np.newaxis])
+        even = even_blocks(self.time, np.hstack(columns), interval, JITTER_MAX)
         if even is None:
             return self
         time, values = even
@@ -216,12 +225,16 @@ class ThermalRun:
             )
         # A reading that is missing spoils the mean of its sensor, but a probe that is missing
         # leaves the other probes of the block.
-        temperature, displacement = np.split(values, [len(self.sensor)], axis=2)
+        sensors, channels = len(self.sensor), len(self.channel)
+        temperature, displacement, speed = np.split(values, [sensors, sensors + channels], axis=2)
         return replace(
             self,
             time=time,
             temperature=temperature.mean(axis=1),
             displacement=mean_of_measured(displacement),
+            spindle_speed=None
+            if self.spindle_speed is None
+            else mean_of_measured(np.abs(speed))[:, 0],
         )
 
     def window(self, start: float | None = None, stop: float | None = None) -> 'ThermalRun':
@@ -238,6 +251,7 @@ class ThermalRun:
             time=self.time[inside],
             temperature=self.temperature[inside],
             displacement=self.displacement[inside],
+            spindle_speed=None if self.spindle_speed is None else self.spindle_speed[inside],
         )
 
     def inside(self, start: float | None = None, stop: float | None = None) -> NDArray[np.bool_]:
@@ -245,43 +259,6 @@ class ThermalRun:
         low = -np.inf if start is None else start
         high = np.inf if stop is None else stop
         return np.asarray((self.time >= low) & (self.time <= high))
-
-
-def check_training_runs(runs: Sequence[ThermalRun]) -> None:
-    """Refuse runs from which nothing sound can be learnt, method sheet 001 section 6.
-
-    Parameters
-    ----------
-    runs : sequence of ThermalRun
-        Runs of one machine; sensors, channels, axes and interval must agree.
-
-    Raises
-    ------
-    ThermalDataError
-        If there is no run, runs disagree, a temperature is NaN, rises faster than 10 K per
-        minute, no sensor warms by 0.5 K, or a channel was never measured.
-    """
-    if not runs:
-        raise ThermalDataError('runs: expected at least one run, but found none')
-    first = runs[0]
-    names = [run.name for run in runs]
-    if len(set(names)) != len(names):
-        raise ThermalDataError(f'runs: expected each name once, but found {", ".join(names)}')
-    for run in runs:
-        _check_same(first, run)
-        _check_rise(run)
-    if max(float(np.ptp(run.temperature, axis=0).max()) for run in runs) < RISE_MIN:
-        raise ThermalDataError(
-            f'runs: expected a sensor that warms by {RISE_MIN} K, but found none; '
-            'nothing can be learnt from a machine that stayed cold'
-        )
-    measured = np.sum([np.isfinite(run.displacement).sum(axis=0) for run in runs], axis=0)
-    for channel, count in zip(first.channel, measured, strict=True):
-        if count < SAMPLES_MIN:
-            raise ThermalDataError(
-                f'channel {channel!r}: expected at least {SAMPLES_MIN} measured displacements, '
-                f'but found {count}'
-            )
 
 
 def _read_only(values: ArrayLike) -> NDArray[np.float64]:
@@ -297,6 +274,8 @@ def _check_shapes(run: ThermalRun) -> None:
         'temperature': (samples, len(run.sensor)),
         'displacement': (samples, len(run.channel)),
     }
+    if run.spindle_speed is not None:
+        expected['spindle_speed'] = (samples,)
     for field, shape in expected.items():
         found = getattr(run, field).shape
         if samples < 0 or found != shape:
@@ -360,40 +339,10 @@ def _check_values(run: ThermalRun) -> None:
             f'but found {run.displacement[row, column] * 1e6:.6g} um in channel '
             f'{run.channel[column]!r} at sample {row}; check whether mm, um and m were mixed up'
         )
-
-
-def _check_same(first: ThermalRun, run: ThermalRun) -> None:
-    for field in ('sensor', 'channel', 'axis'):
-        expected, found = getattr(first, field), getattr(run, field)
-        if expected != found:
+    if run.spindle_speed is not None:
+        fastest = float(np.nanmax(np.abs(run.spindle_speed), initial=0.0))
+        if fastest > SPINDLE_SPEED_MAX:
             raise ThermalDataError(
-                f'run {run.name!r}: expected {field} {", ".join(expected)} as in run '
-                f'{first.name!r}, but found {", ".join(found)}'
+                f'run {run.name!r}: expected a spindle speed of at most {SPINDLE_SPEED_MAX:g} '
+                f'rad/s, but found {fastest:g} rad/s; check whether it is in rpm'
             )
-    if abs(run.interval - first.interval) > JITTER_MAX * first.interval:
-        raise ThermalDataError(
-            f'run {run.name!r}: expected the interval {first.interval:.6g} s of run '
-            f'{first.name!r}, but found {run.interval:.6g} s; resample the runs to one interval'
-        )
-
-
-def _check_rise(run: ThermalRun) -> None:
-    lost = np.atleast_1d(np.isnan(run.temperature).any(axis=0))
-    if lost.any():
-        names = [run.sensor[column] for column in np.flatnonzero(lost)]
-        raise ThermalDataError(
-            f'run {run.name!r}: expected a temperature in every sample, but found gaps in '
-            f'{", ".join(names)}; leave these sensors out of the training'
-        )
-    minute = max(1, round(60.0 / run.interval))
-    if minute >= len(run.time):
-        return
-    change = np.abs(run.temperature[minute:] - run.temperature[:-minute])
-    limit = RISE_RATE_MAX * minute * run.interval / 60.0
-    if change.max() > limit:
-        row, column = np.unravel_index(int(np.argmax(change)), change.shape)
-        raise ThermalDataError(
-            f'run {run.name!r}: expected at most {RISE_RATE_MAX:g} K per minute, but found '
-            f'{change[row, column]:.3g} K within {minute * run.interval:.3g} s of sensor '
-            f'{run.sensor[column]!r} at sample {row}; check its plug or leave it out'
-        )

@@ -24,9 +24,9 @@ from fuzzycnc_ros.core.thermal.run import (
     RISE_MIN,
     ThermalDataError,
     ThermalRun,
-    check_training_runs,
 )
 from fuzzycnc_ros.core.thermal.selected import SensorCluster, SensorSelection
+from fuzzycnc_ros.core.thermal.training_runs import check_training_runs
 
 METHODS = ('correlation', 'grey_grade')
 """How members of a cluster are ranked."""

@@ -2,32 +2,35 @@
 # SPDX-License-Identifier: Apache-2.0
 """Train a thermal model: sensors, candidates, choice on held-out runs, domain."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from fuzzycnc_ros.core.thermal.candidate import CANDIDATES
-from fuzzycnc_ros.core.thermal.candidates import (
-    ELIGIBLE,
-    JudgedCandidate,
-    TrainingSet,
-    fit_candidate,
-    preferred,
+from fuzzycnc_ros.core.thermal.candidate import (
+    CANDIDATES,
+    COMPARED_ONLY,
+    SPEED_SUFFIX,
+    STANDARD,
 )
+from fuzzycnc_ros.core.thermal.candidates import JudgedCandidate, fit_candidate, preferred
 from fuzzycnc_ros.core.thermal.domain import Domain
+from fuzzycnc_ros.core.thermal.drivers import drivers_of
 from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.recursions import BOUND_FACTOR
 from fuzzycnc_ros.core.thermal.refinement import Progress
 from fuzzycnc_ros.core.thermal.run import (
     JITTER_MAX,
     ThermalDataError,
     ThermalRun,
-    check_training_runs,
 )
 from fuzzycnc_ros.core.thermal.selected import SensorSelection
 from fuzzycnc_ros.core.thermal.selection import (
     all_sensors,
     select_sensors,
 )
+from fuzzycnc_ros.core.thermal.training_runs import check_training_runs
+from fuzzycnc_ros.core.thermal.training_set import TrainingSet
+from fuzzycnc_ros.core.thermal.watch_training import learn_watch
 
 SENSORS_MAX = 24
 """Most sensors that 'auto' feeds to the models as they are.
@@ -43,6 +46,9 @@ def train_model(
     interval: float = 60.0,
     sensors: str = 'auto',
     n_clusters: int = 5,
+    candidates: Sequence[str] = STANDARD,
+    compared: Sequence[str] = (),
+    spindle_speed: bool = True,
     random_state: int = 0,
     progress: Progress | None = None,
 ) -> ThermalModel:
@@ -62,6 +68,12 @@ def train_model(
         'auto' takes all up to 24 sensors and clusters above.
     n_clusters : int
         Number of clusters.
+    candidates : sequence of str
+        Candidates to fit, to judge on held-out samples and to choose from, beside `model`.
+    compared : sequence of str
+        Further candidates, which are only fitted: they are in the model for a comparison.
+    spindle_speed : bool
+        Whether candidates may read the spindle speed, where all runs have it.
     random_state : int
         Seed of the clustering.
     progress : callable, optional
@@ -80,29 +92,37 @@ def train_model(
     ValueError
         If `model` or `sensors` is unknown.
     """
-    if model != 'auto' and model not in CANDIDATES:
-        raise ValueError(
-            f'model: expected auto or one of {", ".join(CANDIDATES)}, but found {model!r}'
-        )
+    names = _names(model, (*candidates, *compared))
     even = [at_interval(run, interval) for run in runs]
     check_training_runs(even)
     selection = _selected(even, sensors, n_clusters, random_state, progress)
-    data = TrainingSet.of(even, selection.chosen)
+    drivers = drivers_of(even) if spindle_speed else ()
+    data = TrainingSet.of(even, selection.chosen, drivers)
     judged: dict[str, JudgedCandidate] = {}
     omitted: dict[str, str] = {}
-    for done, name in enumerate(CANDIDATES, start=1):
+    for done, name in enumerate(names):
+        if name.endswith(SPEED_SUFFIX) and not drivers:
+            if name == model:
+                raise ThermalDataError(
+                    f'model {name!r}: expected a spindle speed that changes in every run, but '
+                    'found none; record machine_state, or use a model without it'
+                )
+            continue
         try:
-            judged[name] = fit_candidate(name, data)
+            judged[name] = fit_candidate(
+                name,
+                data,
+                _step(progress, name, done, len(names)),
+                held_out=name in candidates or name == model,
+            )
         except ThermalDataError as error:
             if name == model:
                 raise
             omitted[name] = str(error)
-        if progress is not None:
-            progress('fit', name, done, len(CANDIDATES))
-    default = _default(model, judged, data)
-    rms = np.array(
-        [judged[name].candidate.held_out_rms[column] for column, name in enumerate(default)]
-    )
+    if progress is not None:
+        progress('fit', names[-1], len(names), len(names))
+    default = _default(model, candidates, judged, data)
+    deviation = np.array([judged[name].deviation[column] for column, name in enumerate(default)])
     return ThermalModel(
         inputs=selection.chosen,
         interval=data.interval,
@@ -112,9 +132,12 @@ def train_model(
         candidates={name: item.candidate for name, item in judged.items()},
         default=default,
         selection=selection,
-        domain=Domain.of(data.rise),
-        residual_deviation=rms,
+        domain=Domain.of(data.rise, data.drive),
+        drivers=drivers,
+        bound=BOUND_FACTOR * np.nanmax(np.abs(data.displacement), axis=0),
+        residual_deviation=deviation,
         omitted=omitted,
+        watch=learn_watch(even, selection, data.interval),
     )
 
 
@@ -135,6 +158,27 @@ def at_interval(run: ThermalRun, interval: float) -> ThermalRun:
     return run.resample(interval)
 
 
+def _names(model: str, candidates: Sequence[str]) -> tuple[str, ...]:
+    """Return the candidates to fit, in the order of tables."""
+    for name in (*candidates, *(() if model == 'auto' else (model,))):
+        if name not in CANDIDATES:
+            raise ValueError(
+                f'model: expected auto or one of {", ".join(CANDIDATES)}, but found {name!r}'
+            )
+    return tuple(name for name in CANDIDATES if name in candidates or name == model)
+
+
+def _step(progress: Progress | None, name: str, done: int, total: int) -> Callable[[], None]:
+    """Return what a candidate under training calls after each fit."""
+
+    def step() -> None:
+        if progress is not None:
+            progress('fit', name, done, total)
+
+    step()
+    return step
+
+
 def _selected(
     runs: Sequence[ThermalRun],
     sensors: str,
@@ -151,15 +195,29 @@ def _selected(
     )
 
 
-def _default(model: str, judged: dict[str, JudgedCandidate], data: TrainingSet) -> tuple[str, ...]:
+def _default(
+    model: str,
+    candidates: Sequence[str],
+    judged: dict[str, JudgedCandidate],
+    data: TrainingSet,
+) -> tuple[str, ...]:
     """Return the candidate of each channel."""
     channels = int(data.displacement.shape[1])
     if model == 'auto':
         sound = [
-            judged[name]
-            for name in ELIGIBLE
-            if name in judged and not judged[name].candidate.problems
+            item
+            for name, item in judged.items()
+            if name in candidates and name not in COMPARED_ONLY and not item.candidate.problems
         ]
+        if not sound:
+            reasons = [
+                f'{name}: {"; ".join(item.candidate.problems) or "for comparison only"}'
+                for name, item in judged.items()
+            ]
+            raise ThermalDataError(
+                'model: expected a candidate that can be trusted, but found none; '
+                + ' | '.join(reasons)
+            )
         return preferred(sound, data.scaled_target()[1])
     problems = judged[model].candidate.problems
     if problems:

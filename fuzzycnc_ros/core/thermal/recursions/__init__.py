@@ -9,30 +9,64 @@ from fuzzycnc_ros.core.thermal.recursions.base import (
     check_shapes,
     run_slices,
 )
+from fuzzycnc_ros.core.thermal.recursions.bounded import BOUND_FACTOR, BoundedRecursion, bounded
+from fuzzycnc_ros.core.thermal.recursions.corrected import CorrectedRecursion
+from fuzzycnc_ros.core.thermal.recursions.differenced_grey import DifferencedGreyRecursion
+from fuzzycnc_ros.core.thermal.recursions.filter_network import FilterNetworkRecursion
 from fuzzycnc_ros.core.thermal.recursions.grey import GreyRecursion, development_of, pole_of
+from fuzzycnc_ros.core.thermal.recursions.kernel import KernelRecursion
+from fuzzycnc_ros.core.thermal.recursions.layers import LayersRecursion
 from fuzzycnc_ros.core.thermal.recursions.linear import LinearRecursion, first_order_lags
+from fuzzycnc_ros.core.thermal.recursions.moving_average import MovingAverageRecursion
 from fuzzycnc_ros.core.thermal.recursions.parallel import (
     ParallelRecursion,
     combine,
     read_recursion,
     write_recursion,
 )
+from fuzzycnc_ros.core.thermal.recursions.rules import RulesRecursion
+from fuzzycnc_ros.core.thermal.recursions.series import SeriesRecursion, leading
 
-FORMS: tuple[type[Recursion], ...] = (LinearRecursion, GreyRecursion, ParallelRecursion)
+FORMS: tuple[type[Recursion], ...] = (
+    LinearRecursion,
+    GreyRecursion,
+    DifferencedGreyRecursion,
+    SeriesRecursion,
+    CorrectedRecursion,
+    RulesRecursion,
+    KernelRecursion,
+    LayersRecursion,
+    FilterNetworkRecursion,
+    MovingAverageRecursion,
+    BoundedRecursion,
+    ParallelRecursion,
+)
 """All forms that a model file may hold."""
 
 __all__ = [
+    'BOUND_FACTOR',
     'FORMS',
+    'BoundedRecursion',
+    'CorrectedRecursion',
+    'DifferencedGreyRecursion',
+    'FilterNetworkRecursion',
     'GreyRecursion',
+    'KernelRecursion',
+    'LayersRecursion',
     'LinearRecursion',
+    'MovingAverageRecursion',
     'ParallelRecursion',
     'Recursion',
+    'RulesRecursion',
+    'SeriesRecursion',
     'Stream',
+    'bounded',
     'check_interval',
     'check_shapes',
     'combine',
     'development_of',
     'first_order_lags',
+    'leading',
     'pole_of',
     'read_recursion',
     'run_slices',

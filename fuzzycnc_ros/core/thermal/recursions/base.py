@@ -57,6 +57,21 @@ class Recursion(ABC):
             values[k], state = self.step(sample, state)
         return values
 
+    def standard_deviation(self, rise: Array) -> Array:
+        """Return what the form itself says of its deviation.
+
+        Parameters
+        ----------
+        rise : ndarray, shape (..., p)
+            Rises [K].
+
+        Returns
+        -------
+        ndarray, shape (..., c)
+            Standard deviation [m]; NaN where it says nothing, as most forms do.
+        """
+        return np.full((*rise.shape[:-1], self.channels), np.nan)
+
     def with_interval(self: Self, ratio: float) -> Self:
         """Return the recursion for an interval `ratio` times as long.
 

@@ -76,6 +76,11 @@ class ParallelRecursion(Recursion):
         """Return the thermal errors (n, c) [m] of a whole run of rises (n, p) [K]."""
         return np.concatenate([part.run(rise) for part in self.parts], axis=1)[:, self.order]
 
+    def standard_deviation(self, rise: Array) -> Array:
+        """Return what each part says of its channels, shape (..., c) [m]; NaN where nothing."""
+        said = [part.standard_deviation(rise) for part in self.parts]
+        return np.asarray(np.concatenate(said, axis=-1)[..., self.order])
+
     def with_interval(self, ratio: float) -> 'ParallelRecursion':
         """Return the recursions for an interval `ratio` times as long."""
         return ParallelRecursion(
@@ -129,6 +134,15 @@ def combine(recursions: Sequence[Recursion]) -> Recursion:
     """
     if not recursions:
         raise ValueError('recursions: expected at least one, but found none')
+    recursions = [
+        part
+        for item in recursions
+        for part in (
+            map(item.channel, range(item.channels))
+            if isinstance(item, ParallelRecursion)
+            else (item,)
+        )
+    ]
     groups: dict[type[Recursion], list[int]] = {}
     for number, item in enumerate(recursions):
         groups.setdefault(type(item), []).append(number)

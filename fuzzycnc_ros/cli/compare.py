@@ -1,0 +1,319 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc compare`: all models side by side on what none of them has seen."""
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Optional
+
+import typer
+
+from fuzzycnc_ros.cli.console import (
+    JsonFile,
+    check_at_least,
+    check_folder,
+    progress_bar,
+    say,
+    show,
+    write_json,
+    write_text,
+)
+from fuzzycnc_ros.cli.options import (
+    ALL,
+    Clusters,
+    Interval,
+    Report,
+    Sensors,
+    Speed,
+    names_of,
+)
+from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, SPEED_SUFFIX
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from fuzzycnc_ros.cli.workers import Progress
+    from fuzzycnc_ros.core.thermal import ThermalRun
+    from fuzzycnc_ros.core.thermal.comparison import Comparison, HeldOut, Split
+    from fuzzycnc_ros.scenario.grinder_comparison import GrinderComparison, Trial
+
+MACHINES = ('grinder',)
+"""Simulated machines that a comparison may be made on."""
+
+NOT_WITH_MACHINE = ('bags', 'interval', 'sensors', 'clusters', 'speed', 'hold_out')
+"""Parameters that say how recorded runs are treated."""
+
+
+def compare(
+    context: typer.Context,
+    bags: Annotated[
+        Optional[list[Path]],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Argument(
+            metavar='[BAG...]', show_default=False, help='Bags of runs, each from a cold start.'
+        ),
+    ] = None,
+    machine: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            metavar='NAME',
+            show_default=False,
+            help=f'Simulated machine instead of bags: {", ".join(MACHINES)}.',
+        ),
+    ] = None,
+    models: Annotated[
+        list[str],
+        typer.Option(
+            metavar='NAME,...',
+            help=f'Models to compare, or {ALL}: {", ".join(CANDIDATES)}. '
+            'A simulated machine has a list of its own.',
+        ),
+    ] = [ALL],  # noqa: B006 - typer copies it
+    interval: Interval = 60.0,
+    sensors: Sensors = 'auto',
+    clusters: Clusters = 5,
+    speed: Speed = True,
+    hold_out: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option(
+            metavar='START:END',
+            show_default=False,
+            help='Stretch of a single bag to hold out [s]; repeat for more.',
+        ),
+    ] = None,
+    jobs: Annotated[int, typer.Option(help='Processes that work side by side.')] = 2,
+    seed: Annotated[
+        int, typer.Option(help="Seed of the clustering, and of a simulated machine's noise.")
+    ] = 0,
+    report: Report = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Compare all models on runs that none of them has seen.
+
+    Each run is held out in turn: sensors, settings and models come from the other runs alone. A
+    single bag is cut into its thermal cycles where its spindle speed shows them; without, its
+    later part is predicted from what came before. The row `default` is what `fuzzycnc train`
+    would have chosen by itself, without the held-out run. What is not to be trusted is marked.
+
+        fuzzycnc compare monday tuesday wednesday
+        fuzzycnc compare shift --models static_ridge,lag_ridge,stable_grey --json figures.json
+        fuzzycnc compare shift --hold-out 57600:86400 --report comparison.html
+        fuzzycnc compare --machine grinder --report grinder.html
+    """
+    check_at_least('--jobs', jobs, 1)
+    check_at_least('--seed', seed, 0)
+    for path in (report, json_file):
+        check_folder(path)
+    if machine is not None:
+        _check_machine(context, machine)
+        _compare_on_grinder(models, jobs, seed, report, json_file)
+        return
+    if not bags:
+        raise ValueError(f'expected bags or --machine {"|".join(MACHINES)} but found neither')
+    names = names_of('--models', models, CANDIDATES)
+    windows = [_window(text) for text in hold_out or []]
+    runs = read_runs(bags)
+    no_speed = '--no-speed' if not speed else speed_missing(runs, interval)
+    if no_speed:
+        names = _without_speed(names, no_speed)
+    comparison = _compared(
+        runs,
+        windows,
+        jobs,
+        candidates=names,
+        interval=interval,
+        sensors=sensors,
+        n_clusters=clusters,
+        spindle_speed=not no_speed,
+        random_state=seed,
+    )
+    lines = _show(comparison)
+    if no_speed:
+        lines.append(f'spindle speed: not used, {no_speed}')
+    for line in lines:
+        say(line)
+    if report is not None:
+        from fuzzycnc_ros.report.comparison_page import comparison_page
+        from fuzzycnc_ros.report.sections import render_page
+
+        facts = {
+            'Runs': ', '.join(run.name for run in runs),
+            'Sampling interval': f'{interval:g} s',
+            'Spindle speed': f'not used, {no_speed}' if no_speed else 'used where named',
+            'Seed': str(seed),
+        }
+        write_text(report, render_page(comparison_page(comparison, facts)))
+        say(f'{report}: the report; open it in a browser')
+    from fuzzycnc_ros.report.comparison import comparison_document
+
+    write_json(json_file, comparison_document(comparison))
+
+
+def read_runs(bags: 'Sequence[Path]') -> 'list[ThermalRun]':
+    """Read runs, each with a name of its own.
+
+    Raises
+    ------
+    ValueError
+        If two bags have the same name.
+    """
+    from fuzzycnc_ros.bags.runs import read_run
+
+    runs: list[ThermalRun] = []
+    with progress_bar('reading') as tell:
+        for done, bag in enumerate(bags):
+            tell(f'reading {bag.name}', done, len(bags))
+            run = read_run(bag)
+            if any(run.name == other.name for other in runs):
+                raise ValueError(
+                    f'{bag}: expected bags of different names but found {run.name!r} twice; '
+                    'give each once, or rename one'
+                )
+            runs.append(run)
+    return runs
+
+
+def speed_missing(runs: 'Sequence[ThermalRun]', interval: float) -> str:
+    """Return why the spindle speed cannot be used in all runs; empty if it can."""
+    from fuzzycnc_ros.core.thermal.drivers import drivers_of
+    from fuzzycnc_ros.core.thermal.training import at_interval
+
+    even = [at_interval(run, interval) for run in runs]
+    lacking = [run.name for run in even if run.spindle_speed is None]
+    if lacking:
+        return f'since {", ".join(lacking)} carries none'
+    return '' if drivers_of(even) else 'since it has gaps or never changes'
+
+
+def judge_split(split: 'Split', progress: 'Progress', **options: Any) -> 'HeldOut':
+    """Judge one held-out run; what is wrong names it.
+
+    Raises
+    ------
+    ThermalDataError
+        If the runs cannot be used.
+    """
+    from fuzzycnc_ros.core.thermal import ThermalDataError
+    from fuzzycnc_ros.core.thermal.comparison import judge
+
+    try:
+        return judge(split, progress=progress, **options)
+    except ThermalDataError as error:
+        raise ThermalDataError(f'{split.name} held out: {error}') from error
+
+
+def judge_trial(
+    trial: 'Trial', progress: 'Progress', *, models: tuple[str, ...], seed: int
+) -> 'GrinderComparison':
+    """Judge some models in one trial on the simulated grinder."""
+    from fuzzycnc_ros.scenario.grinder_comparison import compare_on_grinder
+    from fuzzycnc_ros.scenario.grinder_rivals import RIVALS
+
+    return compare_on_grinder(
+        seed=seed,
+        rivals=[rival for rival in RIVALS if rival.name in models],
+        trials=(trial,),
+        progress=lambda _, name, done, total: progress('fit', name, done, total),
+    )
+
+
+def _compared(
+    runs: 'Sequence[ThermalRun]',
+    windows: list[tuple[float, float]],
+    jobs: int,
+    **options: Any,
+) -> 'Comparison':
+    """Hold everything out in turn."""
+    from fuzzycnc_ros.cli.workers import in_workers
+    from fuzzycnc_ros.core.thermal.comparison import Comparison, splits
+
+    held_out = splits(runs, windows)
+    names = [split.name for split in held_out]
+    with progress_bar('comparing') as tell:
+        return Comparison(
+            tuple(in_workers(partial(judge_split, **options), held_out, names, jobs, tell))
+        )
+
+
+def _show(comparison: 'Comparison') -> list[str]:
+    """Print all tables; return the lines that close the comparison."""
+    from fuzzycnc_ros.report import comparison as shown
+
+    for item in comparison.held_out:
+        show(shown.held_out_table(item))
+        chosen = f'default: {shown.choice_text(item)}'
+        for line in (chosen, *shown.refusal_lines(item), ''):
+            say(line)
+    if len(comparison.held_out) > 1:
+        show(shown.pooled_table(comparison))
+        for line in shown.pooled_refusal_lines(comparison):
+            say(line)
+    return [f'best candidate: {shown.by_channel(shown.best_candidates(comparison))}']
+
+
+def _compare_on_grinder(
+    models: list[str], jobs: int, seed: int, report: Path | None, json_file: Path | None
+) -> None:
+    from fuzzycnc_ros.cli.workers import in_workers
+    from fuzzycnc_ros.scenario.grinder_comparison import GrinderComparison, grinder_trials
+    from fuzzycnc_ros.scenario.grinder_page import grinder_page, grinder_remarks
+    from fuzzycnc_ros.scenario.grinder_rivals import RIVALS
+
+    names = names_of('--models', models, [rival.name for rival in RIVALS])
+    trials = grinder_trials(seed)
+    with progress_bar('comparing') as tell:
+        parts = in_workers(
+            partial(judge_trial, models=names, seed=seed),
+            trials,
+            [trial.name for trial in trials],
+            jobs,
+            tell,
+        )
+    comparison = GrinderComparison(seed, tuple(trial for part in parts for trial in part.trials))
+    for table, result in zip(comparison.tables(), comparison.trials, strict=True):
+        show(table)
+        for line in (*grinder_remarks(result), ''):
+            say(line)
+    if report is not None:
+        from fuzzycnc_ros.report.sections import render_page
+
+        write_text(report, render_page(grinder_page(comparison)))
+        say(f'{report}: the report; open it in a browser')
+    write_json(json_file, comparison.document())
+
+
+def _check_machine(context: typer.Context, machine: str) -> None:
+    """Refuse an unknown machine, and options that say nothing on a simulated one."""
+    if machine not in MACHINES:
+        raise ValueError(f'--machine: expected {" or ".join(MACHINES)} but found {machine!r}')
+    for name in NOT_WITH_MACHINE:
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == 'COMMANDLINE':
+            option = 'BAG' if name == 'bags' else '--' + name.replace('_', '-')
+            raise ValueError(
+                f'--machine {machine}: expected no {option}, which is for recorded runs; '
+                'leave one of them out'
+            )
+
+
+def _window(text: str) -> tuple[float, float]:
+    """Return START:END as two numbers."""
+    start, _, end = text.partition(':')
+    try:
+        window = float(start), float(end)
+    except ValueError:
+        window = 0.0, 0.0
+    if not window[0] < window[1]:
+        raise ValueError(
+            f'--hold-out: expected START:END in s, such as 57600:86400, but found {text!r}'
+        )
+    return window
+
+
+def _without_speed(names: tuple[str, ...], reason: str) -> tuple[str, ...]:
+    kept = tuple(name for name in names if not name.endswith(SPEED_SUFFIX))
+    if not kept:
+        raise ValueError(
+            f'--models: expected a model that does without the spindle speed, as it is not used '
+            f'({reason}), but found {", ".join(names)}'
+        )
+    return kept

@@ -1,0 +1,77 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Options that several commands on thermal models share, and what their words mean."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+from fuzzycnc_ros.cli.console import words
+
+ALL = 'all'
+"""Word for every model."""
+
+Bags = Annotated[
+    list[Path], typer.Argument(metavar='BAG...', help='Bags of runs, each from a cold start.')
+]
+
+Start = Annotated[
+    Optional[float],  # noqa: UP045 - typer 0.9 does not read the newer form
+    typer.Option(
+        show_default=False, help="First second that counts, from the bag's first sample."
+    ),
+]
+
+End = Annotated[
+    Optional[float],  # noqa: UP045
+    typer.Option(show_default=False, help="Last second that counts, from the bag's first sample."),
+]
+
+Interval = Annotated[
+    float, typer.Option(help='Sampling interval of the model [s]; faster runs are averaged.')
+]
+
+Sensors = Annotated[
+    str,
+    typer.Option(
+        help='clusters = one sensor per cluster, all = every sensor that warms up, '
+        'auto = all up to 24 sensors, clusters above.'
+    ),
+]
+
+Clusters = Annotated[int, typer.Option(help='Number of clusters.')]
+
+Speed = Annotated[
+    bool,
+    typer.Option(
+        '--speed/--no-speed',
+        help='Whether models may read the spindle speed, where all runs carry it.',
+    ),
+]
+
+Seed = Annotated[int, typer.Option(help='Seed of the clustering.')]
+
+Report = Annotated[
+    Optional[Path],  # noqa: UP045
+    typer.Option(show_default=False, metavar='FILE.html', help='Write a page with plots.'),
+]
+
+
+def names_of(option: str, texts: list[str], known: Sequence[str]) -> tuple[str, ...]:
+    """Return the models that an option names, in the order of those that are known.
+
+    Raises
+    ------
+    ValueError
+        If it names none, or one that is not known.
+    """
+    names = words(texts)
+    unknown = [name for name in names if name not in (ALL, *known)]
+    if unknown or not names:
+        raise ValueError(
+            f'{option}: expected {ALL} or some of {", ".join(known)} but found '
+            f'{", ".join(map(repr, unknown)) or "none"}'
+        )
+    return tuple(name for name in known if ALL in names or name in names)

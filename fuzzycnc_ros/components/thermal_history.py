@@ -1,0 +1,345 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""One model on its way along the stream: what it has seen since the reference, what it says now.
+
+`thermal_predictor` keeps one of these for the model in use, and another for a model that is to
+take over.  Both see the same samples, so that either can be published at any time.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fuzzycnc_ros.components.predictor_checkpoint import read_blocks, write_blocks
+from fuzzycnc_ros.components.probe_correction import ProbeCorrection
+from fuzzycnc_ros.components.records import (
+    SECOND,
+    Floats,
+    Names,
+    PredictorState,
+    Reason,
+    SensorSelection,
+    Stamp,
+    Status,
+    Temperatures,
+    ThermalReference,
+    nanoseconds,
+)
+from fuzzycnc_ros.components.sample_memory import Heard
+from fuzzycnc_ros.components.substitution import RiseSource
+from fuzzycnc_ros.components.thermal_predictor_config import ThermalPredictorConfig
+from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.core.thermal import ThermalModel
+from fuzzycnc_ros.core.thermal.fade import Fade
+from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatch
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a model says of one sample, probes considered; arrays of shape (c,)."""
+
+    error: Floats
+    deviation: Floats
+    distance: float
+    substituted: Names
+    substitute: Names
+
+
+class ModelHistory:
+    """A model, the history that it rests on, and its prediction for the newest sample.
+
+    Parameters
+    ----------
+    text : str
+        Text of a model file.
+    config : ThermalPredictorConfig
+        Parameters of the predictor; `config` may be set anew at any time.
+
+    Raises
+    ------
+    ModelFileError
+        If it is no model file or damaged.
+    """
+
+    def __init__(self, text: str, config: ThermalPredictorConfig) -> None:
+        self.text, self.config = text, config
+        self.model = ThermalModel.from_json(text)
+        self.hash = text_hash(text)
+        self.label = f'{"/".join(dict.fromkeys(self.model.default))} {self.hash[:12]}'
+        self.correction = ProbeCorrection(self.model, config)
+        self._reference: ThermalReference | None = None
+        self._checkpoint: PredictorState | None = None
+        self._selection: SensorSelection | None = None
+        self._forget()
+        self.refuse(Reason.NO_REFERENCE, 'waiting for temperatures')
+
+    def _forget(self) -> None:
+        """Drop the history."""
+        self.prediction: Prediction | None = None
+        self.remainder = Fade(np.zeros(len(self.model.channel)))
+        """What is left of a model from which this one has taken over [m]; fades to zero."""
+        self._stream = self.model.start()
+        self._stepped_at: Stamp | None = None
+        self._predicted_at: Stamp | None = None
+        self._unknown_since: Stamp | None = None
+        self._vector: Floats | None = None
+        self._source: RiseSource | None = None
+        self._watch = sensor_watch(self.model, self.config)
+
+    def begin(
+        self,
+        reference: ThermalReference,
+        heard: Iterable[Heard],
+        checkpoint: PredictorState | None,
+    ) -> None:
+        """Start the history at a reference, from the samples since the cold start.
+
+        Parameters
+        ----------
+        reference : ThermalReference
+            What rises are meant against.
+        heard : iterable of Heard
+            Samples at hand, oldest first; a reference set long ago says nothing about those from
+            before its own cold start.
+        checkpoint : PredictorState, optional
+            State of an earlier life, used if it belongs to this model; what belongs to a run,
+            only if the reference is the same.
+        """
+        self._forget()
+        if self._reference is None:
+            self._remember(checkpoint)
+        self._reference, self._checkpoint = reference, checkpoint
+        self.correction.begin()
+        for item in heard:
+            self.take(item)
+
+    def select(self, selection: SensorSelection | None) -> None:
+        """Take the substitutes of another selection."""
+        self._selection, self._source = selection, None
+
+    def take(self, heard: Heard) -> None:
+        """Step the model to a sample; sets `prediction`, or None with `reason` and `detail`."""
+        self.prediction = None
+        error = self._step(heard)
+        if error is None or self._vector is None:
+            self.correction.pause()
+            return
+        stamp = heard.sample.stamp
+        domain = self.model.domain
+        distance = float(domain.distance(self._vector)) / domain.limit
+        error, deviation = self.correction.apply(
+            stamp,
+            error,
+            self.model.standard_deviation(self._vector),
+            distance,
+            heard.probes,
+            self.config.correction_time,
+        )
+        if self.remainder.remaining and self._predicted_at is not None:
+            error = error + self.remainder.advance((stamp - self._predicted_at) / SECOND)
+        self._predicted_at = stamp
+        assert self._source is not None
+        self.prediction = Prediction(
+            error, deviation, distance, self._source.substituted, self._source.substitute
+        )
+
+    def inherit(self, remainder: Fade) -> None:
+        """Take over from another model: publish what is left of it too, less and less."""
+        assert self.prediction is not None
+        shift = remainder.value - self.remainder.value
+        self.prediction = replace(self.prediction, error=self.prediction.error + shift)
+        self.remainder = remainder
+
+    def refuse(self, reason: Reason, detail: str) -> None:
+        """Say why there is no prediction."""
+        self.reason, self.detail = reason, detail
+
+    @property
+    def substitutions(self) -> str:
+        """Which inputs a mate stands in for, in words; empty if none."""
+        if self._source is None or not self._source.substituted:
+            return ''
+        pairs = zip(self._source.substituted, self._source.substitute, strict=True)
+        text = 'substituted: ' + ', '.join(f'{lost} by {mate}' for lost, mate in pairs)
+        if self._source.voted_out:
+            drifting = ', '.join(self._source.voted_out)
+            text += f'; {drifting} drifted away from its mates'
+        return text
+
+    def state(self, stamp: Stamp, frame_id: str, remainder: Fade | None = None) -> PredictorState:
+        """Return a checkpoint from which `begin` resumes.
+
+        Parameters
+        ----------
+        stamp : int
+            Stamp of the newest sample [ns].
+        frame_id : str
+            Frame of the machine.
+        remainder : Fade, optional
+            What the published error is apart from this model's, if not its own `remainder`.
+        """
+        assert self._reference is not None
+        assert self._vector is not None
+        blocks = dict(self.correction.blocks)
+        left = self.remainder if remainder is None else remainder
+        if left.remaining:
+            blocks['remainder'] = left.state
+        sensors = len(self.model.inputs)
+        recursion = np.concatenate([self._stream.state, self._vector[sensors:]])
+        return PredictorState(
+            stamp=stamp,
+            frame_id=frame_id,
+            model_hash=self.hash,
+            reference_stamp=self._reference.stamp,
+            input=self.model.inputs,
+            last_rise=self._vector[:sensors],
+            state=write_blocks(recursion, blocks),
+        )
+
+    def _step(self, heard: Heard) -> Floats | None:
+        """Step the model; return the error [m], or None and set the reason."""
+        vector = self._vector_of(heard)
+        if vector is None:
+            return None
+        stamp = heard.sample.stamp
+        self._resume(stamp)
+        interval = nanoseconds(self.model.interval)
+        steps = 1
+        if self._stepped_at is not None:
+            elapsed = stamp - self._stepped_at
+            steps = round(elapsed / interval)
+            if steps == 0 or abs(elapsed - steps * interval) > 0.1 * elapsed:
+                self.refuse(
+                    Reason.NO_MODEL,
+                    f'the model was trained on samples every {self.model.interval:g} s but they '
+                    f'come after {elapsed / SECOND:g} s; set interval of temperature_acquisition',
+                )
+                return None
+            if elapsed > nanoseconds(self.config.gap_max) + interval:
+                self._unknown_since = stamp
+                steps = 1
+        error = self._advance(vector, steps)
+        self._stepped_at = stamp
+        self._vector = vector
+        return error if self._history_is_known(stamp) else None
+
+    def _advance(self, vector: Floats, steps: int) -> Floats:
+        """Step the model, along a straight line over missing samples."""
+        if steps > 1 and self._vector is not None:
+            for number in range(1, steps):
+                self._stream.step(self._vector + (vector - self._vector) * (number / steps))
+        return self._stream.step(vector)
+
+    def _history_is_known(self, stamp: Stamp) -> bool:
+        """Say whether the history that the model rests on is known."""
+        if self._unknown_since is not None:
+            known_for = stamp - self._unknown_since
+            if known_for < nanoseconds(self.config.settle_time):
+                left = self.config.settle_time - known_for / SECOND
+                self.refuse(
+                    Reason.STATE_LOST,
+                    f'history lost; valid again after {left:.0f} s or a new thermal reference',
+                )
+                return False
+            self._unknown_since = None
+        self.refuse(Reason.NONE, '')
+        return True
+
+    def _resume(self, stamp: Stamp) -> None:
+        """Decide at the first sample where the history comes from."""
+        if self._stepped_at is not None or self._unknown_since is not None:
+            return
+        assert self._reference is not None
+        if self._take_checkpoint(stamp):
+            return
+        if stamp - self._reference.stamp > nanoseconds(2.0 * self.model.interval):
+            # The machine has been warming up unseen since its reference.
+            self._unknown_since = stamp
+
+    def _remember(self, checkpoint: PredictorState | None) -> None:
+        """Take back what an earlier life has learnt of the machine, whatever its reference."""
+        if checkpoint is None or not self._owns(checkpoint):
+            return
+        try:
+            self.correction.remember(self._parts(checkpoint)[2])
+        except ValueError:
+            self.correction = ProbeCorrection(self.model, self.config)
+
+    def _take_checkpoint(self, stamp: Stamp) -> bool:
+        """Go on from the state of an earlier life; return whether it was one of this history."""
+        saved, reference = self._checkpoint, self._reference
+        if saved is None or reference is None or saved.reference_stamp != reference.stamp:
+            return False
+        if not self._owns(saved) or saved.stamp >= stamp:
+            return False
+        try:
+            recursion, drive, blocks = self._parts(saved)
+            self.correction.resume(saved.stamp, blocks)
+            if 'remainder' in blocks:
+                self.remainder.state = blocks['remainder']
+            self._stream.state = recursion
+        except ValueError:
+            # A damaged checkpoint is as good as none: the history is lost, which is said aloud.
+            self.correction = ProbeCorrection(self.model, self.config)
+            self.remainder = Fade(np.zeros(len(self.model.channel)))
+            return False
+        self._stepped_at = self._predicted_at = saved.stamp
+        self._vector = np.concatenate([saved.last_rise, drive])
+        return True
+
+    def _owns(self, checkpoint: PredictorState) -> bool:
+        """Whether a checkpoint was written for this model."""
+        return checkpoint.model_hash == self.hash and checkpoint.input == self.model.inputs
+
+    def _parts(self, checkpoint: PredictorState) -> tuple[Floats, Floats, dict[str, Floats]]:
+        """Return the state of the recursion, the newest drivers and the blocks."""
+        size = len(self._stream.state)
+        numbers, blocks = read_blocks(checkpoint.state, size + len(self.model.drivers))
+        return numbers[:size], numbers[size:], blocks
+
+    def _vector_of(self, heard: Heard) -> Floats | None:
+        """Return what the model steps with, or None and set the reason."""
+        rise = self._rise_of(heard.sample)
+        if rise is None:
+            return None
+        if self.model.needs_speed and not np.isfinite(heard.spindle_speed):
+            self.refuse(
+                Reason.SENSOR_LOST,
+                'the model reads the spindle speed but machine_state has told none for more than '
+                f'gap_max = {self.config.gap_max:g} s',
+            )
+            return None
+        return np.concatenate([rise, self.model.drive(heard.spindle_speed)])
+
+    def _rise_of(self, sample: Temperatures) -> Floats | None:
+        """Return the rises of the model's inputs, or None and set the reason."""
+        if self._reference is None:
+            self.refuse(Reason.NO_REFERENCE, 'no thermal reference (topic thermal_reference)')
+            return None
+        if self._source is None or self._source.sensor != sample.sensor:
+            try:
+                self._source = RiseSource(
+                    self.model, sample.sensor, self._reference, self._selection, self._watch
+                )
+            except ValueError as error:
+                self._source = None
+                self.refuse(Reason.NO_MODEL, str(error))
+                return None
+        rise = self._source.rise(sample.temperature, sample.status == Status.OK)
+        if rise is None:
+            lost = ', '.join(self._source.lost)
+            self.refuse(Reason.SENSOR_LOST, f'no good reading of {lost} nor of any mate')
+        return rise
+
+
+def sensor_watch(model: ThermalModel, config: ThermalPredictorConfig) -> SensorWatch | None:
+    """Return the watch that a predictor keeps on a model's inputs; none for an old model file."""
+    if model.watch is None:
+        return None
+    return SensorWatch(
+        model.watch,
+        limit=config.mate_limit,
+        tolerance=config.mate_tolerance,
+        persistence=config.mate_persistence,
+    )

@@ -1,0 +1,123 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of `thermal_predictor`."""
+
+from dataclasses import dataclass
+
+from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.thermal.sensor_watch import LIMIT, PERSISTENCE, TOLERANCE
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalPredictorConfig(Config):
+    """Parameters of `thermal_predictor`."""
+
+    model: str = param(
+        '',
+        '-',
+        'Model file made by fuzzycnc train; empty waits for training; another file takes over '
+        'within swap_time',
+        live=True,
+    )
+    gap_max: float = param(
+        1200.0,
+        's',
+        'Longest gap in the samples, and in what else the model needs, that is bridged',
+        low=0.0,
+        high=86400.0,
+        live=True,
+    )
+    settle_time: float = param(
+        14400.0,
+        's',
+        'Time after which a history that was lost no longer matters',
+        low=0.0,
+        high=604800.0,
+        live=True,
+    )
+    swap_time: float = param(
+        300.0,
+        's',
+        'Time in which a new model takes over from the one in use',
+        low=60.0,
+        high=3600.0,
+        live=True,
+    )
+    domain_margin: float = param(
+        3.0,
+        '-',
+        'Distance from the training data, in units of its own extent, that still is in domain',
+        low=1.0,
+        high=1000.0,
+        live=True,
+    )
+    mate_limit: float = param(
+        LIMIT, 'K', 'Difference to its mates that is never a fault', low=0.0, high=100.0
+    )
+    mate_tolerance: float = param(
+        TOLERANCE,
+        '-',
+        'Limit of a sensor that its mates know less well, over what they missed in training',
+        low=0.0,
+        high=10.0,
+    )
+    mate_persistence: float = param(
+        PERSISTENCE,
+        's',
+        'Relative excess above the limit, summed over time, at which a sensor is substituted; '
+        '0 is never',
+        low=0.0,
+        high=86400.0,
+    )
+    probing: str = param(
+        'none',
+        '-',
+        'What displacement is used for: none = nothing, offset = each probe resets the offset, '
+        'kalman = probes are filtered into offset and gain',
+        choices=('none', 'offset', 'kalman'),
+    )
+    probe_interval_min: float = param(
+        0.0,
+        's',
+        'Time after a probe of a channel in which further ones are ignored; where displacement '
+        'is a continuous stream, the interval of probing',
+        low=0.0,
+        high=864000.0,
+    )
+    probe_noise: float = param(
+        0.7e-6,
+        'm',
+        "Least standard deviation of a probe, the model's own scatter included",
+        low=1e-9,
+        high=1e-3,
+    )
+    probe_jump_max: float = param(
+        10e-6,
+        'm',
+        'Difference to the expected value that is never doubted; beyond it and four standard '
+        'deviations a second probe must agree',
+        low=1e-9,
+        high=1e-3,
+    )
+    correction_time: float = param(
+        300.0,
+        's',
+        'Time in which the correction by a probe comes into force',
+        low=60.0,
+        high=3600.0,
+        live=True,
+    )
+    drift_limit: float = param(
+        4.0,
+        '-',
+        'Cumulative sum of normalised probe residuals at which training anew is asked for',
+        low=1.0,
+        high=1000.0,
+    )
+    adaptation: float = param(
+        0.0,
+        '-',
+        "Largest lasting correction of the model's gain that probes may bring about; 0 is none",
+        low=0.0,
+        high=0.5,
+    )

@@ -1,0 +1,175 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What models on delayed rises and on their own past outputs share at run time."""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.document import Node
+from fuzzycnc_ros.core.thermal.recursions.base import Recursion
+
+Self = TypeVar('Self', bound='DelayedRecursion')
+
+DELAY_MAX = 1440
+"""Longest delay [samples], a day of minutes; all rises since then are part of the state."""
+
+
+@dataclass(frozen=True, eq=False)
+class DelayedRecursion(Recursion):
+    """Delayed rises and past outputs, mapped linearly and then by whatever the form adds.
+
+    Parameters
+    ----------
+    delay : ndarray of int, shape (m,)
+        Delays of the rises, ascending, 0 is the present sample [samples].
+
+    Notes
+    -----
+    The state is the rises of the samples that some delay still asks for, newest first, then the
+    outputs of the last K samples, newest first, each of all channels.  Before a run every rise
+    and every output is zero.
+    """
+
+    delay: NDArray[np.int64]
+
+    @property
+    @abstractmethod
+    def history(self) -> int:
+        """Number K of past outputs that feed back."""
+
+    @abstractmethod
+    def _linear(self) -> tuple[Array, Array]:
+        """Return the map (r, m p + K c) of delayed rises and history, and its constants (r,)."""
+
+    @abstractmethod
+    def _output(self, activation: Array) -> Array:
+        """Return the thermal errors (..., c) [m] of the mapped values (..., r)."""
+
+    @cached_property
+    def _map(self) -> tuple[Array, Array]:
+        weight, constant = self._linear()
+        return np.ascontiguousarray(weight), constant
+
+    @cached_property
+    def _kept(self) -> int:
+        """Number of values of past rises in the state."""
+        return int(self.delay[-1]) * self.inputs
+
+    @cached_property
+    def _picked(self) -> NDArray[np.int64] | None:
+        """Which of the present rises and the state the map reads; None if all of them."""
+        inputs = self.inputs
+        size = self._kept + inputs + self.history * self.channels
+        rises = self.delay[:, np.newaxis] * inputs + np.arange(inputs)
+        picked = np.concatenate([rises.ravel(), np.arange(self._kept + inputs, size)])
+        return None if len(picked) == size else picked
+
+    def initial_state(self) -> Array:
+        """Return the state before the first sample of a run, all zero."""
+        return np.zeros(self._kept + self.history * self.channels)
+
+    def step(self, rise: Array, state: Array) -> tuple[Array, Array]:
+        """Return the thermal errors (c,) [m] and the next state for one sample of rises (p,)."""
+        known = np.concatenate((rise, state))
+        weight, constant = self._map
+        read = known if self._picked is None else known[self._picked]
+        value = self._output(weight @ read + constant)
+        kept = self._kept
+        if not self.history:
+            return value, known[:kept]
+        past = known[kept + len(rise) : len(known) - len(value)]
+        return value, np.concatenate((known[:kept], value, past))
+
+    def run(self, rise: Array) -> Array:
+        """Return the thermal errors (n, c) [m] of a whole run of rises (n, p) [K]."""
+        weight, constant = self._map
+        columns = len(self.delay) * self.inputs
+        drive = delayed_rises(rise, [slice(0, len(rise))], self.delay) @ weight[:, :columns].T
+        drive += constant
+        if not self.history:
+            return self._output(drive)
+        feedback = np.ascontiguousarray(weight[:, columns:])
+        past = np.zeros(feedback.shape[1])
+        values = np.empty((len(rise), self.channels))
+        for k, sample in enumerate(drive):
+            values[k] = self._output(sample + feedback @ past)
+            past = np.concatenate((values[k], past[: -self.channels]))
+        return values
+
+    def with_interval(self: Self, ratio: float) -> Self:
+        """Return the recursion for another interval: only a static one has a meaning there."""
+        if self.history or self.delay[-1] > 0:
+            return super().with_interval(ratio)
+        return self
+
+
+def delayed_rises(rise: Array, rows: Sequence[slice], delay: NDArray[np.int64]) -> Array:
+    """Return the rises at each delay side by side; before its first sample a run's rise is zero.
+
+    Parameters
+    ----------
+    rise : ndarray, shape (n, p)
+        Rises [K].
+    rows : sequence of slice
+        Rows of each run; delays never cross from one run into another.
+    delay : ndarray of int, shape (m,)
+        Delays, 0 or more [samples].
+
+    Returns
+    -------
+    ndarray, shape (n, m p)
+        All rises at the first delay, then at the second, and so on [K].
+    """
+    samples, inputs = rise.shape
+    delayed = np.zeros((samples, len(delay), inputs))
+    for run in rows:
+        for column, lag in enumerate(delay):
+            length = run.stop - run.start
+            delayed[run.start + min(lag, length) : run.stop, column] = rise[
+                run.start : run.start + max(length - lag, 0)
+            ]
+    return delayed.reshape(samples, -1)
+
+
+def own_history_columns(feedback: Array) -> Array:
+    """Return the part of the linear map that reads the history.
+
+    Parameters
+    ----------
+    feedback : ndarray, shape (c, h, K)
+        Weight of each past output of a channel in each of its h mapped values.
+
+    Returns
+    -------
+    ndarray, shape (c h, K c)
+        Zero where a channel would read the history of another.
+    """
+    channels, rows, history = feedback.shape
+    columns = np.zeros((channels, rows, history, channels))
+    for channel in range(channels):
+        columns[channel, :, :, channel] = feedback[channel]
+    return columns.reshape(channels * rows, history * channels)
+
+
+def check_delay(delay: NDArray[np.int64]) -> None:
+    """Refuse delays that are negative, too long or not ascending."""
+    ascending = delay.ndim == 1 and len(delay) > 0 and bool((np.diff(delay) > 0).all())
+    if not ascending or delay[0] < 0 or delay[-1] > DELAY_MAX:
+        raise ValueError(
+            f'delay: expected ascending delays from 0 to {DELAY_MAX}, but found {delay}'
+        )
+
+
+def read_delay(node: Node) -> NDArray[np.int64]:
+    """Return the delays of a document; fractions and delays that fill the memory are refused."""
+    delay = node.vector()
+    if (delay != np.rint(delay)).any() or (np.abs(delay) > DELAY_MAX).any():
+        node.refuse(f'whole numbers of at most {DELAY_MAX} samples')
+    return delay.astype(np.int64)

@@ -1,0 +1,242 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The Gaussian process at run time: a linear part and bumps around samples of the training."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.document import Node
+from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_shapes
+
+SAMPLES_AT_ONCE = 512
+"""Samples of a run that are worked out together."""
+
+
+@dataclass(frozen=True, eq=False)
+class KernelRecursion(Recursion):
+    """Posterior of a Gaussian process with a linear, a squared-exponential and a white kernel.
+
+    y = direct x + offset + sum_i weight_i exp(-|(x - point_i) / length|^2 / 2).  It is static:
+    it has no state, and holds at any interval.
+
+    Parameters
+    ----------
+    points : ndarray, shape (m, p)
+        Rises of the kept training samples [K].
+    center : ndarray, shape (p,)
+        Rise about which the linear kernel is meant [K].
+    weight : ndarray, shape (c, m)
+        Weight of the bump around each point [m].
+    direct : ndarray, shape (c, p)
+        Slope of the linear part [m/K].
+    offset : ndarray, shape (c,)
+        Constant of the linear part [m].
+    length : ndarray, shape (c, p)
+        Length scale of the bumps, positive [K].
+    amplitude, constant, noise : ndarray, shape (c,)
+        Prior standard deviation of the bumps, of the constant and of the noise [m].
+    slope : ndarray, shape (c, p)
+        Prior standard deviation of the slopes [m/K].
+    """
+
+    FORM: ClassVar[str] = 'kernel'
+
+    points: Array
+    center: Array
+    weight: Array
+    direct: Array
+    offset: Array
+    length: Array
+    amplitude: Array
+    constant: Array
+    noise: Array
+    slope: Array
+
+    def __post_init__(self) -> None:
+        """Refuse shapes that disagree and scales that are none."""
+        points, inputs = self.points.shape
+        channels = len(self.offset)
+        check_shapes(
+            self,
+            points=(points, inputs),
+            center=(inputs,),
+            weight=(channels, points),
+            direct=(channels, inputs),
+            offset=(channels,),
+            length=(channels, inputs),
+            amplitude=(channels,),
+            constant=(channels,),
+            noise=(channels,),
+            slope=(channels, inputs),
+        )
+        if not (self.length > 0.0).all():
+            raise ValueError(f'length: expected positive lengths in K, but found {self.length}')
+        if not (self.noise > 0.0).all():
+            raise ValueError(f'noise: expected positive numbers of m, but found {self.noise}')
+
+    @property
+    def inputs(self) -> int:
+        """Number p of inputs."""
+        return int(self.points.shape[1])
+
+    @property
+    def channels(self) -> int:
+        """Number c of channels."""
+        return len(self.offset)
+
+    def initial_state(self) -> Array:
+        """Return the state, of which there is none."""
+        return np.zeros(0)
+
+    @cached_property
+    def _exponent(self) -> tuple[Array, Array, Array]:
+        """Exponents of all bumps as a polynomial of the rise: product, level, square.
+
+        -|(x - point) / length|^2 / 2 = product x + level - square x^2, all channels stacked;
+        one product of a matrix with the rise is far cheaper than all the differences.
+        """
+        square = self.length**-2.0
+        product = (self.points * square[:, np.newaxis]).reshape(-1, self.inputs)
+        level = -0.5 * (self.points**2 @ square.T).T
+        return product, level, 0.5 * square
+
+    def step(self, rise: Array, state: Array) -> tuple[Array, Array]:
+        """Return the thermal errors (c,) [m] and the empty state for one sample of rises (p,)."""
+        product, level, square = self._exponent
+        exponent = (product @ rise).reshape(level.shape)
+        exponent += level
+        exponent -= (square @ (rise * rise))[:, np.newaxis]
+        bumps = np.exp(exponent, out=exponent)
+        bumps *= self.weight
+        return self.direct @ rise + self.offset + bumps.sum(axis=1), state
+
+    def run(self, rise: Array) -> Array:
+        """Return the thermal errors (n, c) [m] of a whole run of rises (n, p) [K]."""
+        values = rise @ self.direct.T + self.offset
+        for part in _parts(len(rise)):
+            values[part] += np.einsum('nci,ci->nc', self._bumps(rise[part]), self.weight)
+        return np.asarray(values)
+
+    def standard_deviation(self, rise: Array) -> Array:
+        """Return how far a measured displacement lies from the prediction.
+
+        Parameters
+        ----------
+        rise : ndarray, shape (..., p)
+            Rises [K].
+
+        Returns
+        -------
+        ndarray, shape (..., c)
+            Standard deviation of the posterior, noise included [m].
+        """
+        samples = rise.reshape(-1, self.inputs)
+        variance = np.empty((len(samples), self.channels))
+        for part in _parts(len(samples)):
+            slopes = (samples[part] - self.center) ** 2 @ (self.slope**2).T
+            prior = self.constant**2 + self.amplitude**2 + slopes
+            across = self._covariance(samples[part]).transpose(1, 2, 0)
+            explained = ((self._whitening @ across) ** 2).sum(axis=1).T
+            variance[part] = np.maximum(prior - explained, 0.0) + self.noise**2
+        return np.asarray(np.sqrt(variance).reshape(*rise.shape[:-1], self.channels))
+
+    def _bumps(self, rise: Array) -> Array:
+        """Return the bumps, shape (n, c, m), at rises (n, p)."""
+        product, level, square = self._exponent
+        exponent = (rise @ product.T).reshape(-1, *level.shape)
+        exponent += level
+        exponent -= ((rise * rise) @ square.T)[:, :, np.newaxis]
+        return np.asarray(np.exp(exponent, out=exponent))
+
+    def _covariance(self, rise: Array) -> Array:
+        """Return the prior covariance (n, c, m) [m^2] of the errors at rises and at the points."""
+        covariance = self._bumps(rise)
+        covariance *= (self.amplitude**2)[:, np.newaxis]
+        covariance += (self.constant**2)[:, np.newaxis]
+        covariance += ((rise - self.center) @ self._linear.T).reshape(covariance.shape)
+        return covariance
+
+    @cached_property
+    def _linear(self) -> Array:
+        """Covariance of the linear part at the points, per kelvin elsewhere, (c m, p) [m^2/K]."""
+        slope = (self.slope**2)[:, np.newaxis]
+        return ((self.points - self.center) * slope).reshape(-1, self.inputs)
+
+    @cached_property
+    def _whitening(self) -> Array:
+        """Inverse Cholesky factor of the points' covariance, shape (c, m, m), lower [1/m]."""
+        unit = np.eye(len(self.points))
+        inverse = []
+        covariance = self._covariance(self.points).transpose(1, 0, 2)
+        for one, noise in zip(covariance, self.noise, strict=True):
+            factor = cholesky(one + noise**2 * unit, lower=True)
+            inverse.append(solve_triangular(factor, unit, lower=True))
+        return np.stack(inverse)
+
+    def with_interval(self, ratio: float) -> 'KernelRecursion':
+        """Return the recursion itself: a static model holds at any interval."""
+        return self
+
+    def channel(self, channel: int) -> 'KernelRecursion':
+        """Return the recursion of one channel out of several."""
+        one = slice(channel, channel + 1)
+        return replace(self, **{name: getattr(self, name)[one] for name in _PER_CHANNEL})
+
+    @classmethod
+    def merge(cls, items: Sequence['KernelRecursion']) -> 'KernelRecursion | None':
+        """Return one recursion for all channels, None if they keep different samples."""
+        first = items[0]
+        for item in items[1:]:
+            same = np.array_equal(item.points, first.points)
+            if not (same and np.array_equal(item.center, first.center)):
+                return None
+        joined = {
+            name: np.concatenate([getattr(item, name) for item in items]) for name in _PER_CHANNEL
+        }
+        return replace(first, **joined)
+
+    def document(self) -> dict[str, Any]:
+        """Return the numbers as JSON values."""
+        return {name: getattr(self, name).tolist() for name in ('points', 'center', *_PER_CHANNEL)}
+
+    @classmethod
+    def read(cls, node: Node, inputs: int) -> 'KernelRecursion':
+        """Return the recursion of a document."""
+        points = node.get('points').matrix(inputs)
+        return cls(
+            points=points,
+            center=node.get('center').vector(),
+            weight=node.get('weight').matrix(len(points)),
+            direct=node.get('direct').matrix(inputs),
+            offset=node.get('offset').vector(),
+            length=node.get('length').matrix(inputs),
+            amplitude=node.get('amplitude').vector(),
+            constant=node.get('constant').vector(),
+            noise=node.get('noise').vector(),
+            slope=node.get('slope').matrix(inputs),
+        )
+
+
+def _parts(samples: int) -> list[slice]:
+    """Return the rows that are worked out together; all bumps at once would fill the memory."""
+    starts = range(0, samples, SAMPLES_AT_ONCE)
+    return [slice(first, first + SAMPLES_AT_ONCE) for first in starts]
+
+
+_PER_CHANNEL = (
+    'weight',
+    'direct',
+    'offset',
+    'length',
+    'amplitude',
+    'constant',
+    'noise',
+    'slope',
+)
+"""Numbers that each channel has its own of; the samples are shared."""

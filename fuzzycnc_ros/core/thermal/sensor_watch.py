@@ -1,0 +1,356 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Slow sensor faults, judged by all other sensors of the machine (method sheet 001 section 8.C).
+
+A sensor that drifts by 2 K an hour passes every check of range and rate.  Its mates see it: two
+groups of them, which share no sensor, each estimate its rise from theirs.  What both miss to the
+same side counts; one faulty mate speaks in one group only.
+
+How far the groups miss a healthy sensor was learnt on held-out runs, for each input by itself: a
+limit of 0.5 K where the mates know it well, several times as much where they do not.  Beyond the
+distance from the training that the held-out samples had, the limit grows with the distance.
+Above the limit, the excess is summed over time: a jump is found in the second sample, a drift
+soon after it has passed the limit, and a short excursion is forgotten.
+
+Of 144 healthy runs of the mill that were never trained on (T2 and T3, 72 noise seeds) two raised
+a false alarm.  A drift of 2 K/h was found after 26 min in the median, after 24 min where the mates
+know the sensor well, and after 77 min at T67, half of whose heat no other sensor sees.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.document import Node
+from fuzzycnc_ros.core.thermal.mates import (
+    VOTERS,
+    Indices,
+    Leverage,
+    agreed,
+    mate_weights,
+    ranked_mates,
+    unexplained,
+    voter_weights,
+)
+from fuzzycnc_ros.core.thermal.recursions.base import check_shapes
+
+LIMIT = 0.5
+"""Difference that is never a fault [K], five times the noise of one reading of the sheet."""
+
+TOLERANCE = 2.0
+"""Limit over what the mates missed of held-out runs [-]: a few runs do not show everything."""
+
+PERSISTENCE = 120.0
+"""Sum of the relative excess that makes a fault [s]: a drift of 2 K/h is declared 8 min after it
+has passed a limit of 0.5 K, an excursion to 1.2 times the limit may last 10 min."""
+
+RETURN_TIME = 1800.0
+"""Time within half of the limit after which a sensor is trusted again [s].  A stuck sensor may
+agree by chance for as long as the machine keeps its temperature."""
+
+
+@dataclass(frozen=True, eq=False)
+class SensorWatchModel:
+    """What training knows of the sensors' common behaviour.
+
+    Parameters
+    ----------
+    sensor : tuple of str, length s
+        Sensors that can be mates.
+    input : tuple of str, length p
+        Sensors that are judged, all of them in `sensor`.
+    moment : ndarray, shape (s, s)
+        Mean products of the rises in training [K^2].
+    missed : ndarray, shape (p,)
+        Most that all voters agreed to miss of each input on held-out runs [K].
+    leverage : ndarray, shape (p,)
+        Largest squared distance of the held-out samples from the training [-].
+
+    Raises
+    ------
+    ValueError
+        If an input is no sensor, a shape is another, or a number is not finite, or negative
+        where it must not be.
+    """
+
+    sensor: tuple[str, ...]
+    input: tuple[str, ...]
+    moment: Array
+    missed: Array
+    leverage: Array
+
+    def __post_init__(self) -> None:
+        """Check that the parts belong together."""
+        size, inputs = len(self.sensor), len(self.input)
+        if len(set(self.sensor)) != size:
+            raise ValueError(f'sensor: expected each sensor once, but found {self.sensor}')
+        unknown = [name for name in self.input if name not in self.sensor]
+        if unknown:
+            raise ValueError(
+                f'input: expected inputs among {", ".join(self.sensor)}, but found '
+                f'{", ".join(unknown)}'
+            )
+        check_shapes(self, moment=(size, size), missed=(inputs,), leverage=(inputs,))
+        if (self.moment != self.moment.T).any() or (np.diag(self.moment) < 0.0).any():
+            raise ValueError(
+                'moment: expected a symmetric matrix with a diagonal of 0 or more, but found '
+                'another; train the model anew'
+            )
+        if (self.missed < 0.0).any():
+            raise ValueError(f'missed: expected 0 K or more, but found {self.missed}')
+        if (self.leverage <= 0.0).any():
+            raise ValueError(f'leverage: expected positive numbers, but found {self.leverage}')
+
+    @property
+    def columns(self) -> Indices:
+        """Place of each input in `sensor`, shape (p,)."""
+        return np.array([self.sensor.index(name) for name in self.input], dtype=np.int64)
+
+    def document(self) -> dict[str, Any]:
+        """Return the numbers as JSON values; of the symmetric moments the lower triangle."""
+        return {
+            'sensor': list(self.sensor),
+            'input': list(self.input),
+            'moment': self.moment[np.tril_indices(len(self.sensor))].tolist(),
+            'missed': self.missed.tolist(),
+            'leverage': self.leverage.tolist(),
+        }
+
+    @classmethod
+    def read(cls, node: Node) -> 'SensorWatchModel':
+        """Return the watch of a document.
+
+        Raises
+        ------
+        ModelFileError
+            If a value has another type or number.
+        ValueError
+            If the parts do not belong together.
+        """
+        sensor = node.get('sensor').texts()
+        lower = node.get('moment').vector()
+        size = len(sensor)
+        if len(lower) != size * (size + 1) // 2:
+            node.get('moment').refuse(f'{size * (size + 1) // 2} numbers')
+        moment = np.zeros((size, size))
+        moment[np.tril_indices(size)] = lower
+        return cls(
+            sensor=sensor,
+            input=node.get('input').texts(),
+            moment=moment + np.tril(moment, -1).T,
+            missed=node.get('missed').vector(),
+            leverage=node.get('leverage').vector(),
+        )
+
+
+class SensorWatch:
+    """Watch the inputs of a model while it runs.
+
+    Parameters
+    ----------
+    model : SensorWatchModel
+        What training knows of the sensors.
+    limit : float
+        Difference that is never a fault [K].
+    tolerance : float
+        Limit over what the mates missed of held-out runs, where that is more than `limit` [-].
+    persistence : float
+        Sum of the relative excess above the limit that makes a fault [s]; 0 switches the watch
+        off.
+
+    Notes
+    -----
+    One sensor is declared at a time and then is no mate any more, so that it cannot drag others
+    along; and never more than half of the inputs, since then the machine has changed and not
+    its sensors.
+
+    Examples
+    --------
+    Three sensors that always rise alike, and then the first one stays behind:
+
+    >>> alike = SensorWatchModel(
+    ...     ('a', 'b', 'c'), ('a',), np.full((3, 3), 9.0), np.array([0.2]), np.array([9.0])
+    ... )
+    >>> watch = SensorWatch(alike)
+    >>> [bool(watch.update([rise, 4.0, 4.0], 60.0)[0]) for rise in (4.0, 1.0, 1.0)]
+    [False, False, True]
+    """
+
+    def __init__(
+        self,
+        model: SensorWatchModel,
+        *,
+        limit: float = LIMIT,
+        tolerance: float = TOLERANCE,
+        persistence: float = PERSISTENCE,
+    ) -> None:
+        self._model = model
+        self._columns = model.columns
+        self._voices = VOTERS * len(model.input)
+        self.limit: Array = np.maximum(limit, tolerance * model.missed)
+        """What the mates may agree to miss of each input near the training, shape (p,) [K]."""
+        self._persistence = persistence
+        self._faulty_max = max(1, len(model.input) // 2)
+        inputs = len(model.input)
+        self._excess = np.zeros((2, inputs))
+        self._agreeing = np.zeros(inputs)
+        self._prepare(np.ones(len(model.sensor), dtype=np.bool_))
+        self.faulty: NDArray[np.bool_] = np.zeros(inputs, dtype=np.bool_)
+        """Inputs that were voted out, shape (p,); one returns when its mates agree for long."""
+        self._outvoted = 0
+
+    @property
+    def model(self) -> SensorWatchModel:
+        """What training knows of the sensors."""
+        return self._model
+
+    @property
+    def state(self) -> Array:
+        """Copy of the state, shape (4 p,): excess to both sides, time of agreement, faulty."""
+        return np.concatenate([self._excess.ravel(), self._agreeing, self.faulty])
+
+    @state.setter
+    def state(self, values: ArrayLike) -> None:
+        state = np.array(values, dtype=np.float64)
+        inputs = len(self._model.input)
+        if state.shape != (4 * inputs,) or not np.isfinite(state).all():
+            raise ValueError(
+                f'state: expected {4 * inputs} finite numbers, but found {state.tolist()}'
+            )
+        self._excess = state[: 2 * inputs].reshape(2, inputs)
+        self._agreeing = state[2 * inputs : 3 * inputs]
+        self.faulty = state[3 * inputs :] != 0.0
+        self._outvoted = int(self.faulty.sum())
+
+    def update(self, rise: ArrayLike, elapsed: float) -> NDArray[np.bool_]:
+        """Take one sample; return `faulty`.
+
+        Parameters
+        ----------
+        rise : array_like, shape (s,)
+            Rise that each sensor of the model reads [K]; NaN where it reads nothing.
+        elapsed : float
+            Time since the sample before [s].
+        """
+        if self._persistence <= 0.0:
+            return self.faulty
+        read = np.asarray(rise, dtype=np.float64)
+        usable = np.isfinite(read)
+        if self._outvoted:
+            usable[self._columns[self.faulty]] = False
+        if usable.tobytes() != self._usable:
+            self._prepare(usable)
+        known = read if self._whole else np.where(usable, read, 0.0)
+        # One product serves the voters and the distance from the training.
+        product = self._weights @ known
+        expected, pulled = product[: self._voices], product[self._voices :]
+        residual = read[self._columns] - expected.reshape(VOTERS, -1)
+        distance = self._leverage.without_targets(known, pulled)
+        limit = self.limit * np.sqrt(np.maximum(distance / self._model.leverage, 1.0))
+        if not self._whole:
+            # A sensor that reads nothing, or has too few mates left, is not judged.
+            judged = np.isfinite(residual[0])
+            residual[:, ~judged] = 0.0
+        share = agreed(residual) / limit
+        self._excess += np.minimum((self._sides * share - 1.0) * elapsed, 0.5 * self._persistence)
+        np.maximum(self._excess, 0.0, out=self._excess)
+        if self._outvoted:
+            self._take_back(np.abs(residual.mean(axis=0)) / limit, judged, elapsed)
+        if self._excess.max() >= self._persistence:
+            self._vote_out(share)
+        return self.faulty
+
+    _sides = np.array([[1.0], [-1.0]])
+
+    def _take_back(self, share: Array, judged: NDArray[np.bool_], elapsed: float) -> None:
+        """Trust a sensor again that its mates have agreed with for long."""
+        self._excess[:, self.faulty] = 0.0
+        self._agreeing = np.where(share < 1.0, self._agreeing, 0.0)
+        self._agreeing += np.where(judged & (share < 0.5), elapsed, 0.0)
+        self.faulty = self.faulty & (self._agreeing < RETURN_TIME)
+        self._outvoted = int(self.faulty.sum())
+
+    def _vote_out(self, share: Array) -> None:
+        """Declare the sensor that misses most among those beyond their limit for long enough."""
+        if self._outvoted >= self._faulty_max:
+            # What waits does not gather more than it takes.
+            np.minimum(self._excess, self._persistence, out=self._excess)
+            return
+        beyond = (self._excess >= self._persistence).any(axis=0)
+        worst = int(np.where(beyond, np.abs(share), -1.0).argmax())
+        self.faulty = self.faulty.copy()
+        self.faulty[worst] = True
+        self._outvoted += 1
+        self._excess[:] = 0.0
+        self._agreeing[worst] = 0.0
+
+    def _prepare(self, usable: NDArray[np.bool_]) -> None:
+        """Let the sensors that can be read share the work of those that cannot."""
+        mates = np.flatnonzero(usable)
+        weights = voter_weights(self._model.moment, self._columns, mates)
+        self._usable = usable.tobytes()
+        self._whole = bool(usable.all() and np.isfinite(weights).all())
+        self._leverage = Leverage(self._model.moment, self._columns, mates)
+        self._weights = np.vstack([weights.reshape(-1, len(usable)), self._leverage.metric])
+
+
+class Estimate(NamedTuple):
+    """What stands in for a rise that cannot be read.
+
+    Parameters
+    ----------
+    rise : float
+        Estimated rise [K]; NaN where no mate can be read.
+    missed : float
+        What such an estimate missed in training, root mean square [K]; infinity without a mate.
+    mate : str
+        The mate that is most like the sensor; empty without one.
+    """
+
+    rise: float
+    missed: float
+    mate: str
+
+
+class MateEstimate:
+    """Estimate the rise of a sensor that cannot be read from all that can.
+
+    Parameters
+    ----------
+    model : SensorWatchModel
+        What training knows of the sensors.
+    """
+
+    def __init__(self, model: SensorWatchModel) -> None:
+        self._model = model
+        self._columns = model.columns
+        self._weighed: dict[int, tuple[bytes, Indices, Array, float]] = {}
+
+    def of(self, number: int, rise: Array) -> Estimate:
+        """Return the estimate of an input.
+
+        Parameters
+        ----------
+        number : int
+            Input to estimate; its own rise is not looked at.
+        rise : ndarray, shape (s,)
+            Rise of each sensor of the model [K]; NaN where it cannot be used.
+        """
+        usable = np.isfinite(rise)
+        weighed = self._weighed.get(number)
+        if weighed is None or weighed[0] != usable.tobytes():
+            weighed = self._weighed[number] = (usable.tobytes(), *self._weigh(number, usable))
+        _, mates, weights, missed = weighed
+        if not len(mates):
+            return Estimate(np.nan, np.inf, '')
+        return Estimate(float(weights @ rise[mates]), missed, self._model.sensor[mates[0]])
+
+    def _weigh(self, number: int, usable: NDArray[np.bool_]) -> tuple[Indices, Array, float]:
+        """Return the mates of an input, best first, their weights, and what they miss [K]."""
+        moment, target = self._model.moment, int(self._columns[number])
+        mates = ranked_mates(moment, target, np.flatnonzero(usable))
+        weights = mate_weights(moment, target, mates)
+        return mates, weights, unexplained(moment, target, mates, weights)

@@ -1,0 +1,77 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The samples that candidates are fitted to and judged on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.drivers import drive_of
+from fuzzycnc_ros.core.thermal.folds import run_rows, training_folds
+from fuzzycnc_ros.core.thermal.moments import Fold
+from fuzzycnc_ros.core.thermal.run import ThermalRun
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingSet:
+    """Stacked rises and displacements of the training runs.
+
+    Parameters
+    ----------
+    rise : ndarray, shape (n, p)
+        Rises of the sensors [K].
+    drive : ndarray, shape (n, d)
+        Heat sources beyond the sensors, see `drive_of`; d is 0 where none was recorded.
+    displacement : ndarray, shape (n, c)
+        Thermal error [m]; NaN where nothing was measured.
+    label : ndarray, shape (n,)
+        Number of the run of each sample.
+    rows : list of slice
+        Rows of each run.
+    interval : float
+        Sampling interval [s].
+    block : ndarray, shape (n,)
+        Number of the stretch of each sample.
+    folds : list of Fold
+        Stretches to train and to judge on.
+    """
+
+    rise: Array
+    drive: Array
+    displacement: Array
+    label: NDArray[np.int64]
+    rows: list[slice]
+    interval: float
+    block: NDArray[np.int64]
+    folds: list[Fold]
+
+    @staticmethod
+    def of(
+        runs: Sequence[ThermalRun], inputs: Sequence[str], drivers: Sequence[str] = ()
+    ) -> 'TrainingSet':
+        """Stack runs of the same channels and interval."""
+        block, folds = training_folds(runs)
+        rows = run_rows(runs)
+        return TrainingSet(
+            rise=np.concatenate([run.rise()[:, run.columns(inputs)] for run in runs]),
+            drive=np.concatenate([drive_of(run, drivers) for run in runs]),
+            displacement=np.concatenate([run.displacement for run in runs]),
+            label=np.repeat(np.arange(len(runs)), [len(run.time) for run in runs]),
+            rows=rows,
+            interval=runs[0].interval,
+            block=block,
+            folds=folds,
+        )
+
+    def tested(self, fold: Fold) -> NDArray[np.bool_]:
+        """Return which samples a fold judges on, shape (n,)."""
+        return np.isin(self.block, fold.test)
+
+    def scaled_target(self) -> tuple[Array, Array]:
+        """Return the displacements (n, c) and the unit (c,) [m] that makes them of order 1."""
+        unit = np.nanstd(self.displacement, axis=0)
+        unit = np.where(unit > 0.0, unit, 1.0)
+        return self.displacement / unit, unit

@@ -1,0 +1,131 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Work in other processes: order, progress, errors, and that none is left behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from fuzzycnc_ros.cli.fit_progress import FitCounter
+
+SCRIPT = """
+import json, os, sys, time
+from pathlib import Path
+from fuzzycnc_ros.cli.workers import in_workers
+
+def work(piece, progress):
+    if piece == 'bad':
+        while len(list(Path().glob('*.pid'))) < 1:
+            time.sleep(0.01)
+        raise ValueError('piece is bad')
+    if piece == 'endless':
+        Path(f'{os.getpid()}.part').touch()
+        os.rename(f'{os.getpid()}.part', f'{os.getpid()}.pid')
+        time.sleep(600.0)
+    for step in range(3):
+        progress('fit', 'mlp', step, 3)
+        time.sleep(0.11)
+    return piece, os.environ['OMP_NUM_THREADS'], os.getpid()
+
+if __name__ == '__main__':
+    told = []
+    pieces = sys.argv[2:]
+    try:
+        done = in_workers(work, pieces, pieces, int(sys.argv[1]), lambda *news: told.append(news))
+        print(json.dumps([done, told, os.environ.get('OMP_NUM_THREADS')]))
+    except ValueError as error:
+        print(error)
+    except KeyboardInterrupt:
+        sys.exit(130)
+"""
+
+
+@pytest.fixture
+def script(tmp_path, root):
+    """Start the script in a process group of its own: `script(jobs, *pieces)`."""
+    Path(tmp_path, 'script.py').write_text(SCRIPT)
+    environment = {**os.environ, 'PYTHONPATH': str(root)}
+    started = []
+
+    def start(jobs, *pieces):
+        process = subprocess.Popen(
+            [sys.executable, 'script.py', str(jobs), *pieces], cwd=tmp_path, env=environment,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        )  # fmt: skip
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def wait_for(condition, seconds=60.0):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def running(pid: int) -> bool:
+    try:
+        state = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != 'Z'
+
+
+def test_results_keep_their_order_and_progress_never_goes_back(script):
+    out, err = script(2, 'a', 'b', 'c').communicate(timeout=120.0)
+    assert err == ''
+    done, told, threads = json.loads(out)
+    assert [piece for piece, *_ in done] == ['a', 'b', 'c']
+    assert {count for _, count, _ in done} == {'1'}
+    assert len({pid for *_, pid in done}) <= 2
+    assert threads == os.environ.get('OMP_NUM_THREADS')
+    steps = [step for _, step, _ in told]
+    assert steps == sorted(steps)
+    assert steps[-1] == told[-1][2]
+    assert any('b (2 of 3): fitting mlp (2 of 3)' in text for text, *_ in told)
+
+
+@pytest.mark.parametrize('how', ['terminal', 'process', 'killed'])
+def test_nobody_is_left_behind(script, tmp_path, how):
+    process = script(2, 'endless', 'endless')
+    wait_for(lambda: len(list(tmp_path.glob('*.pid'))) == 2)
+    workers = [int(path.stem) for path in tmp_path.glob('*.pid')]
+    assert all(running(pid) for pid in workers)
+    if how == 'terminal':  # Ctrl-C reaches the workers too
+        os.killpg(process.pid, signal.SIGINT)
+    else:
+        process.send_signal(signal.SIGINT if how == 'process' else signal.SIGKILL)
+    out, err = process.communicate(timeout=60.0)
+    if how != 'killed':
+        assert (process.returncode, out, err) == (130, '', '')
+    wait_for(lambda: not any(running(pid) for pid in workers))
+
+
+def test_an_error_ends_the_others_and_comes_through(script, tmp_path):
+    process = script(2, 'endless', 'bad')
+    out, err = process.communicate(timeout=60.0)
+    assert (process.returncode, out.strip(), err) == (0, 'piece is bad', '')
+    (worker,) = (int(path.stem) for path in tmp_path.glob('*.pid'))
+    wait_for(lambda: not running(worker))
+
+
+def test_fits_are_counted_per_candidate():
+    phrase = FitCounter()
+    assert phrase('select_sensors', 't3', 0, 9) == 'trying sensor t3'
+    assert phrase('fit', 'mlp', 0, 2) == 'fitting mlp (1 of 2)'
+    assert phrase('fit', 'mlp', 0, 2) == 'fitting mlp (1 of 2), 1 fit'
+    assert phrase('fit', 'mlp', 0, 2) == 'fitting mlp (1 of 2), 2 fits'
+    assert phrase('fit', 'arma', 1, 2) == 'fitting arma (2 of 2)'
+    assert phrase('fit', 'arma', 2, 2) == 'fitting arma (2 of 2), 1 fit'
