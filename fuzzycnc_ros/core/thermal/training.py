@@ -31,6 +31,7 @@ from fuzzycnc_ros.core.thermal.selection import (
 from fuzzycnc_ros.core.thermal.training_runs import check_training_runs
 from fuzzycnc_ros.core.thermal.training_set import TrainingSet
 from fuzzycnc_ros.core.thermal.watch_training import learn_watch
+from fuzzycnc_ros.core.threads import single_threaded
 
 SENSORS_MAX = 24
 """Most sensors that 'auto' feeds to the models as they are.
@@ -39,6 +40,7 @@ Clusters exist to reduce a dense field such as the 76 sensors of method sheet 00
 public recordings, with 16 and 22 sensors, ridge models on all sensors beat five chosen ones."""
 
 
+@single_threaded
 def train_model(
     runs: Sequence[ThermalRun],
     *,
