@@ -46,6 +46,9 @@ class Input:
         Whether a record makes the component act.  Each component has at most one such input.
     max_age : float
         Age [s] beyond which a record no longer counts; infinite for latched facts.
+    quiet : bool
+        Whether a record is only noted for the next driving one: nothing follows from it alone,
+        so that in lock-step it gives no turn.
     """
 
     name: str
@@ -53,6 +56,7 @@ class Input:
     durability: Durability = STREAM
     driving: bool = False
     max_age: float = float('inf')
+    quiet: bool = False
 
 
 @dataclass(frozen=True)

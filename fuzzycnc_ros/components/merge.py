@@ -50,6 +50,7 @@ class Merger:
             item.name: _DRIVING_RANK if item.driving else index
             for index, item in enumerate(self.component.INPUTS)
         }
+        self._quiet = {i.name for i in self.component.INPUTS if i.quiet}
         self._latched = {i.name for i in self.component.INPUTS if i.durability is LATCHED}
         self.counts = {name: InputCount() for name in self._ranks}
 
@@ -80,7 +81,14 @@ class Merger:
         return True
 
     def advance(self, until: int) -> list[Emission]:
-        """Work up to machine time `until` [ns]; return what was emitted, in order."""
+        """Work up to machine time `until` [ns]; return what was emitted, in order.
+
+        Raises
+        ------
+        RuntimeError
+            If the component emits because of an input that it declares as quiet, or asks for a
+            deadline that has fired already.
+        """
         emitted: list[Emission] = []
         while True:
             deadline = self.component.next_deadline
@@ -93,7 +101,13 @@ class Merger:
                 break
             stamp, _, _, name, record = heapq.heappop(self._queue)
             self.time = max(self.time, stamp)
-            emitted.extend(self.component.receive(name, record))
+            caused = list(self.component.receive(name, record))
+            if caused and name in self._quiet:
+                raise RuntimeError(
+                    f'{self.component.NAME} declares its input {name} as quiet but emitted '
+                    f'{caused[0].output} because of it'
+                )
+            emitted.extend(caused)
         self.time = max(self.time, until)
         return emitted
 

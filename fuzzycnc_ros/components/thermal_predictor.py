@@ -59,9 +59,9 @@ class ThermalPredictor(Component):
         Input('sensor_selection', SensorSelection, LATCHED),
         Input('thermal_reference', ThermalReference, LATCHED),
         # How long the last known speed is held is a parameter, gap_max.
-        Input('machine_state', MachineState),
-        Input('compensation_applied', CompensationApplied),
-        Input('displacement', Displacement),
+        Input('machine_state', MachineState, quiet=True),
+        Input('compensation_applied', CompensationApplied, quiet=True),
+        Input('displacement', Displacement, quiet=True),
         Input('temperatures', Temperatures, driving=True),
     )
     OUTPUTS = (

@@ -12,6 +12,7 @@ from rclpy.node import Node
 
 from fuzzycnc_ros.components.component import STREAM
 from fuzzycnc_ros.components.records import MachineTick, TickAnswer
+from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.convert import decode, encode
 from fuzzycnc_ros.nodes.messages import RCLPY
 from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, subscription_qos
@@ -40,6 +41,8 @@ class Participant:
     """Ticks between two turns."""
     lost: bool = True
     reads: tuple[str, ...] = ()
+    quiet: frozenset[str] = frozenset()
+    """Topics that alone give the node no turn."""
     next_deadline: int = 0
     seen: dict[str, int] = field(default_factory=dict)
     """Newest sequence number of each topic at the node's last turn."""
@@ -150,7 +153,11 @@ class Sequencer:
 
     def _participant(self, name: str, timeout: float) -> Participant:
         publisher = create_publisher(self._node, MachineTick.TYPE, tick_topic(name), STREAM)
-        return Participant(name, publisher, timeout)
+        space = self._node.get_namespace().rstrip('/')
+        component = COMPONENTS.get(name)
+        inputs = () if component is None else component.INPUTS
+        quiet = frozenset(f'{space}/{item.name}' for item in inputs if item.quiet)
+        return Participant(name, publisher, timeout, quiet=quiet)
 
     def _on_timer(self) -> None:
         """Probe silent nodes, start when all are there, notice those that fall silent."""
@@ -254,13 +261,17 @@ class Sequencer:
             self._stamp = stamp
 
     def _due(self, item: Participant) -> bool:
-        """Whether a turn would change anything: new inputs, or a deadline reached."""
+        """Whether a turn would change anything: new inputs that matter, or a deadline reached."""
         if item.every > 1 and self.tick % item.every and not self._programme_over:
             return False
         if 0 < item.next_deadline <= self._stamp:
             return True
         counts = self._all_counts()
-        return any(counts.get(topic, 0) != item.seen.get(topic, 0) for topic in item.reads)
+        return any(
+            counts.get(topic, 0) != item.seen.get(topic, 0)
+            for topic in item.reads
+            if topic not in item.quiet
+        )
 
     def _give_turn(self, item: Participant) -> None:
         counts = self._all_counts()

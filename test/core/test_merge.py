@@ -257,3 +257,24 @@ def test_interval_of_an_input_is_known_for_lateness():
 def test_unknown_input_is_an_error():
     with pytest.raises(KeyError):
         Merger(Journal()).push('nonsense', Note(stamp=1))
+
+
+class Telltale(Component):
+    """Emits because of an input that it declares as quiet."""
+
+    NAME = 'telltale'
+    SUMMARY = 'Breaks its word.'
+    CONFIG = Config
+    INPUTS = (Input('whisper', Note, quiet=True), Input('drive', Note, driving=True))
+    OUTPUTS = (Output('entry', Note),)
+
+    def on_whisper(self, note: Note) -> Iterator[Emission]:
+        """Emit what was to be kept."""
+        yield Emission('entry', note)
+
+
+def test_a_quiet_input_causes_nothing_by_itself():
+    merger = Merger(Telltale())
+    merger.push('whisper', Note(stamp=1))
+    with pytest.raises(RuntimeError, match='input whisper as quiet but emitted entry'):
+        merger.advance(1)
