@@ -17,7 +17,7 @@ nodes = [
 bags = ['mcap', 'rosbags', 'zstandard']
 command_line = ['typer', 'rich', 'pyyaml', *bags]
 report = ['jinja2', 'matplotlib']
-ml = ['scikit-learn']
+ml = ['scikit-learn', 'threadpoolctl']
 
 setup(
     name=package_name,

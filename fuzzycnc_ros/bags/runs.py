@@ -105,7 +105,8 @@ def read_run(
         topics = [topic, other] if state is None else [topic, other, state]
         for kind, _, _, message in reader.messages(topics):  # one pass over the file
             if kind == state:
-                speeds.append((_stamp(message), message.spindle_speed))
+                if np.isfinite(message.spindle_speed):  # one that is not known says nothing
+                    speeds.append((_stamp(message), message.spindle_speed))
             elif kind == topic:
                 temperature.add(message, message.temperature, message.status == _STATUS_OK)
             else:

@@ -226,7 +226,7 @@ def _compared(
     from fuzzycnc_ros.cli.workers import in_workers
     from fuzzycnc_ros.core.thermal.comparison import Comparison, splits
 
-    held_out = splits(runs, windows)
+    held_out = splits(runs, windows, options['interval'])
     names = [split.name for split in held_out]
     with progress_bar('comparing') as tell:
         return Comparison(

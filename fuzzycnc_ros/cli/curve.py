@@ -70,7 +70,7 @@ def curve(
         check_folder(path)
     runs = [at_interval(run, interval) for run in read_runs(bags)]
     check_training_runs(runs)
-    held_out = splits(runs)
+    held_out = splits(runs, interval=interval)
     usable = min(_warming(split.training) for split in held_out)
     kept = tuple(count for count in numbers if count <= usable)
     if not kept:

@@ -104,6 +104,7 @@ def _page(model: 'ThermalModel', run: 'ThermalRun', start: float | None) -> 'Com
     import numpy as np
 
     from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
+    from fuzzycnc_ros.core.thermal.drivers import speed_known
     from fuzzycnc_ros.core.thermal.training import at_interval
     from fuzzycnc_ros.report import CompensationRun
 
@@ -114,7 +115,7 @@ def _page(model: 'ThermalModel', run: 'ThermalRun', start: float | None) -> 'Com
         predicted = {
             name: model.predict(rise, name)[inside]
             for name in model.candidates
-            if even.spindle_speed is not None or not name.endswith(SPEED_SUFFIX)
+            if speed_known(even) or not name.endswith(SPEED_SUFFIX)
         }
         predicted['default'] = model.predict(rise)[inside]
     label = {

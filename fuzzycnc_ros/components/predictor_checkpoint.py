@@ -15,6 +15,7 @@ are passed over, so that a newer version's checkpoint can be read.
 | 4 | `kalman` | the same |
 | 5 | `adaptation` | the same |
 | 6 | `remainder` | time left [s], what is left of the model before per channel [m], zeros |
+| 7 | `watch` | per input: excess to both sides [s], time of agreement [s], faulty |
 """
 
 from collections.abc import Mapping
@@ -30,6 +31,7 @@ BLOCKS = {
     'kalman': 4,
     'adaptation': 5,
     'remainder': 6,
+    'watch': 7,
 }
 """Codes of the blocks."""
 

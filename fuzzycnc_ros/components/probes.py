@@ -131,6 +131,13 @@ class ProbeSource:
             except ValueError as refusal:
                 self.trouble = f'probe at {record.stamp / SECOND:.3f} s refused: {refusal}'
                 return None
+        usable = np.isfinite(error)
+        if not usable.any():
+            self.trouble = (
+                f'probe at {record.stamp / SECOND:.3f} s refused: expected a read-back of finite '
+                'offsets (compensation_applied) but found none; see the bridge of the machine'
+            )
+            return None
         if np.nanmax(np.abs(error)) > DISPLACEMENT_MAX:
             self.trouble = (
                 f'probe at {record.stamp / SECOND:.3f} s refused: expected errors within '

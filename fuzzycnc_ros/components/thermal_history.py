@@ -126,8 +126,7 @@ class ModelHistory:
             self.correction.pause()
             return
         stamp = heard.sample.stamp
-        domain = self.model.domain
-        distance = float(domain.distance(self._vector)) / domain.limit
+        distance = float(self.model.distance(self._vector))
         error, deviation = self.correction.apply(
             stamp,
             error,
@@ -185,6 +184,8 @@ class ModelHistory:
         left = self.remainder if remainder is None else remainder
         if left.remaining:
             blocks['remainder'] = left.state
+        if self._watch is not None and self._watch.faulty.any():
+            blocks['watch'] = self._watch.state
         sensors = len(self.model.inputs)
         recursion = np.concatenate([self._stream.state, self._vector[sensors:]])
         return PredictorState(
@@ -199,10 +200,13 @@ class ModelHistory:
 
     def _step(self, heard: Heard) -> Floats | None:
         """Step the model; return the error [m], or None and set the reason."""
+        stamp = heard.sample.stamp
+        # Before the sample is read: the checkpoint knows which sensors were voted out.
+        if self._stepped_at is None and self._unknown_since is None:
+            self._take_checkpoint(stamp)
         vector = self._vector_of(heard)
         if vector is None:
             return None
-        stamp = heard.sample.stamp
         self._resume(stamp)
         interval = nanoseconds(self.model.interval)
         steps = 1
@@ -222,6 +226,12 @@ class ModelHistory:
         error = self._advance(vector, steps)
         self._stepped_at = stamp
         self._vector = vector
+        if not np.isfinite(error).all():
+            self.refuse(
+                Reason.NO_MODEL,
+                f'expected a finite error but {self.label} gives {error}; train the model anew',
+            )
+            return None
         return error if self._history_is_known(stamp) else None
 
     def _advance(self, vector: Floats, steps: int) -> Floats:
@@ -247,12 +257,10 @@ class ModelHistory:
         return True
 
     def _resume(self, stamp: Stamp) -> None:
-        """Decide at the first sample where the history comes from."""
+        """Decide at the first sample, without a checkpoint, whether its history is known."""
         if self._stepped_at is not None or self._unknown_since is not None:
             return
         assert self._reference is not None
-        if self._take_checkpoint(stamp):
-            return
         if stamp - self._reference.stamp > nanoseconds(2.0 * self.model.interval):
             # The machine has been warming up unseen since its reference.
             self._unknown_since = stamp
@@ -266,27 +274,33 @@ class ModelHistory:
         except ValueError:
             self.correction = ProbeCorrection(self.model, self.config)
 
-    def _take_checkpoint(self, stamp: Stamp) -> bool:
-        """Go on from the state of an earlier life; return whether it was one of this history."""
+    def _take_checkpoint(self, stamp: Stamp) -> None:
+        """Go on from the state of an earlier life if it was one of this history."""
         saved, reference = self._checkpoint, self._reference
         if saved is None or reference is None or saved.reference_stamp != reference.stamp:
-            return False
+            return
         if not self._owns(saved) or saved.stamp >= stamp:
-            return False
+            return
         try:
             recursion, drive, blocks = self._parts(saved)
             self.correction.resume(saved.stamp, blocks)
             if 'remainder' in blocks:
                 self.remainder.state = blocks['remainder']
+            if self._watch is not None and 'watch' in blocks:
+                self._watch.state = blocks['watch']
+            newest = np.concatenate([saved.last_rise, drive])
+            if len(saved.last_rise) != len(self.model.inputs) or not np.isfinite(newest).all():
+                raise ValueError(f'last_rise: expected finite rises, but found {newest}')
             self._stream.state = recursion
         except ValueError:
             # A damaged checkpoint is as good as none: the history is lost, which is said aloud.
             self.correction = ProbeCorrection(self.model, self.config)
             self.remainder = Fade(np.zeros(len(self.model.channel)))
-            return False
+            self._watch = sensor_watch(self.model, self.config)
+            self._source = None
+            return
         self._stepped_at = self._predicted_at = saved.stamp
-        self._vector = np.concatenate([saved.last_rise, drive])
-        return True
+        self._vector = newest
 
     def _owns(self, checkpoint: PredictorState) -> bool:
         """Whether a checkpoint was written for this model."""

@@ -27,6 +27,7 @@ from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalPredictorConfig
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal import ThermalModel
+from fuzzycnc_ros.core.thermal.model_document import SIZE_MAX
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.host import ComponentNode
 from fuzzycnc_ros.nodes.parameters import ParameterError, changed, refusal
@@ -108,7 +109,7 @@ class ThermalPredictorNode(ComponentNode):
     def __init__(self, node: Node) -> None:
         super().__init__(node, ThermalPredictor)
         if self._settings.model:
-            self._load(Path(self._settings.model).expanduser())
+            self._load(self._settings.model)
         self._training: Training | None = None
         self._thread: threading.Thread | None = None
         """Thread of the newest training; it outlives one that was cancelled by a moment."""
@@ -131,27 +132,27 @@ class ThermalPredictorNode(ComponentNode):
         self._server.destroy()
         super().stop()
 
-    def _load(self, path: Path) -> None:
+    def _load(self, file: str) -> None:
         try:
-            self.component.use_model(_model_text(path))
+            self.component.use_model(_model_text(file))
         except ValueError as error:
-            raise ParameterError(f'parameter model: {path}: {error}') from error
+            raise ParameterError(f'parameter model: {file}: {error}') from error
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Let the model of another file take over; the other parameters as every node."""
         files = [item.value for item in parameters if item.name == 'model']
         # A file that is named again may have been trained anew.
         if files and (files[-1] or self._settings.model):
-            path = Path(files[-1]).expanduser()
+            file = files[-1]
             try:
                 # What else is set at once is checked first: all of it is taken, or nothing.
                 changed(self.component.configuration, parameters)
-                text = _model_text(path)
+                text = _model_text(file)
             except ValueError as error:
-                return refusal(f'model: {path}: {error}' if files[-1] else _NO_FILE)
+                return refusal(f'model: {file}: {error}' if file else _NO_FILE)
             answer = self.request('use_model', {'model': text})
             if not answer.success:
-                return refusal(f'model: {path}: {answer.message}')
+                return refusal(f'model: {file}: {answer.message}')
         return super()._on_parameters(parameters)
 
     @property
@@ -209,9 +210,9 @@ class ThermalPredictorNode(ComponentNode):
         if file:
             try:
                 write_text(Path(file).expanduser(), text)
-            except OSError as error:
+            except (OSError, RuntimeError) as error:  # the latter: a home folder nobody has
                 goal.abort()
-                message = f'file: {file}: {error.strerror}'
+                message = f'file: {file}: {getattr(error, "strerror", error)}'
                 return TrainThermalModel.Result(success=False, message=message)
         answer = self.request('use_model', {'model': text})
         goal.succeed() if answer.success else goal.abort()
@@ -230,7 +231,7 @@ def _same_work(one: tuple[str, str, int, int], other: tuple[str, str, int, int])
     return one[0] == other[0] and (one[1] == other[1] or one[0] == 'select_sensors')
 
 
-def _model_text(path: Path) -> str:
+def _model_text(file: str) -> str:
     """Return the text of a model file.
 
     Raises
@@ -239,9 +240,13 @@ def _model_text(path: Path) -> str:
         If it cannot be read.
     """
     try:
-        return path.read_text(encoding='utf-8')
+        with Path(file).expanduser().open(encoding='utf-8') as opened:
+            # One more than is allowed is refused by the model; an endless file ends here.
+            return opened.read(SIZE_MAX + 1)
     except OSError as error:
         raise ValueError(error.strerror) from error
+    except RuntimeError as error:  # a home folder that nobody has
+        raise ValueError(str(error)) from error
 
 
 def _of_default(model: ThermalModel, name: str) -> list[float]:

@@ -53,6 +53,7 @@ KEY_OF_MODULE = {
     'rich': 'python3-rich',
     'scipy': 'python3-scipy',
     'sklearn': 'python3-sklearn',
+    'threadpoolctl': 'python3-sklearn',  # which depends on it
     'typer': 'python3-typer',
     'yaml': 'python3-yaml',
 }

@@ -17,7 +17,7 @@ from fuzzycnc_ros.core.thermal.recursions import (
     read_recursion,
     write_recursion,
 )
-from fuzzycnc_ros.core.thermal.recursions.bounded import BoundedRecursion, bounded
+from fuzzycnc_ros.core.thermal.recursions.bounded import BoundedRecursion, bound_of
 from fuzzycnc_ros.core.thermal.recursions.delayed import delayed_rises
 from fuzzycnc_ros.core.thermal.recursions.filter_network import FilterNetworkRecursion
 from fuzzycnc_ros.core.thermal.recursions.moving_average import MovingAverageRecursion
@@ -350,7 +350,7 @@ def linear(gain=1e-6):
 def test_a_bound_cuts_and_lets_go():
     rise = np.concatenate([np.full((100, INPUTS), 10.0), np.zeros((100, INPUTS))])
     base = linear()
-    recursion = bounded(base, np.array([[1e-6, 30e-6], [-4e-6, np.nan]]))
+    recursion = BoundedRecursion(base, bound_of(np.array([[1e-6, 30e-6], [-4e-6, np.nan]])))
     assert recursion.bound == pytest.approx((6e-6, 45e-6))
     values, free = recursion.run(rise), base.run(rise)
     assert np.abs(values).max(axis=0) == pytest.approx((6e-6, 45e-6))
@@ -361,7 +361,7 @@ def test_a_bound_cuts_and_lets_go():
 
 
 def test_a_bounded_document_is_read_back_and_not_bounded_twice():
-    recursion = bounded(linear(), np.full((3, 2), 4e-6))
+    recursion = BoundedRecursion(linear(), bound_of(np.full((3, 2), 4e-6)))
     again = BoundedRecursion.read(Node(write_recursion(recursion), 'test'), INPUTS)
     assert np.array_equal(again.run(rises()), recursion.run(rises()))
     twice = write_recursion(BoundedRecursion(recursion, recursion.bound))
@@ -373,8 +373,8 @@ def test_a_bounded_document_is_read_back_and_not_bounded_twice():
 
 
 def test_bounds_of_channels_of_different_forms_are_joined():
-    one = bounded(linear().channel(0), np.full((3, 1), 4e-6))
-    two = bounded(network_recursion().channel(1), np.full((3, 1), 8e-6))
+    one = BoundedRecursion(linear().channel(0), bound_of(np.full((3, 1), 4e-6)))
+    two = BoundedRecursion(network_recursion().channel(1), bound_of(np.full((3, 1), 8e-6)))
     joined = combine([one, two])
     assert joined.bound == pytest.approx((6e-6, 12e-6))
     expected = np.hstack([one.run(rises()), two.run(rises())])

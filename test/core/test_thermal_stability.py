@@ -29,7 +29,7 @@ from fuzzycnc_ros.core.thermal.networks import (
     StaticNetwork,
 )
 from fuzzycnc_ros.core.thermal.recursions import combine
-from fuzzycnc_ros.core.thermal.recursions.bounded import bounded
+from fuzzycnc_ros.core.thermal.recursions.bounded import BoundedRecursion, bound_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from random_streams import largest_output, random_streams
@@ -137,6 +137,6 @@ def test_a_bound_keeps_models_near_where_nothing_like_it_was_trained_on(grinder,
     """In Z the grinder's parts pull against each other; warmed apart they add up."""
     recursion = grinder.fitted(model)
     assert grinder.largest(recursion)[0] > FACTOR
-    ranges, metres = grinder.largest(bounded(recursion, grinder.displacement))
+    ranges, metres = grinder.largest(BoundedRecursion(recursion, bound_of(grinder.displacement)))
     assert ranges <= FACTOR * (1.0 + 1e-12)
     assert metres <= CLAMP

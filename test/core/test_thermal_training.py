@@ -22,7 +22,11 @@ from fuzzycnc_ros.core.thermal.candidates import (
     JudgedCandidate,
     preferred,
 )
-from fuzzycnc_ros.core.thermal.folds import selection_folds, training_folds
+from fuzzycnc_ros.core.thermal.folds import (
+    independent_folds,
+    selection_folds,
+    training_folds,
+)
 from fuzzycnc_ros.core.thermal.ranking import grey_relational_grade
 from fuzzycnc_ros.core.thermal.recursions import LinearRecursion, first_order_lags
 from fuzzycnc_ros.core.thermal.refinement import REFINE_SWEEPS
@@ -242,7 +246,7 @@ def test_a_named_model_is_used_for_every_channel(runs):
         assert train_model(runs, model=name, candidates=()).default == (name, name)
     with pytest.raises(ValueError, match=r"model: expected auto or one of .* found 'best'"):
         train_model(runs, model='best')
-    with pytest.raises(ValueError, match=r"model: expected auto or one of .* found 'best'"):
+    with pytest.raises(ValueError, match=r"candidates: expected some of .* found 'best'"):
         train_model(runs, candidates=('lag_ridge', 'best'))
     with pytest.raises(ValueError, match='sensors: expected auto, clusters or all'):
         train_model(runs, sensors='some')
@@ -343,19 +347,30 @@ def test_the_overall_best_is_kept_unless_a_rival_is_better_beyond_chance():
     best = judged('lag_ridge', [[1.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
     lucky = judged('stable_grey', [[0.1, 9.0], [1.6, 9.0], [1.2, 9.0]])
     better = judged('stable_grey', [[0.5, 9.0], [0.6, 9.0], [0.4, 9.0]])
-    assert preferred([best, lucky], np.ones(2)) == ('lag_ridge', 'lag_ridge')
-    assert preferred([best, better], np.ones(2)) == ('stable_grey', 'lag_ridge')
+    assert preferred([best, lucky], np.ones(2), 3) == ('lag_ridge', 'lag_ridge')
+    assert preferred([best, better], np.ones(2), 3) == ('stable_grey', 'lag_ridge')
+
+
+def test_overlapping_folds_count_once(runs):
+    _, folds = training_folds(runs[:1])
+    assert len(folds) == 13
+    assert independent_folds(folds) == 4
+    assert independent_folds(training_folds(runs)[1]) == 3
+    best = judged('lag_ridge', [[1.0, 1.0]] * 12)
+    rival = judged('hybrid_network', [[0.1, 0.1], [1.2, 1.2], [0.2, 0.2], [1.1, 1.1]] * 3)
+    assert preferred([best, rival], np.ones(2), 12)[0] == 'hybrid_network'
+    assert preferred([best, rival], np.ones(2), 4)[0] == 'lag_ridge'
 
 
 def test_a_network_must_win_beyond_chance():
     best = judged('lag_ridge', [[1.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
     lucky = judged('hybrid_network', [[0.2, 0.2], [1.1, 1.1], [1.0, 1.0]])
     winner = judged('hybrid_network', [[0.5, 0.5], [0.6, 0.6], [0.4, 0.4]])
-    assert preferred([lucky, best], np.ones(2)) == ('lag_ridge', 'lag_ridge')
-    assert preferred([winner, best], np.ones(2)) == ('hybrid_network', 'hybrid_network')
+    assert preferred([lucky, best], np.ones(2), 3) == ('lag_ridge', 'lag_ridge')
+    assert preferred([winner, best], np.ones(2), 3) == ('hybrid_network', 'hybrid_network')
     # Among linear models the smaller error suffices: one of them has to be taken.
     linear = judged('stable_grey', [[0.2, 0.2], [1.1, 1.1], [1.0, 1.0]])
-    assert preferred([linear, best], np.ones(2)) == ('stable_grey', 'stable_grey')
+    assert preferred([linear, best], np.ones(2), 3) == ('stable_grey', 'stable_grey')
 
 
 def test_a_model_that_does_not_hold_where_it_was_not_fitted_is_refused(runs):

@@ -80,6 +80,11 @@ def fit_candidate(
             step()
     except ValueError as error:
         raise ThermalDataError(f'model {name!r}: {error}') from error
+    except ImportError as error:
+        raise ThermalDataError(
+            f'model {name!r}: expected the library {error.name} but found none; install '
+            'fuzzycnc_ros[ml], or leave the model out'
+        ) from error
     problems = list(dict.fromkeys(problem for _, found in fits for problem in found))
     rms = largest = deviation = np.full(data.displacement.shape[1], np.nan)
     fold_error = np.empty((0, len(rms)))
@@ -109,7 +114,7 @@ def fit_candidate(
     return JudgedCandidate(candidate, fold_error, deviation)
 
 
-def preferred(judged: Sequence[JudgedCandidate], unit: Array) -> tuple[str, ...]:
+def preferred(judged: Sequence[JudgedCandidate], unit: Array, independent: int) -> tuple[str, ...]:
     """Return the candidate to use for each channel.
 
     Parameters
@@ -118,6 +123,9 @@ def preferred(judged: Sequence[JudgedCandidate], unit: Array) -> tuple[str, ...]
         Candidates to choose from.
     unit : ndarray, shape (c,)
         Spread of each channel [m], by which errors are made comparable.
+    independent : int
+        Number of folds that share no held-out sample; overlapping ones tell less than as many
+        others would.
 
     Returns
     -------
@@ -138,13 +146,13 @@ def preferred(judged: Sequence[JudgedCandidate], unit: Array) -> tuple[str, ...]
     everyone = range(len(judged))
     best = min(linear or everyone, key=lambda n: float(pooled[n]))
     rival = min(everyone, key=lambda n: float(pooled[n]))
-    if _beats(errors[rival].mean(axis=1), errors[best].mean(axis=1)):
+    if _beats(errors[rival].mean(axis=1), errors[best].mean(axis=1), independent):
         best = rival
     names = []
     for channel in range(len(unit)):
         rms = [float(item.candidate.held_out_rms[channel]) for item in judged]
         rival = int(np.argmin(rms))
-        won = _beats(errors[rival][:, channel], errors[best][:, channel])
+        won = _beats(errors[rival][:, channel], errors[best][:, channel], independent)
         names.append(judged[rival if won else best].candidate.name)
     return tuple(names)
 
@@ -154,12 +162,13 @@ def _mean_of_finite(errors: Array) -> float:
     return float(np.mean(errors[~np.isnan(errors)]))
 
 
-def _beats(error: Array, other: Array) -> bool:
+def _beats(error: Array, other: Array, independent: int) -> bool:
     """Return whether errors (folds,) are smaller than others by more than chance."""
     gain = other - error
     gain = gain[np.isfinite(gain)]
-    if len(gain) < 2:
+    count = min(len(gain), independent)
+    if count < 2:
         return False
     # Folds are few: with two of them the gain must be six, with twelve two standard errors.
-    quantile = float(stdtrit(len(gain) - 1, CONFIDENCE))
-    return bool(gain.mean() > quantile * gain.std(ddof=1) / np.sqrt(len(gain)))
+    quantile = float(stdtrit(count - 1, CONFIDENCE))
+    return bool(gain.mean() > quantile * gain.std(ddof=1) / np.sqrt(count))

@@ -17,9 +17,10 @@ class ModelFileError(ValueError):
 class Node:
     """A value of the document and where it stands."""
 
-    def __init__(self, value: Any, where: str) -> None:
+    def __init__(self, value: Any, where: str, depth: int = 0) -> None:
         self.value = value
         self.where = where
+        self.depth = depth
 
     def refuse(self, expected: str) -> NoReturn:
         """Raise an error that shows the value, shortened."""
@@ -31,19 +32,24 @@ class Node:
         """Return a member of an object."""
         if not isinstance(self.value, dict) or key not in self.value:
             self.refuse(f'an object with {key!r}')
-        return Node(self.value[key], f'{self.where}, {key}')
+        return Node(self.value[key], f'{self.where}, {key}', self.depth + 1)
 
     def items(self) -> dict[str, 'Node']:
         """Return the members of an object."""
         if not isinstance(self.value, dict):
             self.refuse('an object')
-        return {key: Node(item, f'{self.where}, {key}') for key, item in self.value.items()}
+        return {
+            key: Node(item, f'{self.where}, {key}', self.depth + 1)
+            for key, item in self.value.items()
+        }
 
     def list(self) -> 'list[Node]':
         """Return the elements of a list."""
         if not isinstance(self.value, list):
             self.refuse('a list')
-        return [Node(item, f'{self.where}[{at}]') for at, item in enumerate(self.value)]
+        return [
+            Node(item, f'{self.where}[{at}]', self.depth + 1) for at, item in enumerate(self.value)
+        ]
 
     def text(self) -> str:
         """Return a text."""

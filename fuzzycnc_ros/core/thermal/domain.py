@@ -36,6 +36,19 @@ class Domain:
     limit: float
     drive: Array = field(default_factory=lambda: np.empty(0))
 
+    def __post_init__(self) -> None:
+        """Refuse numbers that would put every sample into the domain, or none."""
+        if not self.limit > 0.0:
+            raise ValueError(f'limit: expected a positive distance, but found {self.limit}')
+        if not (self.drive >= 0.0).all():
+            raise ValueError(f'drive: expected 0 or more, but found {self.drive}')
+        inverse = 0.5 * (self.inverse_covariance + self.inverse_covariance.T)
+        if not (np.linalg.eigvalsh(inverse) > 0.0).all():
+            raise ValueError(
+                'inverse_covariance: expected a positive definite matrix but found another; '
+                'train the model anew'
+            )
+
     @staticmethod
     def of(rise: Array, drive: Array | None = None) -> 'Domain':
         """Describe the training rises (n, p) [K] and drivers (n, d) [-]."""

@@ -27,12 +27,14 @@ def speed_drive(speed: Array) -> Array:
     return np.asarray((speed / SPEED_UNIT) ** 2)
 
 
+def speed_known(run: ThermalRun) -> bool:
+    """Return whether a run has its spindle speed in every sample."""
+    return run.spindle_speed is not None and bool(np.isfinite(run.spindle_speed).all())
+
+
 def drivers_of(runs: Sequence[ThermalRun]) -> tuple[str, ...]:
     """Return the drivers that all runs have without a gap."""
-    known = all(
-        run.spindle_speed is not None and np.isfinite(run.spindle_speed).all() for run in runs
-    )
-    if not known:
+    if not all(map(speed_known, runs)):
         return ()
     # A speed that never changes tells nothing that a constant would not.
     moving = any(float(np.ptp(run.spindle_speed)) > 0.0 for run in runs)  # type: ignore[arg-type]

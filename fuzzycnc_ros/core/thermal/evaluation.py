@@ -9,6 +9,7 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
+from fuzzycnc_ros.core.thermal.drivers import speed_known
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.residuals import mean_of_square
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
@@ -103,7 +104,7 @@ def evaluate(
     predictions |= {
         name: item.recursion.run(rise)
         for name, item in model.candidates.items()
-        if even.spindle_speed is not None or not name.endswith(SPEED_SUFFIX)
+        if speed_known(even) or not name.endswith(SPEED_SUFFIX)
     }
     predictions['default'] = model.recursion().run(rise)
     rms, largest = {}, {}

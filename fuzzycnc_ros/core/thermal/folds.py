@@ -89,6 +89,12 @@ def training_folds(runs: Sequence[ThermalRun]) -> tuple[NDArray[np.int64], list[
     return _measured(runs, block, folds)
 
 
+def independent_folds(folds: Sequence[Fold]) -> int:
+    """Return how many folds share no held-out stretch: the number of folds over their overlap."""
+    tested = [block for fold in folds for block in fold.test]
+    return round(len(folds) * len(set(tested)) / max(1, len(tested)))
+
+
 def _measured(
     runs: Sequence[ThermalRun], block: NDArray[np.int64], folds: list[Fold]
 ) -> tuple[NDArray[np.int64], list[Fold]]:

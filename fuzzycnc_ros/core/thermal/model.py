@@ -15,7 +15,12 @@ from fuzzycnc_ros.core.thermal.band import Band
 from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, Candidate
 from fuzzycnc_ros.core.thermal.document import ModelFileError
 from fuzzycnc_ros.core.thermal.domain import Domain
-from fuzzycnc_ros.core.thermal.drivers import SPINDLE_SPEED, drive_of, speed_drive
+from fuzzycnc_ros.core.thermal.drivers import (
+    drive_of,
+    speed_drive,
+    speed_known,
+)
+from fuzzycnc_ros.core.thermal.model_checks import check_output, check_parts
 from fuzzycnc_ros.core.thermal.model_document import read_document, write_document
 from fuzzycnc_ros.core.thermal.recursions import (
     BoundedRecursion,
@@ -101,7 +106,7 @@ class ThermalModel:
             If a part contradicts another; the message names it.
         """
         check_interval(self.interval)
-        _check_parts(self)
+        check_parts(self)
         names = set(self.default)
         if len(names) == 1:
             recursion = self.candidates[names.pop()].recursion
@@ -131,9 +136,11 @@ class ThermalModel:
         """
         fields = read_document(text)
         try:
-            return ThermalModel(**fields)
+            model = ThermalModel(**fields)
+            check_output(model)
         except ValueError as error:
             raise ModelFileError(f'model file: {error}') from error
+        return model
 
     @cached_property
     def hash(self) -> str:
@@ -145,15 +152,18 @@ class ThermalModel:
         """Whether the default reads the spindle speed."""
         return any(name.endswith(SPEED_SUFFIX) for name in self.default)
 
-    def drive(self, spindle_speed: float) -> Array:
+    def drive(self, spindle_speed: float, candidate: str | None = None) -> Array:
         """Return what stands behind the rises in a sample, shape (d,) [-].
 
         Parameters
         ----------
         spindle_speed : float
-            Spindle speed [rad/s]; not looked at unless the default needs it.
+            Spindle speed [rad/s]; not looked at unless it is needed.
+        candidate : str, optional
+            Candidate that is stepped; the default if absent.
         """
-        if not self.needs_speed:
+        needed = self.needs_speed if candidate is None else candidate.endswith(SPEED_SUFFIX)
+        if not needed:
             return np.zeros(len(self.drivers))
         return np.full(len(self.drivers), speed_drive(np.array(spindle_speed)))
 
@@ -241,22 +251,26 @@ class ThermalModel:
         ModelMismatchError
             If the run lacks inputs or has another interval, or the rises have another width.
         ThermalDataError
-            If the run lacks a spindle speed that the default needs.
+            If the run lacks a spindle speed that the default, or the candidate, reads.
         ValueError
             If a rise is NaN: a failed sensor needs its substitute first.
         """
-        return self.recursion(candidate).run(self.rises(source))
+        recursion = self.recursion(candidate)
+        if candidate is not None and candidate.endswith(SPEED_SUFFIX):
+            if isinstance(source, ThermalRun):
+                drive_of(source, self.drivers)  # refuses a run without the speed
+        return recursion.run(self.rises(source))
 
     def rises(self, source: ThermalRun | ArrayLike) -> Array:
         """Return the samples of a run, shape (n, p + d), checked as `predict` says.
 
-        Rises [K] come first, then the drivers [-]; zeros where the run has no spindle speed and
-        the default needs none.
+        Rises [K] come first, then the drivers [-]; zeros where the run does not have the spindle
+        speed in every sample and the default needs none.
         """
         width = len(self.inputs) + len(self.drivers)
         if isinstance(source, ThermalRun):
             self.check_stream(source.sensor, source.interval)
-            if source.spindle_speed is None and not self.needs_speed:
+            if not speed_known(source) and not self.needs_speed:
                 drive = np.zeros((len(source.time), len(self.drivers)))
             else:
                 drive = drive_of(source, self.drivers)
@@ -278,10 +292,20 @@ class ThermalModel:
             )
         return rise
 
+    def distance(self, rise: ArrayLike) -> Array:
+        """Return the distance of samples (..., p + d) from the training, shape (...) [-].
+
+        It is in units of the domain's limit: up to 1 a sample is in the domain.  A driver counts
+        only where the default reads it, so that a run and a stream give the same.
+        """
+        samples = np.asarray(rise, dtype=np.float64)
+        if not self.needs_speed:
+            samples = samples[..., : len(self.inputs)]
+        return np.asarray(self.domain.distance(samples) / self.domain.limit)
+
     def in_domain(self, rise: ArrayLike) -> NDArray[np.bool_]:
         """Return whether samples (..., p + d) lie where the model was trained, shape (...)."""
-        values = np.asarray(rise, dtype=np.float64)
-        return np.asarray(self.domain.distance(values) <= self.domain.limit)
+        return np.asarray(self.distance(rise) <= 1.0)
 
     def standard_deviation(self, rise: ArrayLike) -> Array:
         """Return the standard deviation of the prediction at samples (..., p + d).
@@ -293,9 +317,8 @@ class ThermalModel:
             model itself, whichever is larger [m]; see `Band`.
         """
         samples = np.asarray(rise, dtype=np.float64)
-        band = Band(self.residual_deviation, self.domain.limit)
         said = self._default_recursion.standard_deviation(samples)
-        return band.at(self.domain.distance(samples), said)
+        return Band(self.residual_deviation, 1.0).at(self.distance(samples), said)
 
     def with_interval(self, interval: float) -> 'ThermalModel':
         """Return the model for another sampling interval [s], method sheet 001 section 3.1.
@@ -319,59 +342,3 @@ class ThermalModel:
             else:
                 candidates[name] = replace(item, recursion=recursion)
         return replace(self, interval=interval, candidates=candidates, omitted=omitted)
-
-
-def _check_parts(model: ThermalModel) -> None:
-    inputs, channels = len(model.inputs), len(model.channel)
-    if not inputs or len(set(model.inputs)) != inputs:
-        raise ValueError(f'inputs: expected each sensor once, but found {model.inputs}')
-    if not channels or len(set(model.channel)) != channels:
-        raise ValueError(f'channel: expected each channel once, but found {model.channel}')
-    for name, found in (
-        ('axis', len(model.axis)),
-        ('default', len(model.default)),
-        ('residual_deviation', len(model.residual_deviation)),
-    ):
-        if found != channels:
-            raise ValueError(f'{name}: expected one per channel ({channels}), but found {found}')
-    if model.selection.chosen != model.inputs:
-        raise ValueError(
-            f'selection: expected the inputs {", ".join(model.inputs)} as chosen sensors, but '
-            f'found {", ".join(model.selection.chosen)}'
-        )
-    if model.drivers not in ((), (SPINDLE_SPEED,)):
-        raise ValueError(
-            f'drivers: expected none or {SPINDLE_SPEED}, but found {", ".join(model.drivers)}'
-        )
-    if model.domain.drive.shape != (len(model.drivers),):
-        raise ValueError(
-            f'domain: expected {len(model.drivers)} drivers, but found {len(model.domain.drive)}'
-        )
-    if model.watch is not None and model.watch.input != model.inputs:
-        raise ValueError(
-            f'watch: expected the inputs {", ".join(model.inputs)}, but found '
-            f'{", ".join(model.watch.input)}'
-        )
-    if model.domain.mean.shape != (inputs,) or model.domain.inverse_covariance.shape != (
-        inputs,
-        inputs,
-    ):
-        raise ValueError(f'domain: expected {inputs} inputs, but found {model.domain.mean.shape}')
-    for name, candidate in model.candidates.items():
-        shape = (candidate.recursion.channels, candidate.recursion.inputs)
-        width = inputs + len(model.drivers)
-        if shape != (channels, width):
-            raise ValueError(
-                f'candidate {name!r}: expected {channels} channels and {width} inputs, but '
-                f'found {shape[0]} and {shape[1]}'
-            )
-    for name in model.default:
-        if name not in model.candidates:
-            raise ValueError(
-                f'default: expected one of {", ".join(model.candidates)}, but found {name!r}'
-            )
-        if model.candidates[name].problems:
-            raise ValueError(
-                f'default: expected a reliable candidate, but found {name!r}: '
-                f'{"; ".join(model.candidates[name].problems)}'
-            )

@@ -234,7 +234,8 @@ class ThermalRun:
             displacement=mean_of_measured(displacement),
             spindle_speed=None
             if self.spindle_speed is None
-            else mean_of_measured(np.abs(speed))[:, 0],
+            # Heat goes with the square of the speed, and so must its mean.
+            else np.sqrt(mean_of_measured(speed**2))[:, 0],
         )
 
     def window(self, start: float | None = None, stop: float | None = None) -> 'ThermalRun':

@@ -15,8 +15,9 @@ from fuzzycnc_ros.core.thermal.candidate import (
 from fuzzycnc_ros.core.thermal.candidates import JudgedCandidate, fit_candidate, preferred
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.drivers import drivers_of
+from fuzzycnc_ros.core.thermal.folds import independent_folds
 from fuzzycnc_ros.core.thermal.model import ThermalModel
-from fuzzycnc_ros.core.thermal.recursions import BOUND_FACTOR
+from fuzzycnc_ros.core.thermal.recursions import bound_of
 from fuzzycnc_ros.core.thermal.refinement import Progress
 from fuzzycnc_ros.core.thermal.run import (
     JITTER_MAX,
@@ -94,7 +95,7 @@ def train_model(
     ValueError
         If `model` or `sensors` is unknown.
     """
-    names = _names(model, (*candidates, *compared))
+    names = _names(model, candidates, compared)
     even = [at_interval(run, interval) for run in runs]
     check_training_runs(even)
     selection = _selected(even, sensors, n_clusters, random_state, progress)
@@ -106,8 +107,8 @@ def train_model(
         if name.endswith(SPEED_SUFFIX) and not drivers:
             if name == model:
                 raise ThermalDataError(
-                    f'model {name!r}: expected a spindle speed that changes in every run, but '
-                    'found none; record machine_state, or use a model without it'
+                    f'model {name!r}: expected a spindle speed that changes, in every sample '
+                    'of all runs, but found none; record machine_state, or use a model without it'
                 )
             continue
         try:
@@ -136,7 +137,7 @@ def train_model(
         selection=selection,
         domain=Domain.of(data.rise, data.drive),
         drivers=drivers,
-        bound=BOUND_FACTOR * np.nanmax(np.abs(data.displacement), axis=0),
+        bound=bound_of(data.displacement),
         residual_deviation=deviation,
         omitted=omitted,
         watch=learn_watch(even, selection, data.interval),
@@ -160,14 +161,19 @@ def at_interval(run: ThermalRun, interval: float) -> ThermalRun:
     return run.resample(interval)
 
 
-def _names(model: str, candidates: Sequence[str]) -> tuple[str, ...]:
+def _names(model: str, candidates: Sequence[str], compared: Sequence[str]) -> tuple[str, ...]:
     """Return the candidates to fit, in the order of tables."""
-    for name in (*candidates, *(() if model == 'auto' else (model,))):
-        if name not in CANDIDATES:
-            raise ValueError(
-                f'model: expected auto or one of {", ".join(CANDIDATES)}, but found {name!r}'
-            )
-    return tuple(name for name in CANDIDATES if name in candidates or name == model)
+    known = ', '.join(CANDIDATES)
+    if model not in ('auto', *CANDIDATES):
+        raise ValueError(f'model: expected auto or one of {known}, but found {model!r}')
+    for field, names in (('candidates', candidates), ('compared', compared)):
+        for name in names:
+            if name not in CANDIDATES:
+                raise ValueError(f'{field}: expected some of {known}, but found {name!r}')
+    if model == 'auto' and not candidates:
+        raise ValueError(f'candidates: expected some of {known} to choose from, but found none')
+    wanted = {model, *candidates, *compared}
+    return tuple(name for name in CANDIDATES if name in wanted)
 
 
 def _step(progress: Progress | None, name: str, done: int, total: int) -> Callable[[], None]:
@@ -220,7 +226,7 @@ def _default(
                 'model: expected a candidate that can be trusted, but found none; '
                 + ' | '.join(reasons)
             )
-        return preferred(sound, data.scaled_target()[1])
+        return preferred(sound, data.scaled_target()[1], independent_folds(data.folds))
     problems = judged[model].candidate.problems
     if problems:
         raise ThermalDataError(f'model {model!r} is refused: {"; ".join(problems)}')

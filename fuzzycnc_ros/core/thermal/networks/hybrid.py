@@ -26,7 +26,11 @@ from fuzzycnc_ros.core.thermal.networks.hybrid_stages import (
     Front,
     hybrid_recursion,
 )
-from fuzzycnc_ros.core.thermal.networks.tanh_network import TanhNetwork, train_network
+from fuzzycnc_ros.core.thermal.networks.tanh_network import (
+    WEIGHT_DECAY,
+    TanhNetwork,
+    train_network,
+)
 from fuzzycnc_ros.core.thermal.regressor import ThermalRegressor
 
 MOVING_AVERAGES = ('sum', 'first', 'per_lag')
@@ -37,9 +41,6 @@ RIDGES = (1e-4, 1e-3, 1e-2)
 
 RIDGE = 1e-3
 """Penalty of method sheet 003 section 5; of 'auto' too, when there is one run only."""
-
-WEIGHT_DECAY = 1e-5
-"""Penalty on the weights of the network, method sheet 003 section 5."""
 
 GAIN_MAX = 0.97
 """Loop gain that the guard keeps the recursion below [-], method sheet 003 section 5."""
@@ -107,6 +108,9 @@ class HybridFilterNetwork(ThermalRegressor):
         Output range 1 / C_Y in use [m].
     ridge_ : float
         Penalty in use [-].
+    recursion_off_ : bool
+        Whether the guard took the feedback out, since none kept the loop gain below 0.97; what
+        is left is safe, a network without a memory of its own output.
     idle_ : ndarray of int
         Inputs that stood still in training and are ignored.
     problems_ : tuple of str
@@ -199,6 +203,7 @@ class HybridFilterNetwork(ThermalRegressor):
         self.feedback_, self.network_ = fit.feedback, fit.network
         self.loop_gain_, self.scale_, self.idle_ = fit.loop_gain, data.scale, data.idle
         self.recursion_ = fit.recursion
+        self.recursion_off_ = self.guard and not self.feedback_.any()
         self.problems_ = problems
         return self
 
@@ -258,7 +263,6 @@ class HybridFilterNetwork(ThermalRegressor):
                 fit = self._trained(data, front, ridge, bound, start)
             if fit.loop_gain >= GAIN_MAX:
                 fit = self._trained(data, front, ridge, 0.0, start)
-                problems.append('recursion off: no feedback keeps the loop gain below 0.97')
         elif fit.loop_gain >= GAIN_MAX or fit.feedback.sum() >= 1.0:
             problems.append(
                 f'the loop gain {fit.loop_gain:.3g} and the sum {fit.feedback.sum():.3g} of the '

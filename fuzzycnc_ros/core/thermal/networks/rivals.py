@@ -19,13 +19,14 @@ from fuzzycnc_ros.core.thermal.networks.filters import (
     past,
     samples_min,
 )
-from fuzzycnc_ros.core.thermal.networks.tanh_network import TanhNetwork, train_network
+from fuzzycnc_ros.core.thermal.networks.tanh_network import (
+    WEIGHT_DECAY,
+    TanhNetwork,
+    train_network,
+)
 from fuzzycnc_ros.core.thermal.recursions.delayed import delayed_rises
 from fuzzycnc_ros.core.thermal.recursions.moving_average import MovingAverageRecursion
 from fuzzycnc_ros.core.thermal.regressor import ThermalRegressor
-
-WEIGHT_DECAY = 1e-5
-"""Penalty on the weights of the networks, method sheet 003 section 5."""
 
 EARLY_STOP = 1e-7
 """Fall of the cost, as a part of that of no output at all, at which L-BFGS ends [-].

@@ -46,6 +46,10 @@ _STRETCH_MAX = 20.0
 _TANH_MAX = 0.99  # outputs nearer to 1 have no finite activation to aim at
 
 
+WEIGHT_DECAY = 1e-5
+"""Penalty on the weights of the networks, method sheet 003 section 5."""
+
+
 @dataclass(frozen=True, eq=False)
 class TanhNetwork:
     """u = tanh(outer tanh(inner x + bias) + offset), method sheet 003 section 3 with gamma = 1.

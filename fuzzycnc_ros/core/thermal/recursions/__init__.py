@@ -9,7 +9,7 @@ from fuzzycnc_ros.core.thermal.recursions.base import (
     check_shapes,
     run_slices,
 )
-from fuzzycnc_ros.core.thermal.recursions.bounded import BOUND_FACTOR, BoundedRecursion, bounded
+from fuzzycnc_ros.core.thermal.recursions.bounded import BOUND_FACTOR, BoundedRecursion, bound_of
 from fuzzycnc_ros.core.thermal.recursions.corrected import CorrectedRecursion
 from fuzzycnc_ros.core.thermal.recursions.differenced_grey import DifferencedGreyRecursion
 from fuzzycnc_ros.core.thermal.recursions.filter_network import FilterNetworkRecursion
@@ -60,7 +60,7 @@ __all__ = [
     'RulesRecursion',
     'SeriesRecursion',
     'Stream',
-    'bounded',
+    'bound_of',
     'check_interval',
     'check_shapes',
     'combine',

@@ -10,7 +10,7 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.document import Node
-from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_shapes
+from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_shapes, clipped
 from fuzzycnc_ros.core.thermal.recursions.parallel import (
     combine,
     read_recursion,
@@ -19,6 +19,10 @@ from fuzzycnc_ros.core.thermal.recursions.parallel import (
 
 BOUND_FACTOR = 1.5
 """Bound of the output as a multiple of the largest deformation measured in training [-]."""
+
+
+BOUND_MIN = 1e-9
+"""What counts as the largest deformation of a channel that never moved [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,15 +68,11 @@ class BoundedRecursion(Recursion):
     def step(self, rise: Array, state: Array) -> tuple[Array, Array]:
         """Return the thermal errors (c,) [m] and the next state for one sample of rises (p,)."""
         value, state = self.base.step(rise, state)
-        return self._cut(value), state
+        return clipped(value, self.bound), state
 
     def run(self, rise: Array) -> Array:
         """Return the thermal errors (n, c) [m] of a whole run of rises (n, p) [K]."""
-        return self._cut(self.base.run(rise))
-
-    def _cut(self, value: Array) -> Array:
-        # np.clip takes four times as long on arrays as small as these.
-        return np.asarray(np.minimum(np.maximum(value, -self.bound), self.bound))
+        return clipped(self.base.run(rise), self.bound)
 
     def standard_deviation(self, rise: Array) -> Array:
         """Return what the base says of its deviation, shape (..., c) [m]."""
@@ -106,19 +106,12 @@ class BoundedRecursion(Recursion):
         return cls(read_recursion(base, inputs), node.get('bound').vector())
 
 
-def bounded(recursion: Recursion, displacement: Array) -> BoundedRecursion:
-    """Return a recursion that stays within 1.5 times what was measured in training.
+def bound_of(displacement: Array) -> Array:
+    """Return the bound of each channel, (c,) [m]: 1.5 times the largest measured in training.
 
     Parameters
     ----------
-    recursion : Recursion
-        Fitted model of c channels.
     displacement : ndarray, shape (n, c)
-        Deformation measured in training, NaN where it was not [m].
-
-    Raises
-    ------
-    ValueError
-        If a channel was never measured, or always as zero.
+        Deformation measured in training, NaN where it was not [m]; each channel at least once.
     """
-    return BoundedRecursion(recursion, BOUND_FACTOR * np.nanmax(np.abs(displacement), axis=0))
+    return np.asarray(BOUND_FACTOR * np.fmax(np.nanmax(np.abs(displacement), axis=0), BOUND_MIN))

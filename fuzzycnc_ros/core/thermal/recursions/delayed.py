@@ -20,6 +20,9 @@ Self = TypeVar('Self', bound='DelayedRecursion')
 DELAY_MAX = 1440
 """Longest delay [samples], a day of minutes; all rises since then are part of the state."""
 
+STATE_MAX = 1_000_000
+"""Most past rises in a state, 8 MB; a day of minutes of 76 sensors are 110,000."""
+
 
 @dataclass(frozen=True, eq=False)
 class DelayedRecursion(Recursion):
@@ -158,12 +161,25 @@ def own_history_columns(feedback: Array) -> Array:
     return columns.reshape(channels * rows, history * channels)
 
 
-def check_delay(delay: NDArray[np.int64]) -> None:
-    """Refuse delays that are negative, too long or not ascending."""
+def check_delay(delay: NDArray[np.int64], columns: int) -> None:
+    """Refuse delays that are negative, too long, not ascending, or ask for too large a state.
+
+    Parameters
+    ----------
+    delay : ndarray of int
+        Delays [samples].
+    columns : int
+        Columns of the map, one per delay and input.
+    """
     ascending = delay.ndim == 1 and len(delay) > 0 and bool((np.diff(delay) > 0).all())
     if not ascending or delay[0] < 0 or delay[-1] > DELAY_MAX:
         raise ValueError(
             f'delay: expected ascending delays from 0 to {DELAY_MAX}, but found {delay}'
+        )
+    kept = int(delay[-1]) * (columns // len(delay))
+    if kept > STATE_MAX:
+        raise ValueError(
+            f'delay: expected a state of at most {STATE_MAX} numbers, but found {kept}'
         )
 
 

@@ -84,7 +84,7 @@ class DifferencedGreyRecursion(Recursion):
         # A form that diverges is meant to show it, as infinity, not to stop an evaluation.
         with np.errstate(all='ignore'):
             if state[0] == 0.0:
-                value = self.initial
+                value = self.initial.copy()
                 past = self.start + drive + lagged
             else:
                 value = state[1:] + drive

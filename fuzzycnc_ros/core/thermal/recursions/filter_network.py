@@ -58,7 +58,7 @@ class FilterNetworkRecursion(DelayedRecursion):
 
     def __post_init__(self) -> None:
         """Refuse shapes that disagree."""
-        check_delay(self.delay)
+        check_delay(self.delay, self.inner.shape[-1])
         channels, hidden = self.bias.shape
         columns, history = self.inner.shape[-1], self.feedback.shape[-1]
         if columns % len(self.delay):

@@ -121,7 +121,7 @@ class GreyRecursion(Recursion):
     def _exact(self, number: float, drive: Array, total: Array, previous: Array) -> Array:
         half = 1.0 + self.a / 2.0
         if number == 1.0:
-            return self.initial
+            return self.initial.copy()
         if number == 2.0:
             return np.asarray((total - self.a * self.initial) / half)
         return np.asarray(pole_of(self.a) * previous + drive / half)

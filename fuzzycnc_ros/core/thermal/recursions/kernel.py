@@ -17,6 +17,9 @@ from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_shapes
 SAMPLES_AT_ONCE = 512
 """Samples of a run that are worked out together."""
 
+POINTS_MAX = 4000
+"""Most kept samples: the deviation needs a matrix of their square per channel."""
+
 
 @dataclass(frozen=True, eq=False)
 class KernelRecursion(Recursion):
@@ -62,6 +65,8 @@ class KernelRecursion(Recursion):
         """Refuse shapes that disagree and scales that are none."""
         points, inputs = self.points.shape
         channels = len(self.offset)
+        if points > POINTS_MAX:
+            raise ValueError(f'points: expected at most {POINTS_MAX} samples, but found {points}')
         check_shapes(
             self,
             points=(points, inputs),

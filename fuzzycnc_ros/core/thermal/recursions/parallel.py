@@ -14,6 +14,9 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.document import Node
 from fuzzycnc_ros.core.thermal.recursions.base import Recursion
 
+DEPTH_MAX = 16
+"""Deepest level of a model file on which a recursion may stand; those of training reach 8."""
+
 
 @dataclass(frozen=True, eq=False)
 class ParallelRecursion(Recursion):
@@ -111,7 +114,10 @@ class ParallelRecursion(Recursion):
             if item.get('form').value == cls.FORM:
                 item.refuse('a single recursion')
             parts.append(read_recursion(item, inputs))
-        return cls(tuple(parts), node.get('order').vector().astype(np.int64))
+        order = node.get('order').vector()
+        if (order != np.rint(order)).any():
+            node.get('order').refuse('whole numbers')
+        return cls(tuple(parts), order.astype(np.int64))
 
 
 def combine(recursions: Sequence[Recursion]) -> Recursion:
@@ -185,6 +191,8 @@ def read_recursion(node: Node, inputs: int) -> Recursion:
     # The forms import this module's neighbours; a table made here needs no order of loading.
     from fuzzycnc_ros.core.thermal.recursions import FORMS
 
+    if node.depth > DEPTH_MAX:
+        node.refuse(f'at most {DEPTH_MAX} levels')
     forms = {form.FORM: form for form in FORMS}
     name = node.get('form').text()
     if name not in forms:
