@@ -17,7 +17,6 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from fuzzycnc_ros import __version__
 from fuzzycnc_ros.cli.console import show
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses
 from fuzzycnc_ros.cli.up import BANNER, node_specs
@@ -25,7 +24,6 @@ from fuzzycnc_ros.cli.up import BANNER, node_specs
 MACHINE = 'mill'
 CALIBRATION = ('D0', 'D0b', 'T1')
 UNSEEN = ('T2', 'T3')
-CURVE_COUNTS = (1, 2, 3, 5, 8, 10)
 RUN_TIMEOUT = 300.0
 
 
@@ -157,7 +155,7 @@ def _run(out: Path, seed: int, progress: _Steps, started: float) -> tuple[DemoRe
             model=dict(zip(model.channel, model.default, strict=True)),
             seed=seed,
         )
-        _write_report(out, log, runs, calibration.runs, latency, result, replayed.notes)
+        _write_report(out, runs, model, calibration.runs, latency, result, replayed.notes)
     result.wall_s = round(time.monotonic() - started, 2)
     return result, summary_table(runs)
 
@@ -203,46 +201,34 @@ def _run_live(
 
 def _write_report(
     out: Path,
-    log: Any,
     runs: Any,
+    model: Any,
     calibration: Any,
     latency: list[float],
     result: DemoResult,
     notes: list[str],
 ) -> None:
-    from fuzzycnc_ros.core.thermal import sensor_count_curve
-    from fuzzycnc_ros.report import Latency, ReportData, SensorCountCurve, render_html
+    from fuzzycnc_ros.report import Latency, render_html
+    from fuzzycnc_ros.scenario import shift_report
 
-    held_out = log.thermal_run(UNSEEN[0], *log.spans()[0])
-    points = sensor_count_curve(calibration, held_out, counts=CURVE_COUNTS, refine=True)
-    curve = SensorCountCurve(
-        count=tuple(point.count for point in points),
-        channel=held_out.channel,
-        residual_max=np.array([point.largest for point in points]),
-        run=UNSEEN[0],
-        chosen_count=len(result.sensors),
-    )
-    facts = {
-        'Machine': f'simulated mill, duties {", ".join(UNSEEN)}, noise seed {result.seed}',
-        'Trained on': ', '.join(CALIBRATION),
-        'Sensors': ', '.join(result.sensors),
-        'Model in use': ', '.join(f'{axis}: {name}' for axis, name in result.model.items()),
-        'Ticks': f'{result.ticks}, {result.ticks_per_second:.0f} per second over DDS',
-        'Replay': 'identical' if result.replay_identical else 'differs',
-        'Canonical hash': result.hash,
-        'fuzzycnc': __version__,
-    }
-    data = ReportData(
+    data = shift_report(
+        runs,
+        model,
+        (out / 'model.json').read_text(encoding='utf-8'),
         title='Thermal compensation of two shifts',
-        runs=runs,
         summary=(
             'Two duties that no model had seen, compensated live over DDS. The residual is what '
             'is left of the measured displacement after the prediction.'
         ),
-        sensor_count_curve=curve,
+        notes=notes,
+        calibration=calibration,
         latency=Latency(np.array(latency)),
-        facts=facts,
-        notes=tuple(notes),
+        facts={
+            'Machine': f'simulated mill, duties {", ".join(UNSEEN)}, noise seed {result.seed}',
+            'Ticks': f'{result.ticks}, {result.ticks_per_second:.0f} per second over DDS',
+            'Replay': 'identical' if result.replay_identical else 'differs',
+            'Canonical hash': result.hash,
+        },
     )
     (out / 'report.html').write_text(render_html(data), encoding='utf-8')
 

@@ -27,6 +27,8 @@ def shift_report(
     model_text: str,
     *,
     title: str = 'A thermal shift, compensated',
+    summary: str = '',
+    notes: Sequence[str] = (),
     calibration: Sequence[ThermalRun] = (),
     facts: Mapping[str, str] | None = None,
     latency: Latency | None = None,
@@ -43,6 +45,10 @@ def shift_report(
         Text of its file.
     title : str
         Headline.
+    summary : str
+        Sentence below it; what was trained on and judged if empty.
+    notes : sequence of str
+        Remarks, shown before those on the candidates.
     calibration : sequence of ThermalRun
         Training runs, for the sensor-count curve; without them there is none.
     facts : mapping, optional
@@ -58,7 +64,7 @@ def shift_report(
     return ReportData(
         title=title,
         runs=runs,
-        summary=f'Trained on {", ".join(model.runs)}; judged on {judged}.',
+        summary=summary or f'Trained on {", ".join(model.runs)}; judged on {judged}.',
         sensor_count_curve=count_curve(calibration, runs, len(model.inputs)),
         latency=latency,
         facts={
@@ -71,9 +77,12 @@ def shift_report(
             'fuzzycnc': __version__,
         },
         notes=[
-            f'{candidate_label(name)}: {problem}.'
-            for name, item in model.candidates.items()
-            for problem in item.problems
+            *notes,
+            *(
+                f'{candidate_label(name)}: {problem}.'
+                for name, item in model.candidates.items()
+                for problem in item.problems
+            ),
         ],
     )
 
