@@ -19,7 +19,7 @@ from fuzzycnc_ros.cli.console import (
 from fuzzycnc_ros.cli.options import Bags, End, Report, Start
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun
+    from fuzzycnc_ros.core.thermal import Evaluation, ThermalModel, ThermalRun
     from fuzzycnc_ros.report import CompensationRun
 
 
@@ -60,7 +60,7 @@ def evaluate(
             run = read_run(bag, stop=end)
             results.append(judge(trained, run, start=start, stop=end))
             if report is not None:
-                pages.append(_page(trained, run, start))
+                pages.append(_page(trained, run, results[-1]))
     for result in results:
         show(
             residual_table(
@@ -99,25 +99,14 @@ def evaluate(
     )
 
 
-def _page(model: 'ThermalModel', run: 'ThermalRun', start: float | None) -> 'CompensationRun':
-    """Return a recorded run with the predictions of all candidates, for plots."""
-    import numpy as np
-
-    from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
-    from fuzzycnc_ros.core.thermal.drivers import speed_known
+def _page(model: 'ThermalModel', run: 'ThermalRun', result: 'Evaluation') -> 'CompensationRun':
+    """Return the judged part of a run with the predictions of all candidates, for plots."""
     from fuzzycnc_ros.core.thermal.training import at_interval
     from fuzzycnc_ros.report import CompensationRun
 
     even = at_interval(run, model.interval)
-    inside = even.inside(start)
-    rise = model.rises(even)
-    with np.errstate(over='ignore', invalid='ignore'):
-        predicted = {
-            name: model.predict(rise, name)[inside]
-            for name in model.candidates
-            if speed_known(even) or not name.endswith(SPEED_SUFFIX)
-        }
-        predicted['default'] = model.predict(rise)[inside]
+    inside = even.inside(float(result.time[0]), float(result.time[-1]))
+    rise = model.rises(even)[inside]
     label = {
         member: number
         for number, item in enumerate(model.selection.clusters)
@@ -125,17 +114,19 @@ def _page(model: 'ThermalModel', run: 'ThermalRun', start: float | None) -> 'Com
     }
     return CompensationRun(
         name=run.name,
-        time=even.time[inside],
+        time=result.time,
         sensor=even.sensor,
         temperature=even.temperature[inside],
         cluster=tuple(label.get(name, -1) for name in even.sensor),
         chosen=model.inputs,
         channel=even.channel,
-        measured=even.displacement[inside],
-        predicted=predicted,
+        measured=result.measured,
+        predicted={
+            name: values for name, values in result.predicted.items() if name != 'uncompensated'
+        },
         default='default',
-        standard_deviation=model.standard_deviation(rise)[inside],
-        in_domain=model.in_domain(rise)[inside],
+        standard_deviation=model.standard_deviation(rise),
+        in_domain=model.in_domain(rise),
     )
 
 

@@ -1,7 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong in a shift, in the whole graph: faulty sensors, models that no longer fit,
-inputs that fall silent, and faults in the middle of a change of models.
+"""What goes wrong in a shift, in the whole graph: sensors, models, speed, changes of models.
 
 Trained on D0, D0b and T1, judged on T2 and T3, which no model has seen.
 """
@@ -39,10 +38,14 @@ CANDIDATES = ('stable_grey', 'lag_ridge')
 UNSEEN = ('T2', 'T3')
 HEALTHY_SEEDS = range(12)
 FAULTY_SEEDS = range(2)
+ALARM_SEEDS = range(4)
 FAULT = 60
 """Sample, one a minute, in which a fault begins."""
 
 HALF_HOURLY = {'probing': 'offset', 'probe_interval': 1800.0}
+PROBE = 30
+"""Samples between two of these probes."""
+
 UNWATCHED = {'mate_persistence': 0.0}
 
 Change = Callable[[Emission], Emission | None]
@@ -128,11 +131,13 @@ class Shift:
         assert answer.success
         return answer.message
 
-    def run(self, samples: int | None = None) -> 'Shift':
-        """Go on for a number of samples, to the end of the duty if none is given."""
+    def run(self, samples: int | None = None, until: str = '') -> 'Shift':
+        """Go on for a number of samples, until the predictor's health has an item, or to the end."""
         end = np.inf if samples is None else len(self.errors) + samples
         while len(self.errors) < end and self.graph.machine.next_tick is not None:
             self.graph.step()
+            if until and self.health and until in self.health[-1]:
+                break
         return self
 
     @property
@@ -190,9 +195,7 @@ def speed_model() -> str:
 @cache
 def healthy(seed: int, duty: str) -> Shift:
     """Return a healthy shift that is probed every half hour."""
-    return Shift(
-        model_of(seed), duty, seed=seed, probe_interval=1800.0, probing='offset'
-    ).run()
+    return Shift(model_of(seed), duty, seed=seed, **HALF_HOURLY).run()
 
 
 @cache
@@ -205,13 +208,332 @@ def inputs_of(seed: int) -> tuple[str, ...]:
     return load_model(model_of(seed)).inputs
 
 
-CASES = [(seed, duty) for seed in FAULTY_SEEDS for duty in UNSEEN]
-HEALTHY_CASES = [(seed, duty) for seed in HEALTHY_SEEDS for duty in UNSEEN]
+def cases(seeds, duties=UNSEEN) -> list[tuple[int, str]]:
+    return [(seed, duty) for seed in seeds for duty in duties]
 
 
-def found_after(shift: Shift, sensor: str, start: int = FAULT) -> float:
-    """Return the minutes from the start of a fault to its substitution, infinity if never."""
+def with_fault(kind: str, seeds, duties=UNSEEN, samples=160, **changes):
+    """Yield shifts with a fault on one input, its sensor, and the healthy shift beside them."""
+    for seed, duty in cases(seeds, duties):
+        for sensor in inputs_of(seed):
+            faults = [f'{sensor}:{kind}'.format(60 * FAULT)]
+            shift = Shift(model_of(seed), duty, seed=seed, faults=faults, **changes)
+            yield shift.run(samples), sensor, plain(duty, seed)
+
+
+def found_after(shift: Shift, sensor: str) -> float:
+    """Return the samples from the start of a fault to its substitution, infinity if never."""
     found = shift.substituted(sensor)
-    assert not found[: start - 1].any()
-    # Sample k has the stamp k + 1 min.
-    return float(found.argmax() + 1 - start) if found.any() else np.inf
+    assert not found[: FAULT - 1].any()
+    # Sample k carries the stamp k + 1 min.
+    return float(found.argmax() + 1 - FAULT) if found.any() else np.inf
+
+
+def test_healthy_sensors_are_trusted():
+    seen = [healthy(*case).said('substitution').any() for case in cases(HEALTHY_SEEDS)]
+    assert len(seen) == 24
+    # A 5 % rate allows one.
+    assert np.mean(seen) < 0.05
+
+
+@pytest.mark.parametrize('step', [5.0, -5.0])
+def test_a_jump_is_substituted_within_a_few_samples(step):
+    found, moved = [], []
+    for shift, sensor, beside in with_fault(f'jump:{{}}:{step}', FAULTY_SEEDS, samples=75):
+        found.append(found_after(shift, sensor))
+        assert shift.substituted(sensor)[FAULT + 4 :].all()
+        assert shift.valid[2:].all()
+        assert 'drifted away from its mates' in shift.health[-1]['substitution']
+        applied = np.array(shift.applied)
+        moved.append(np.abs(applied - beside.applied[: len(applied)]).max())
+    assert len(found) == 20
+    assert np.median(found) <= 2.0
+    assert max(found) <= 4.0
+    # Two minutes at the compensator's 0.1 um/s, though the error is off by up to 37 um meanwhile.
+    assert max(moved) <= 12.0
+
+
+@pytest.fixture(scope='module')
+def drifts():
+    """Samples to find a drift of 2 K/h, largest residual watched and unwatched [um], per case."""
+    found, watched, unwatched = [], [], []
+    for shift, sensor, _ in with_fault('drift:{}:2.0', FAULTY_SEEDS):
+        found.append(found_after(shift, sensor))
+        watched.append(shift.largest)
+        assert shift.valid[2:].all()
+        # Nobody else is blamed.
+        assert all(set(item.substituted) <= {sensor} for item in shift.errors)
+    for shift, _, _ in with_fault('drift:{}:2.0', FAULTY_SEEDS, **UNWATCHED):
+        unwatched.append(shift.largest)
+        assert not shift.said('substitution').any()
+    return np.array(found), np.array(watched), np.array(unwatched)
+
+
+def test_a_drift_is_substituted(drifts):
+    found, _, _ = drifts
+    assert len(found) == 20
+    assert np.median(found) <= 35.0
+    assert np.mean(found <= 100.0) >= 0.9
+
+
+def test_a_drift_costs_far_less_than_without_the_watch(drifts):
+    watched, unwatched = (largest.max(axis=1) for largest in drifts[1:])
+    assert np.median(watched) < 0.5 * np.median(unwatched)
+    assert watched.max() < 0.25 * unwatched.max()
+    assert watched.max() <= 12.0
+    # Where an input matters, in each single case; a small share of the model costs little anyway.
+    matters = unwatched > 15.0
+    assert matters.sum() >= 10
+    assert (watched < 0.6 * unwatched)[matters].all()
+
+
+def test_candidates_are_judged_by_the_rises_that_were_read_instead():
+    sensor = inputs_of(0)[1]
+    (run,) = run_shift(model_of(0), duties=('T2',), faults=[f'{sensor}:drift:3600:2.0'])
+    published = run.predicted['default']
+    known = np.isfinite(published).all(axis=1)
+    assert known[2:].all()
+    for column, name in enumerate(load_model(model_of(0)).default):
+        np.testing.assert_allclose(
+            published[known, column], run.predicted[name][known, column], rtol=0, atol=1e-15
+        )
+
+
+def test_a_stuck_sensor_is_found_by_its_readings_and_costs_little():
+    for shift, sensor, beside in with_fault('stuck:{}', FAULTY_SEEDS, ['T2']):
+        # Ten minutes without the change of a bit; the sample of the minute holds the last of them.
+        assert found_after(shift, sensor) == 11.0
+        assert (shift.largest <= (6.0, 4.0)).all()
+        assert (shift.largest <= beside.largest + 3.0).all()
+
+
+def test_a_stuck_sensor_whose_readings_flicker_is_left_to_the_watch():
+    """As if the readings did change by a bit: the acquisition does not look for stuck sensors."""
+    watched, unwatched = (
+        np.array(
+            [
+                shift.largest.max()
+                for shift, _, _ in with_fault(
+                    'stuck:{}', FAULTY_SEEDS, ['T2'], stuck_time=0.0, **parameters
+                )
+            ]
+        )
+        for parameters in ({}, UNWATCHED)
+    )
+    assert len(watched) == 10
+    assert unwatched.max() > 20.0
+    assert watched.max() <= 12.0
+    assert watched.max() < 0.5 * unwatched.max()
+    assert np.median(watched) < 0.6 * np.median(unwatched)
+
+
+def scaled(text: str, factor: float) -> str:
+    """Return a model file whose candidates say `factor` times as much."""
+    document = json.loads(text)
+    for candidate in document['candidates'].values():
+        recursion = candidate['recursion']
+        for name in ('readout', 'direct', 'offset'):
+            recursion[name] = (factor * np.array(recursion[name])).tolist()
+    for channel in document['channels']:
+        channel['bound'] *= factor
+    return json.dumps(document)
+
+
+def minute_of(stamp: int) -> float:
+    """Return a stamp in minutes since the start of the first duty."""
+    return stamp / 6e10 - 360.0
+
+
+def displacement_as(changed: Callable[[np.ndarray, float], np.ndarray]) -> Change:
+    """Return a change of displacements, given in metres with their minute."""
+
+    def change(emission: Emission) -> Emission:
+        record = emission.record
+        if not isinstance(record, Displacement):
+            return emission
+        moved = changed(record.displacement, minute_of(record.stamp))
+        return replace(emission, record=replace(record, displacement=moved))
+
+    return change
+
+
+def test_a_healthy_machine_raises_no_drift_alarm():
+    seen = [healthy(*case).said('drift').any() for case in cases(HEALTHY_SEEDS)]
+    assert len(seen) == 24
+    # Measured: one of 48 cases.
+    assert np.mean(seen) < 0.05
+    assert 'offset: 13 probes used' in healthy(0, 'T3').health[-1]['probing']
+
+
+CHANGED = {
+    'model of a machine that moves less': (1.3, None),
+    'moves more': (1.0, lambda duration: displacement_as(lambda moved, _: 1.3 * moved)),
+    'moves less': (1.0, lambda duration: displacement_as(lambda moved, _: 0.7 * moved)),
+    'wanders by 10 um': (
+        1.0,
+        lambda duration: displacement_as(lambda moved, time: moved + 10e-6 * time / duration),
+    ),
+}
+MINUTES = {'T2': 200.0, 'T3': 400.0}
+
+
+@pytest.mark.parametrize('name', CHANGED)
+def test_a_machine_that_has_changed_raises_the_drift_alarm(name):
+    factor, change_over = CHANGED[name]
+    found = []
+    for seed, duty in cases(ALARM_SEEDS):
+        change = change_over and change_over(MINUTES[duty])
+        text = scaled(model_of(seed), factor)
+        shift = Shift(text, duty, seed=seed, change=change, **HALF_HOURLY).run(until='drift')
+        found.append(len(shift.errors) / PROBE if shift.said('drift').any() else np.inf)
+    found = np.array(found).reshape(-1, 2)
+    on_t2, on_t3 = found.T
+    assert np.median(on_t2) <= 4.0
+    assert max(on_t2) <= 5.0
+    # A model that does not know a duty well is allowed more there; measured over 24 seeds, 22 to
+    # 24 of them were found on T3.
+    assert np.isfinite(on_t3).mean() >= 0.75
+    assert np.median(on_t3) <= 5.0
+
+
+def test_another_model_ends_the_drift_alarm_only_if_it_fits():
+    good, bad, worse = model_of(0), scaled(model_of(0), 1.4), scaled(model_of(0), 0.6)
+    shift = Shift(bad, 'T2', **HALF_HOURLY).run(until='drift')
+    assert 'train it anew (train_thermal_model)' in shift.health[-1]['drift']
+    before = len(shift.errors)
+    assert before <= 5 * PROBE
+    # One that fits no better says so by the same probes, once it speaks.
+    shift.use(worse)
+    shift.run(10)
+    assert not shift.said('swap')[-1]
+    assert 'drift' in shift.health[-1]
+    assert shift.predictor.model_text == worse
+    shift.use(good)
+    shift.run(3)
+    assert shift.said('swap')[-1]
+    assert 'drift' in shift.health[-1]
+    shift.run()
+    calm = np.flatnonzero(~shift.said('swap'))
+    calm = calm[calm > before + 11]
+    assert len(calm) > 2 * PROBE
+    assert not shift.said('drift')[calm].any()
+    assert np.nanmax(np.abs(shift.residual[calm])) < 5.0
+
+
+@cache
+def one_run_model() -> str:
+    """Return a model of a single run; it has other inputs but for one."""
+    return train_model(calibrated(0).runs[:1], candidates=CANDIDATES).to_json()
+
+
+def swapped(faults=()) -> Shift:
+    """Return T2 with a model of one run, from sample 100 on fading to that of three."""
+    shift = Shift(one_run_model(), faults=faults, swap_time=600.0).run(100)
+    assert shift.use(model_of(0)).startswith('fading from ')
+    return shift.run()
+
+
+@pytest.mark.parametrize('place', range(5))
+@pytest.mark.parametrize('names', ['old', 'new'])
+def test_a_sensor_that_dies_during_a_swap_makes_no_step(names, place):
+    text = one_run_model() if names == 'old' else model_of(0)
+    sensor = load_model(text).inputs[place]
+    shift, beside = swapped([f'{sensor}:dead:6120']), swapped()
+    assert shift.valid[2:].all()
+    assert 'swap' not in shift.health[-1]
+    np.testing.assert_array_equal(shift.error[2:101], beside.error[2:101])
+    steps = np.abs(np.diff(shift.error[2:], axis=0)).max()
+    assert steps <= np.abs(np.diff(beside.error[2:], axis=0)).max() + 0.6
+    assert (shift.largest <= (6.0, 4.0)).all()
+    # Who no longer speaks needs no stand-in.
+    assert shift.substituted(sensor)[103:108].all()
+    assert shift.substituted(sensor)[-1] == (sensor in inputs_of(0))
+
+
+def test_a_new_model_knows_at_once_which_sensor_had_drifted():
+    (sensor,) = set(inputs_of(0)) & set(load_model(one_run_model()).inputs)
+    shift = swapped([f'{sensor}:drift:3600'])
+    found = shift.substituted(sensor)
+    assert found.argmax() <= 95
+    assert found[found.argmax() :].all()
+    assert (shift.largest <= (6.0, 4.0)).all()
+
+
+@pytest.mark.parametrize('place', range(5))
+def test_a_dead_sensor_beside_a_model_with_spindle_speed(place):
+    sensor = load_model(speed_model()).inputs[place]
+    shift = Shift(speed_model(), faults=[f'{sensor}:dead:3600']).run()
+    assert shift.valid[2:].all()
+    assert shift.substituted(sensor)[FAULT + 1 :].all()
+    assert (shift.largest <= (6.0, 4.0)).all()
+
+
+SILENT = 90
+"""Minute from which nobody tells the spindle speed."""
+
+
+def silent(until: float, *, whole: bool) -> Change:
+    """Return a change after which the speed, or the whole state, is not told for a while."""
+
+    def change(emission: Emission) -> Emission | None:
+        record = emission.record
+        if not isinstance(record, MachineState):
+            return emission
+        if not SILENT < minute_of(record.stamp) <= until:
+            return emission
+        return None if whole else replace(emission, record=replace(record, spindle_speed=np.nan))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ('whole', 'held_from', 'why'),
+    [
+        (False, 111.0, 'expired: thermal error invalid: sensor lost'),
+        # The compensator believes a state for ten minutes only.
+        (True, 101.0, 'expired: no fresh machine_state'),
+    ],
+)
+def test_without_the_spindle_speed_the_error_ends_and_offsets_go_to_zero(whole, held_from, why):
+    shift = Shift(speed_model(), change=silent(np.inf, whole=whole)).run()
+    # gap_max is 20 min; sample k carries the stamp k + 1 min.
+    assert shift.valid[2 : SILENT + 20].all()
+    assert not shift.valid[SILENT + 20 :].any()
+    assert {item.reason for item in shift.errors[SILENT + 20 :]} == {Reason.SENSOR_LOST}
+    assert np.isnan(shift.error[SILENT + 20 :]).all()
+    assert shift.health[-1]['prediction'] == (
+        'the model reads the spindle speed but machine_state has told none for more than '
+        'gap_max = 1200 s'
+    )
+    assert [item.message for item in shift.compensator.health()][0] == why
+    said = [item for item in shift.compensation if minute_of(item.stamp) > 3.0]
+    states = [CompensationState(item.state) for item in said]
+    order = [state for state, before in zip(states, [None, *states], strict=False) if state != before]
+    assert order == [
+        CompensationState.ACTIVE,
+        CompensationState.HOLDING,
+        CompensationState.RAMPING,
+        CompensationState.EXPIRED,
+    ]
+    assert minute_of(said[states.index(CompensationState.HOLDING)].stamp) == held_from
+    assert np.abs(said[states.index(CompensationState.HOLDING)].offset).min() > 5e-6
+    assert not said[-1].offset.any()
+    # 0.1 um/s every 10 s.
+    assert np.abs(np.diff([item.offset for item in said], axis=0)).max() <= 1e-6 + 1e-12
+    assert np.abs(shift.applied[-1]).max() == 0.0
+
+
+def test_prediction_comes_back_with_the_spindle_speed():
+    back = SILENT + 35
+    shift = Shift(speed_model(), change=silent(back, whole=True)).run()
+    assert shift.valid[back:].all()
+    assert not shift.valid[SILENT + 20 : back].any()
+    assert (np.nanmax(np.abs(shift.residual[back:]), axis=0) <= (4.0, 4.0)).all()
+    assert CompensationState(shift.compensation[-1].state) is CompensationState.ACTIVE
+    assert np.abs(shift.residual[-1]).max() < 4.0
+
+
+def test_a_model_without_spindle_speed_does_not_miss_it():
+    shift = Shift(model_of(0), change=silent(np.inf, whole=False)).run()
+    np.testing.assert_array_equal(shift.error, plain('T2').error)
+    assert shift.valid[2:].all()
