@@ -6,219 +6,53 @@ Trained on D0, D0b and T1, judged on T2 and T3, which no model has seen.
 """
 
 import json
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components.compensator import Compensator
 from fuzzycnc_ros.components.component import Emission
-from fuzzycnc_ros.components.graph import InProcessGraph
 from fuzzycnc_ros.components.records import (
     CompensationState,
     Displacement,
     MachineState,
     Reason,
-    Record,
 )
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
-from fuzzycnc_ros.components.temperature_acquisition import (
-    TemperatureAcquisition,
-    TemperatureAcquisitionConfig,
-)
-from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalPredictorConfig
 from fuzzycnc_ros.core.machine.duties import DUTIES
 from fuzzycnc_ros.core.thermal import load_model, train_model
-from fuzzycnc_ros.scenario import Calibration, record_calibration, run_shift
+from fuzzycnc_ros.scenario import run_shift
 
-CANDIDATES = ('stable_grey', 'lag_ridge')
-"""Candidates that train in a moment."""
-
-UNSEEN = ('T2', 'T3')
-HEALTHY_SEEDS = range(12)
-FAULTY_SEEDS = range(2)
-ALARM_SEEDS = range(4)
-FAULT = 60
-"""Sample, one a minute, in which a fault begins."""
-
-HALF_HOURLY = {'probing': 'offset', 'probe_interval': 1800.0}
-PROBE = 30
-"""Samples between two of these probes."""
-
-UNWATCHED = {'mate_persistence': 0.0}
-
-Change = Callable[[Emission], Emission | None]
-
-
-class ChangedMachine(SimulatedMachine):
-    """The simulated mill, with what it says passed through `change`; None is not said."""
-
-    change: Change
-
-    def tick(self):
-        for emission in super().tick():
-            changed = self.change(emission)
-            if changed is not None:
-                yield changed
+sys.path.insert(0, str(Path(__file__).parent))
+from stepped_shift import (
+    ALARM_SEEDS,
+    CANDIDATES,
+    FAULT,
+    FAULTY_SEEDS,
+    HALF_HOURLY,
+    HEALTHY_SEEDS,
+    PROBE,
+    UNWATCHED,
+    Change,
+    Shift,
+    calibrated,
+    cases,
+    found_after,
+    healthy,
+    inputs_of,
+    model_of,
+    plain,
+    speed_model,
+    with_fault,
+)
 
 
-class Shift:
-    """One duty of the whole graph, sample by sample, and what was said on the way.
-
-    `text` is a model file, `change` is put on what the machine says, and `parameters` are those
-    of the predictor.  Sample k carries the stamp k + 1 min.
-    """
-
-    def __init__(
-        self,
-        text,
-        duty='T2',
-        *,
-        seed=0,
-        faults=(),
-        probe_interval=60.0,
-        stuck_time=600.0,
-        change=None,
-        **parameters,
-    ):
-        machine = ChangedMachine(
-            SimulatedMachineConfig(
-                duties=(duty,),
-                seed=seed,
-                sensor_faults=tuple(faults),
-                displacement_interval=probe_interval,
-            )
-        )
-        machine.change = change or (lambda emission: emission)
-        self.predictor = ThermalPredictor(ThermalPredictorConfig(**parameters))
-        self.compensator = Compensator()
-        acquisition = TemperatureAcquisition(TemperatureAcquisitionConfig(stuck_time=stuck_time))
-        self.graph = InProcessGraph(
-            machine, [acquisition, self.predictor, self.compensator], sink=self._take
-        )
-        self.errors, self.health, self.compensation, self.applied = [], [], [], []
-        self._measured = {}
-        self.use(text)
-        assert self.graph.request('compensator', 'activate').success
-
-    def _take(self, topic: str, record: Record) -> None:
-        if topic == 'thermal_error':
-            self.errors.append(record)
-            self.health.append({item.name: item.message for item in self.predictor.health()})
-        elif topic == 'compensation':
-            self.compensation.append(record)
-        elif topic == 'compensation_applied':
-            self.applied.append(1e6 * record.offset)
-        elif topic == 'displacement':
-            self._measured[record.stamp] = 1e6 * record.displacement
-
-    def use(self, text: str) -> str:
-        """Ask for a model; return the answer."""
-        answer = self.graph.request('thermal_predictor', 'use_model', model=text)
-        assert answer.success
-        return answer.message
-
-    def run(self, samples: int | None = None, until: str = '') -> 'Shift':
-        """Go on for a number of samples, until an item is in the health, or to the end."""
-        end = np.inf if samples is None else len(self.errors) + samples
-        while len(self.errors) < end and self.graph.machine.next_tick is not None:
-            self.graph.step()
-            if until and self.health and until in self.health[-1]:
-                break
-        return self
-
-    @property
-    def error(self) -> np.ndarray:
-        """Published errors, shape (n, c) [um]; NaN where there is none."""
-        return 1e6 * np.array([item.error for item in self.errors])
-
-    @property
-    def valid(self) -> np.ndarray:
-        """Which of them are valid, shape (n,)."""
-        return np.array([item.valid for item in self.errors])
-
-    @property
-    def residual(self) -> np.ndarray:
-        """What they missed, shape (n, c) [um]; NaN where nothing was measured."""
-        nothing = np.full(2, np.nan)
-        measured = [self._measured.get(item.stamp, nothing) for item in self.errors]
-        return self.error - np.array(measured)
-
-    @property
-    def largest(self) -> np.ndarray:
-        """Largest residual of Y and Z [um]."""
-        return np.nanmax(np.abs(self.residual), axis=0)
-
-    def substituted(self, sensor: str) -> np.ndarray:
-        """At which samples something stood in for a sensor, shape (n,)."""
-        return np.array([sensor in item.substituted for item in self.errors])
-
-    def said(self, name: str) -> np.ndarray:
-        """At which samples the predictor's health had an item, shape (n,)."""
-        return np.array([name in items for items in self.health])
-
-
-@cache
-def calibrated(seed: int) -> Calibration:
-    """Return recorded calibration runs."""
-    return record_calibration(seed=seed)
-
-
-@cache
-def model_of(seed: int, *candidates: str) -> str:
-    """Return the file of a model of them."""
-    return train_model(calibrated(seed).runs, candidates=candidates or CANDIDATES).to_json()
-
-
-@cache
-def speed_model() -> str:
-    """Return the file of a model that reads the spindle speed."""
-    name = 'lag_ridge_speed'
-    model = train_model(calibrated(0).runs, model=name, candidates=(name, *CANDIDATES))
-    assert load_model(model.to_json()).needs_speed
-    return model.to_json()
-
-
-@cache
-def healthy(seed: int, duty: str) -> Shift:
-    """Return a healthy shift that is probed every half hour."""
-    return Shift(model_of(seed), duty, seed=seed, **HALF_HOURLY).run()
-
-
-@cache
-def plain(duty: str, seed: int = 0) -> Shift:
-    """Return a healthy shift without probing."""
-    return Shift(model_of(seed), duty, seed=seed).run()
-
-
-def inputs_of(seed: int) -> tuple[str, ...]:
-    return load_model(model_of(seed)).inputs
-
-
-def cases(seeds, duties=UNSEEN) -> list[tuple[int, str]]:
-    return [(seed, duty) for seed in seeds for duty in duties]
-
-
-def with_fault(kind: str, seeds, duties=UNSEEN, samples=200, **changes):
-    """Yield shifts with a fault on one input, its sensor, and the healthy shift beside them."""
-    for seed, duty in cases(seeds, duties):
-        for sensor in inputs_of(seed):
-            faults = [f'{sensor}:{kind}'.format(60 * FAULT)]
-            shift = Shift(model_of(seed), duty, seed=seed, faults=faults, **changes)
-            yield shift.run(samples), sensor, plain(duty, seed)
-
-
-def found_after(shift: Shift, sensor: str) -> float:
-    """Return the samples from the start of a fault to its substitution, infinity if never."""
-    found = shift.substituted(sensor)
-    assert not found[: FAULT - 1].any()
-    return float(found.argmax() + 1 - FAULT) if found.any() else np.inf
-
-
+@pytest.mark.slow
 def test_healthy_sensors_are_trusted():
     seen = [healthy(*case).said('substitution').any() for case in cases(HEALTHY_SEEDS)]
     assert len(seen) == 24
@@ -259,6 +93,7 @@ def drifts():
     return np.array(found), np.array(watched), np.array(unwatched)
 
 
+@pytest.mark.slow
 def test_a_drift_is_substituted(drifts):
     found, _, _ = drifts
     assert len(found) == 20
@@ -266,6 +101,7 @@ def test_a_drift_is_substituted(drifts):
     assert np.mean(found <= 100.0) >= 0.9
 
 
+@pytest.mark.slow
 def test_a_drift_costs_far_less_than_without_the_watch(drifts):
     watched, unwatched = (largest.max(axis=1) for largest in drifts[1:])
     assert np.median(watched) < 0.5 * np.median(unwatched)
@@ -347,6 +183,7 @@ def displacement_as(changed: Callable[[Any, float], Any], duration: float) -> Ch
     return change
 
 
+@pytest.mark.slow
 def test_a_healthy_machine_raises_no_drift_alarm():
     seen = [healthy(*case).said('drift').any() for case in cases(HEALTHY_SEEDS)]
     assert len(seen) == 24
