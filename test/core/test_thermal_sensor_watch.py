@@ -69,8 +69,12 @@ def model(runs):
 
 
 def play(watch, rise, step=STEP):
-    """Return which inputs were faulty at each sample, shape (n, p)."""
-    return np.array([watch.update(sample, step).copy() for sample in rise])
+    """Return which inputs were declared faulty at each sample, shape (n, p)."""
+    declared = []
+    for sample in rise:
+        watch.update(sample, step)
+        declared.append(watch.faulty)
+    return np.array(declared)
 
 
 # Refusals
@@ -242,6 +246,17 @@ def test_a_spike_of_one_sample_is_forgiven(model):
     rise = rises(seed=22)
     rise[100, 2] += 50.0
     assert not play(SensorWatch(model), rise).any()
+
+
+def test_a_spike_is_not_used_though_nothing_is_declared(model):
+    rise = rises(seed=22)
+    rise[100, 2] += 50.0
+    watch = SensorWatch(model)
+    unused = np.array([watch.update(sample, STEP).copy() for sample in rise])
+    assert unused[100].tolist() == [column == 2 for column in range(unused.shape[1])]
+    assert not unused[:100].any()
+    assert not unused[101:].any()
+    assert not watch.faulty.any()
 
 
 def test_a_mate_that_nobody_watches_cannot_vote_a_healthy_sensor_out(runs, model):

@@ -47,6 +47,10 @@ PERSISTENCE = 120.0
 """Sum of the relative excess that makes a fault [s]: a drift of 2 K/h is declared 8 min after it
 has passed a limit of 0.5 K, an excursion to 1.2 times the limit may last 10 min."""
 
+DOUBT = 2.0
+"""Multiple of the limit [-] from which a single sample is not used, though nothing is declared:
+the lags of a model would keep a jump of 5 K for an hour."""
+
 RETURN_TIME = 1800.0
 """Time within half of the limit after which a sensor is trusted again [s].  A stuck sensor may
 agree by chance for as long as the machine keeps its temperature."""
@@ -226,7 +230,10 @@ class SensorWatch:
         self._outvoted = int(self.faulty.sum())
 
     def update(self, rise: ArrayLike, elapsed: float) -> NDArray[np.bool_]:
-        """Take one sample; return `faulty`.
+        """Take one sample; return which inputs not to use, shape (p,).
+
+        Those are the `faulty` ones, and the one that misses most in this sample alone, if it is
+        beyond twice its limit: a jump is declared in its second sample, but not used in its first.
 
         Parameters
         ----------
@@ -261,9 +268,18 @@ class SensorWatch:
             self._take_back(np.abs(residual.mean(axis=0)) / limit, judged, elapsed)
         if self._excess.max() >= self._persistence:
             self._vote_out(share)
-        return self.faulty
+        return self._with_doubt(np.abs(share))
 
     _sides = np.array([[1.0], [-1.0]])
+
+    def _with_doubt(self, share: Array) -> NDArray[np.bool_]:
+        """Return the faulty inputs and the one that this sample speaks against."""
+        worst = int(share.argmax())
+        if share[worst] < DOUBT or self.faulty[worst] or self._outvoted >= self._faulty_max:
+            return self.faulty
+        doubted = self.faulty.copy()
+        doubted[worst] = True
+        return doubted
 
     def _take_back(self, share: Array, judged: NDArray[np.bool_], elapsed: float) -> None:
         """Trust a sensor again that its mates have agreed with for long."""
