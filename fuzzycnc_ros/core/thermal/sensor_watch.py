@@ -179,8 +179,10 @@ class SensorWatch:
     ...     ('a', 'b', 'c'), ('a',), np.full((3, 3), 9.0), np.array([0.2]), np.array([9.0])
     ... )
     >>> watch = SensorWatch(alike)
-    >>> [bool(watch.update([rise, 4.0, 4.0], 60.0)[0]) for rise in (4.0, 1.0, 1.0)]
-    [False, False, True]
+    >>> [bool(watch.update([rise, 4.0, 4.0], 60.0)[0]) for rise in (4.0, 1.0)]
+    [False, True]
+    >>> bool(watch.faulty[0]), bool(watch.update([1.0, 4.0, 4.0], 60.0)[0]), bool(watch.faulty[0])
+    (False, True, True)
     """
 
     def __init__(
