@@ -1,0 +1,384 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reference path of a trajectory: quintic segments over arc length, exact stops at corners.
+
+Points alone do not tell what happens between them, so limits checked at points are no guarantee.
+Here every piece between two points is a polynomial, with position, tangent and curvature equal to
+the neighbour's unless there is a corner, and the bounds of its derivatives hold for all of it:
+those of a Bernstein polynomial lie within its coefficients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import comb
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fuzzycnc_ros.core.arrays import Array
+
+CORNER_ANGLE = 1e-6
+"""Turns above this are corners [rad]; rounding of doubles stays far below."""
+
+_DEGREE = 5
+_PROBES = 9
+_PIECES = 64
+_CHUNK = 8192
+"""Segments whose probes are held at a time."""
+
+
+@dataclass(frozen=True)
+class PathGeometry:
+    """Path of m segments in d axes.
+
+    Attributes
+    ----------
+    coefficient : array, shape (m, 6, d)
+        Bernstein coefficients of each segment over its own length [m].
+    node : array, shape (m + 1,)
+        Arc length at the ends of the segments, from 0 [m].
+    stop : array of bool, shape (m + 1,)
+        Inner nodes at which the tangent jumps, where only a stop keeps the path; False at both
+        ends.
+    """
+
+    coefficient: Array
+    node: Array
+    stop: NDArray[np.bool_]
+
+    @classmethod
+    def from_polyline(cls, points: ArrayLike) -> PathGeometry:
+        """Return the straight lines through `points`, shape (n, 2) or (n, 3) [m].
+
+        Repeated points are dropped.  Every turn above `CORNER_ANGLE` is a corner.
+
+        Raises
+        ------
+        ValueError
+            If the shape is another, a value is not finite, or less than two points differ.
+        """
+        point = _checked(points, 'points')
+        step = np.linalg.norm(np.diff(point, axis=0), axis=1)
+        point = point[np.append(True, step > 0.0)]
+        if len(point) < 2:
+            raise ValueError('points: expected at least 2 that differ, but found 1')
+        edge = np.diff(point, axis=0)
+        share = np.linspace(0.0, 1.0, _DEGREE + 1)[:, np.newaxis]
+        coefficient = point[:-1, np.newaxis] + share * edge[:, np.newaxis]
+        coefficient[:, -1] = point[1:]  # exactly, not by a sum
+        length = np.linalg.norm(edge, axis=1)
+        stop = np.zeros(len(point), bool)
+        stop[1:-1] = _turn(edge[:-1], edge[1:]) > CORNER_ANGLE
+        return cls(coefficient, np.append(0.0, np.cumsum(length)), stop)
+
+    @classmethod
+    def from_samples(
+        cls,
+        points: ArrayLike,
+        tangent: ArrayLike,
+        curvature: ArrayLike,
+        arc_length: ArrayLike | None = None,
+    ) -> PathGeometry:
+        """Return the smooth path through samples of a curve; it has no corners.
+
+        Parameters
+        ----------
+        points : array, shape (n, 2) or (n, 3)
+            Samples [m], no two neighbours equal.
+        tangent : array, same shape
+            Directions of travel; their lengths do not matter.
+        curvature : array, same shape
+            Curvature vectors, second derivatives with respect to arc length [1/m].
+        arc_length : array, shape (n,), optional
+            Increasing [m]; by default that of the circle through neighbours.
+
+        Raises
+        ------
+        ValueError
+            If shapes differ, a value is not finite, points repeat, or arc length falls.
+        """
+        point, along, bend = (
+            _checked(values, name)
+            for values, name in (
+                (points, 'points'),
+                (tangent, 'tangent'),
+                (curvature, 'curvature'),
+            )
+        )
+        if not point.shape == along.shape == bend.shape:
+            raise ValueError(
+                f'expected points, tangent and curvature of one shape, but found {point.shape}, '
+                f'{along.shape} and {bend.shape}'
+            )
+        size = np.linalg.norm(along, axis=1, keepdims=True)
+        chord = np.linalg.norm(np.diff(point, axis=0), axis=1)
+        if not (size > 0.0).all() or not (chord > 0.0).all():
+            raise ValueError(
+                'expected tangents that are not zero and neighbours that differ, but found '
+                f'{int((size <= 0.0).sum())} zero tangents and '
+                f'{int((chord <= 0.0).sum())} repeated points; drop repeated points first'
+            )
+        along = along / size
+        if arc_length is None:
+            half = 0.25 * chord * (_size(bend[:-1]) + _size(bend[1:]))
+            half = np.minimum(half, 1.0)
+            length = chord * np.arcsin(half) / np.where(half > 1e-4, half, 1.0)
+            length = np.where(half > 1e-4, length, chord * (1.0 + half**2 / 6.0))
+        else:
+            length = np.diff(np.asarray(arc_length, dtype=float))
+            if len(length) != len(chord) or not (length > 0.0).all():
+                raise ValueError(
+                    f'arc_length: expected {len(point)} increasing numbers [m], but found '
+                    f'shape {np.shape(arc_length)} or a step that is not positive'
+                )
+        return cls(
+            _hermite(point, along, bend, length),
+            np.append(0.0, np.cumsum(length)),
+            np.zeros(len(point), bool),
+        )
+
+    @classmethod
+    def join(
+        cls, parts: Sequence[PathGeometry], *, gap: float = 1e-9, easing: float = 1e-6
+    ) -> PathGeometry:
+        """Return one path of several, each beginning where the one before ends.
+
+        A turn between two parts is a corner.  Where the tangent goes on but the curvature jumps,
+        as from a line to an arc, the curvature goes from one to the other within a short piece
+        on each side, which moves the path by no more than `easing`.
+
+        Raises
+        ------
+        ValueError
+            If there is no part, the parts differ in axes, a gap between two exceeds `gap` [m],
+            or `easing` [m] is not positive.
+        """
+        if not parts or len({part.axes for part in parts}) != 1:
+            raise ValueError(
+                f'parts: expected at least one, all with the same axes, but found '
+                f'{[part.axes for part in parts]}'
+            )
+        if not easing > 0.0:
+            raise ValueError(f'easing: expected a positive length [m], but found {easing}')
+        first = np.array([part.coefficient[0] for part in parts])
+        last = np.array([part.coefficient[-1] for part in parts])
+        apart = _size(first[1:, 0] - last[:-1, 5])
+        if (apart > gap).any():
+            at = int(np.argmax(apart > gap))
+            raise ValueError(
+                f'parts: expected each to begin where the one before ends, but found a gap of '
+                f'{apart[at]} m behind part {at}; put a line between them'
+            )
+        corner = _turn(last[:-1, 5] - last[:-1, 4], first[1:, 1] - first[1:, 0])
+        corner_at = corner > CORNER_ANGLE
+        bend = np.array([[part.derivative(2)[k, 3 * k] for part in parts] for k in (0, -1)])
+        mean = 0.5 * (bend[1][:-1] + bend[0][1:])
+        jump = _size(bend[0][1:] - bend[1][:-1])
+        eased = ~corner_at & (jump > 1e-9)
+        with np.errstate(divide='ignore'):
+            # u^2 (1 - u)^3 / 2, the quintic of half the jump, is at most 0.0173.
+            piece = np.where(eased, np.sqrt(easing / (0.5 * 0.0173 * jump)), np.inf)
+        ends = np.concatenate([[np.inf], piece, [np.inf]])
+        cut = [part._cut(*ends[k : k + 2]) for k, part in enumerate(parts)]
+        coefficient = np.concatenate([part.coefficient for part in cut])
+        length = np.concatenate([np.diff(part.node) for part in cut])
+        stop = np.concatenate([part.stop[:-1] for part in cut] + [np.zeros(1, bool)])
+        seam = np.cumsum([len(part.coefficient) for part in cut])[:-1]
+        stop[seam] = corner_at
+        after, mean = seam[eased], mean[eased]
+        before = after - 1
+        coefficient[before, 3] = (
+            2.0 * coefficient[before, 4]
+            - coefficient[before, 5]
+            + length[before, np.newaxis] ** 2 / 20.0 * mean
+        )
+        coefficient[after, 2] = (
+            2.0 * coefficient[after, 1]
+            - coefficient[after, 0]
+            + length[after, np.newaxis] ** 2 / 20.0 * mean
+        )
+        return cls(coefficient, np.append(0.0, np.cumsum(length)), stop)
+
+    @property
+    def length(self) -> float:
+        """Length of the path [m]."""
+        return float(self.node[-1])
+
+    @property
+    def axes(self) -> int:
+        """Number of axes d."""
+        return int(self.coefficient.shape[2])
+
+    def derivative(self, order: int) -> Array:
+        """Return Bernstein coefficients of a derivative, shape (m, 6 - order, d)."""
+        length = np.diff(self.node)[:, np.newaxis, np.newaxis]
+        found = self.coefficient
+        for degree in range(_DEGREE, _DEGREE - order, -1):
+            found = np.diff(found, axis=1) * degree / length
+        return np.asarray(found)
+
+    def evaluate(self, arc_length: ArrayLike, order: int = 0) -> Array:
+        """Return the path, or a derivative, at arc lengths of shape (k,); shape (k, d)."""
+        place = np.clip(np.asarray(arc_length, dtype=float), 0.0, self.node[-1])
+        index = np.clip(np.searchsorted(self.node, place, 'right') - 1, 0, len(self.node) - 2)
+        share = (place - self.node[index]) / np.diff(self.node)[index]
+        weight = bernstein(_DEGREE - order, share)
+        found = np.einsum('kb,kbd->kd', weight, self.derivative(order)[index])
+        return np.asarray(found, dtype=float)
+
+    def bounds(self) -> tuple[Array, Array, Array]:
+        """Return bounds on the sizes of the first three derivatives, each of shape (m, d + 1).
+
+        The first column is that of the path itself: of |p'| and its derivatives, which are 1, 0
+        and 0 where the parameter is the true arc length.  These three are taken from probes with
+        a tenth on top; those of the axes are strict.
+        """
+        found = np.empty((3, len(self.coefficient), self.axes + 1))
+        wild = np.zeros(len(self.coefficient), bool)
+        for begin in range(0, len(wild), _CHUNK):
+            part = slice(begin, begin + _CHUNK)
+            found[:, part], wild[part] = self.part(begin, begin + _CHUNK)._bounds()
+        # Where the parameter strays far from arc length, as around a cusp between two samples,
+        # probes lie too far apart.
+        strayed, length = np.flatnonzero(wild), np.diff(self.node)
+        for begin in range(0, len(strayed), _CHUNK // _PIECES):
+            few = strayed[begin : begin + _CHUNK // _PIECES]
+            node = np.append(0.0, np.cumsum(length[few]))
+            path = PathGeometry(self.coefficient[few], node, np.zeros(len(node), bool))
+            closer, _ = path.split(np.full(len(few), _PIECES))._bounds()
+            found[:, few] = closer.reshape(3, len(few), _PIECES, -1).max(axis=2)
+        return found[0], found[1], found[2]
+
+    def _bounds(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the bounds, shape (3, m, d + 1), and where |p'| varies too much for them."""
+        derivatives = [self.derivative(order) for order in (1, 2, 3)]
+        share = np.linspace(0.0, 1.0, _PROBES)
+        one, two, three = (
+            np.einsum('kb,mbd->mkd', bernstein(_DEGREE - 1 - order, share), derivative)
+            for order, derivative in enumerate(derivatives)
+        )
+        speed = np.maximum(np.linalg.norm(one, axis=2), 1e-9)
+        rise = (one * two).sum(axis=2) / speed
+        bend = ((two * two).sum(axis=2) + (one * three).sum(axis=2) - rise**2) / speed
+        path = [
+            np.linalg.norm(derivatives[0], axis=2).max(axis=1),
+            1.1 * np.abs(rise).max(axis=1),
+            1.1 * np.abs(bend).max(axis=1),
+        ]
+        found = [
+            np.column_stack([along, np.abs(derivative).max(axis=1)])
+            for along, derivative in zip(path, derivatives, strict=True)
+        ]
+        return np.stack(found), speed.max(axis=1) > 1.02 * speed.min(axis=1)
+
+    def part(self, begin: int, end: int) -> PathGeometry:
+        """Return the segments from `begin` up to, without, `end`; arc length starts anew."""
+        node, stop = self.node[begin : end + 1], self.stop[begin : end + 1].copy()
+        stop[[0, -1]] = False
+        return PathGeometry(self.coefficient[begin:end], node - node[0], stop)
+
+    def split(self, pieces: NDArray[np.int_]) -> PathGeometry:
+        """Return the same path with segment k cut into `pieces[k]`, shorter towards its ends."""
+        node = np.empty(int(pieces.sum()) + 1)
+        node[-1] = self.node[-1]
+        first = np.append(0, np.cumsum(pieces))
+        found = np.empty((int(pieces.sum()), _DEGREE + 1, self.axes))
+        for count in np.unique(pieces):
+            chosen = np.flatnonzero(pieces == count)
+            cut = 0.5 - 0.5 * np.cos(np.pi * np.arange(count + 1) / count)
+            place = first[chosen, np.newaxis] + np.arange(count)
+            length = np.diff(self.node)[chosen, np.newaxis]
+            node[place] = self.node[chosen, np.newaxis] + length * cut[:-1]
+            for k in range(count):
+                blend = _restriction(cut[k], cut[k + 1])
+                found[place[:, k]] = np.einsum('ij,mjd->mid', blend, self.coefficient[chosen])
+        stop = np.zeros(len(node), bool)
+        stop[first] = self.stop
+        return PathGeometry(found, node, stop)
+
+    def _cut(self, head: float, tail: float) -> PathGeometry:
+        """Return the path with its first and last segment no longer than `head` and `tail` [m]."""
+        length = np.diff(self.node)
+        shares = [np.array([0.0, 1.0])] * len(length)
+        if head < length[0]:
+            shares[0] = np.array([0.0, head / length[0], 1.0])
+        if tail < length[-1]:
+            left = shares[-1][:-1]
+            mark = max(1.0 - tail / length[-1], 0.5 * (1.0 + left[-1]))
+            shares[-1] = np.concatenate([left, [mark, 1.0]])
+        if all(len(share) == 2 for share in shares):
+            return self
+        found = [
+            _restriction(low, high) @ segment
+            for share, segment in zip(shares, self.coefficient, strict=True)
+            for low, high in pairwise(share)
+        ]
+        piece = np.concatenate(
+            [np.diff(share) * size for share, size in zip(shares, length, strict=True)]
+        )
+        stop = np.zeros(len(found) + 1, bool)
+        stop[np.append(0, np.cumsum([len(share) - 1 for share in shares]))] = self.stop
+        return PathGeometry(np.array(found), np.append(0.0, np.cumsum(piece)), stop)
+
+
+def bernstein(degree: int, share: Array) -> Array:
+    """Return the Bernstein polynomials at `share` (k,) in 0..1, shape (k, degree + 1)."""
+    power = np.arange(degree + 1)
+    count = np.array([comb(degree, int(k)) for k in power])
+    at = np.asarray(share)[:, np.newaxis]
+    return np.asarray(count * at**power * (1.0 - at) ** (degree - power))
+
+
+def _restriction(low: float, high: float) -> Array:
+    """Matrix that takes a quintic's coefficients to those of its part from `low` to `high`."""
+    found = np.zeros((_DEGREE + 1, _DEGREE + 1))
+    for row in range(_DEGREE + 1):
+        # Blossom: the part's coefficient k takes `high` k times and `low` the other times.
+        left = bernstein(_DEGREE - row, np.array([low]))[0]
+        right = bernstein(row, np.array([high]))[0]
+        found[row] = np.convolve(left, right)
+    return found
+
+
+def _hermite(point: Array, tangent: Array, curvature: Array, length: Array) -> Array:
+    """Bernstein coefficients of quintics with given ends, shape (m, 6, d)."""
+    h = length[:, np.newaxis]
+    first, last = point[:-1], point[1:]
+    return np.stack(
+        [
+            first,
+            first + h / 5.0 * tangent[:-1],
+            first + 2.0 * h / 5.0 * tangent[:-1] + h**2 / 20.0 * curvature[:-1],
+            last - 2.0 * h / 5.0 * tangent[1:] + h**2 / 20.0 * curvature[1:],
+            last - h / 5.0 * tangent[1:],
+            last,
+        ],
+        axis=1,
+    )
+
+
+def _checked(values: ArrayLike, name: str) -> Array:
+    """Return finite values of shape (n, 2) or (n, 3), n at least 2, as a copy."""
+    found = np.array(values, dtype=float)
+    if found.ndim != 2 or len(found) < 2 or found.shape[1] not in (2, 3):
+        raise ValueError(
+            f'{name}: expected shape (n, 2) or (n, 3) with n at least 2, but found {found.shape}'
+        )
+    if not np.isfinite(found).all():
+        row = int(np.flatnonzero(~np.isfinite(found).all(axis=1))[0])
+        raise ValueError(f'{name}: expected finite numbers, but found {found[row]} in row {row}')
+    return found
+
+
+def _size(vector: Array) -> Array:
+    return np.asarray(np.linalg.norm(vector, axis=1))
+
+
+def _turn(before: Array, after: Array) -> Array:
+    """Angles between directions [rad], exact also where they are small."""
+    a = before / np.linalg.norm(before, axis=1, keepdims=True)
+    b = after / np.linalg.norm(after, axis=1, keepdims=True)
+    return np.asarray(2.0 * np.arctan2(_size(b - a), _size(b + a)))

@@ -1,0 +1,171 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a controller remembers from block to block, and which words it knows."""
+
+from math import nan
+
+MILLIMETRE = 1e-3
+INCH = 25.4e-3
+MINUTE = 60.0
+
+# G words in tenths: 53 is G5.3.
+MOTION = frozenset({0, 10, 20, 30, 52, 62})
+"""Rapid, line, both arcs, and the NURBS blocks G5.2 and G6.2."""
+
+CYCLES = frozenset({730, 740, 760, 810, 820, 830, 840, 850, 860, 870, 880, 890})
+"""Fixed cycles: they move by themselves, in every line that follows."""
+
+FRAMES = frozenset({510, 500, 680, 690, 921, 922, 923, 520, 100})
+"""Scaling, rotation and shifts of the coordinates: where the tool stands in them is unknown."""
+
+OFFSETS = frozenset({540, 550, 560, 570, 580, 590, 591, 592, 593})
+"""Work offsets: a change of them shifts the coordinates."""
+
+TOOL_LENGTHS = frozenset({430, 431, 432, 440})
+
+ELSEWHERE = frozenset({280, 300, 530, 1530, 382, 383, 384, 385, 750})
+"""The axes that are named end at a place that the program does not say (references, probing)."""
+
+HARMLESS = frozenset(
+    {
+        *(150, 400, 490, 600, 601, 610, 611, 640, 800, 940, 970, 960, 980, 990, 90, 80),
+        *(6010, 6020, 6030, 6410, 6420, 6430, 6440, 6450, 4500, 4510),
+    }
+)
+"""No motion of their own: exact stop, path control, ends of cycles and of compensation."""
+
+CUTTER = frozenset({410, 411, 420, 421})
+"""Cutter compensation: the tool runs beside the path that is programmed."""
+
+PLANE = {170: 17, 180: 18, 190: 19}
+LENGTH_UNIT = {200: INCH, 210: MILLIMETRE, 700: INCH, 710: MILLIMETRE}
+LENGTH_UNIT |= {7000: INCH, 7100: MILLIMETRE}
+
+FEED_UNITS = frozenset({200, 210, 7000, 7100})
+"""Of the units those that count for the feed as well; G70 and G71 are for lengths only."""
+
+STOPS = frozenset({0, 1, 6, 60})
+"""M words at which the tool stands still before the next block."""
+
+ENDS = frozenset({2, 30})
+
+# Names of Siemens controllers.
+SILENT_NAMES = frozenset(
+    'FNORM FLIN FCUB COMPOF COMPON COMPCURV COMPCAD COMPSURF BRISK SOFT DRIVE FFWON FFWOF '
+    'ORIAXES ORIMKS ORIWKS ORIVECT ORIMACHAX UPATH SPATH STOPRE DIAMOF CFC CFTCP CFIN '
+    'NORM KONT RTLION RTLIOF DYNNORM DYNPOS DYNROUGH DYNSEMIFIN DYNFINISH'.split()
+)
+"""How to follow the path, not where it runs."""
+
+SILENT_CALLS = frozenset({'MSG', 'CYCLE832', 'SETAL', 'WORKPIECE', 'GROUP_BEGIN', 'GROUP_END'})
+"""Messages and settings."""
+
+DECLARATIONS = frozenset({'DEF', 'PROC', 'EXTERN', 'MSG'})
+
+FRAME_NAMES = frozenset(
+    'TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR TRAFOOF TRAORI TRANSMIT '
+    'TRACYL TRAANG TOROT TOROTOF TOFRAME TCARR'.split()
+)
+"""Turn or shift the coordinates; letters beside them are no motion."""
+
+MACHINE_NAMES = frozenset({'SUPA'})
+"""The axes that are named move in the coordinates of the machine, in this block only."""
+
+
+class State:
+    """Modal state of a controller, and where the tool stands.
+
+    Attributes
+    ----------
+    position : list of float
+        X, Y and Z [m]; NaN where the program does not say.
+    others : dict
+        Positions of the other axes by letter, as programmed.
+    motion : int or None
+        Motion in effect as G word in tenths; None for none, -1 for a cycle.
+    plane : int
+        17, 18 or 19.
+    length_unit, feed_unit : float
+        What a length [m] and a feed [m/s] of 1 is.
+    absolute, centre_absolute : bool
+        G90 and G90.1.
+    feed : float or None
+        Feed in effect [m/s].
+    feed_known : bool
+        False while something that was passed through may have set the feed.
+    feed_mode : int
+        94: length per minute, 93: inverse time, 95: per revolution.
+    offset : int or None
+        Work offset in effect as G word in tenths.
+    tool_length, polar, modal_call : bool
+        A tool length is in effect; coordinates are polar; each position calls a cycle.
+    run : int
+        Number of the run, see `Segment.run`.
+    kind : str
+        Kind of the last segment; empty where the next one starts a run.
+    percents : int
+        How many lines `%` were met.
+    ended : bool
+        The program is over; nothing that follows is read.
+    """
+
+    __slots__ = (
+        'absolute',
+        'centre_absolute',
+        'ended',
+        'feed',
+        'feed_known',
+        'feed_mode',
+        'feed_unit',
+        'kind',
+        'length_unit',
+        'modal_call',
+        'motion',
+        'offset',
+        'others',
+        'percents',
+        'plane',
+        'polar',
+        'position',
+        'run',
+        'tool_length',
+    )
+
+    def __init__(self, length_unit: float) -> None:
+        self.position = [0.0, 0.0, 0.0]
+        self.others: dict[str, float] = {}
+        self.motion: int | None = None
+        self.plane = 17
+        self.length_unit = length_unit
+        self.feed_unit = length_unit / MINUTE
+        self.absolute = True
+        self.centre_absolute = False
+        self.feed: float | None = None
+        self.feed_known = True
+        self.feed_mode = 94
+        self.offset: int | None = None
+        self.tool_length = False
+        self.polar = False
+        self.modal_call = False
+        self.run = 0
+        self.kind = ''
+        self.percents = 0
+        self.ended = False
+
+    def lose(self, axes: str = 'XYZ') -> None:
+        """Forget where axes are; the next segment starts a run."""
+        for axis in axes:
+            self.position['XYZ'.index(axis)] = nan
+        self.kind = ''
+
+    def lose_feed(self) -> None:
+        """Forget the feed: a subprogram may have set it."""
+        self.feed = None
+        self.feed_known = False
+
+    def run_of(self, kind: str) -> int:
+        """Return the run of a segment of this kind; a change of kind starts one."""
+        if kind != self.kind:
+            self.run += 1
+            self.kind = kind
+        return self.run

@@ -1,0 +1,217 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Geometry of part programs: lines, arcs, NURBS curves and dwells, in metres."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.feedrate.nurbs import NurbsCurve
+
+Point = tuple[float, float, float]
+"""X, Y and Z [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A block that moves the tool, or lets it stand.
+
+    Parameters
+    ----------
+    line : int
+        Number of the line in the program; of a curve over many lines the first.
+    start, end : tuple of float, length 3
+        Where it starts and ends [m], in the coordinates of the program.
+    feed : float or None
+        Feed in effect [m/s].  None for a rapid and a dwell, where it is no length per time (G93,
+        G95), where the controller computes it, and in a block that may be skipped (/).
+    rapid : bool
+        A rapid: the controller's own speed.
+    turning : bool
+        Other axes than X, Y and Z move along: what the feed means there is the machine's matter.
+    run : int
+        Segments of one run follow each other without a gap, a stop or a change of kind.
+    """
+
+    line: int
+    start: Point
+    end: Point
+    feed: float | None
+    rapid: bool
+    turning: bool
+    run: int
+
+    @property
+    def schedulable(self) -> bool:
+        """Whether its feed may be chosen anew."""
+        return self.feed is not None and not self.turning and self.length > 0.0
+
+    @property
+    def length(self) -> float:
+        """Length of the way [m]."""
+        raise NotImplementedError
+
+    def points(self, count: int) -> Array:
+        """Return points along it, start and end included.
+
+        Parameters
+        ----------
+        count : int
+            How many steps of equal length, at least 1.
+
+        Returns
+        -------
+        ndarray, shape (count + 1, 3)
+            Points [m].
+        """
+        raise NotImplementedError
+
+    def curvatures(self, count: int) -> Array:
+        """Return the exact curvature at `points(count)`, shape (count + 1,) [1/m]."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True)
+class LineSegment(Segment):
+    """A straight line."""
+
+    @property
+    def length(self) -> float:
+        """Length of the way [m]."""
+        return math.dist(self.start, self.end)
+
+    def points(self, count: int) -> Array:
+        """Return points along it, see `Segment.points`."""
+        return np.linspace(self.start, self.end, count + 1)
+
+    def curvatures(self, count: int) -> Array:
+        """Return zeros, see `Segment.curvatures`."""
+        return np.zeros(count + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class ArcSegment(Segment):
+    """An arc, a full circle or a helix.
+
+    Parameters
+    ----------
+    axes : tuple of int, length 3
+        Indices of the first and the second axis of the plane, and of the one across: (0, 1, 2)
+        in G17, (2, 0, 1) in G18, (1, 2, 0) in G19.
+    centre : tuple of float, length 2
+        Centre in the plane [m].
+    sweep : float
+        Angle swept [rad], above 0 counterclockwise (G3).
+
+    Notes
+    -----
+    Rounded programs give a start and an end that are not quite equally far from the centre; the
+    radius then changes in proportion to the angle, as LinuxCNC's does, so that both points are
+    met.
+    """
+
+    axes: tuple[int, int, int]
+    centre: tuple[float, float]
+    sweep: float
+
+    @property
+    def radii(self) -> tuple[float, float]:
+        """Distance of start and end from the centre [m]."""
+        first, second, _ = self.axes
+        (x, y), (start, end) = self.centre, (self.start, self.end)
+        return (
+            math.hypot(start[first] - x, start[second] - y),
+            math.hypot(end[first] - x, end[second] - y),
+        )
+
+    @property
+    def length(self) -> float:
+        """Length of the way [m], to the second order in the change of the radius."""
+        start, end = self.radii
+        across = self.axes[2]
+        flat = 0.5 * (start + end) * abs(self.sweep)
+        return math.hypot(flat, end - start, self.end[across] - self.start[across])
+
+    def points(self, count: int) -> Array:
+        """Return points along it at equal angles, see `Segment.points`."""
+        first, second, across = self.axes
+        share = np.linspace(0.0, 1.0, count + 1)
+        start, end = self.radii
+        angle = math.atan2(self.start[second] - self.centre[1], self.start[first] - self.centre[0])
+        radius = start + (end - start) * share
+        point = np.empty((count + 1, 3))
+        point[:, first] = self.centre[0] + radius * np.cos(angle + self.sweep * share)
+        point[:, second] = self.centre[1] + radius * np.sin(angle + self.sweep * share)
+        point[:, across] = self.start[across] + (self.end[across] - self.start[across]) * share
+        point[0], point[-1] = self.start, self.end  # to the last digit
+        return point
+
+    def curvatures(self, count: int) -> Array:
+        """Return r / (r^2 + c^2), c the rise per radian; see `Segment.curvatures`."""
+        across = self.axes[2]
+        start, end = self.radii
+        radius = start + (end - start) * np.linspace(0.0, 1.0, count + 1)
+        rise = (self.end[across] - self.start[across]) / self.sweep
+        return np.asarray(radius / (radius**2 + rise**2))
+
+
+@dataclass(frozen=True, slots=True)
+class NurbsSegment(Segment):
+    """A NURBS curve, of one block over many lines.
+
+    Parameters
+    ----------
+    curve : NurbsCurve
+        The curve in three dimensions [m].
+    last_line : int
+        Number of the block's last line.
+    """
+
+    curve: NurbsCurve
+    last_line: int
+
+    @property
+    def length(self) -> float:
+        """Length of the way [m]."""
+        return float(self.curve.length)
+
+    def points(self, count: int) -> Array:
+        """Return points along it, see `Segment.points`."""
+        point = self.curve.point(self._parameter(count))
+        point[0], point[-1] = self.start, self.end  # to the last digit
+        return point
+
+    def curvatures(self, count: int) -> Array:
+        """Return the exact curvature, see `Segment.curvatures`."""
+        return self.curve.curvature(self._parameter(count))
+
+    def _parameter(self, count: int) -> Array:
+        return self.curve.parameter(np.linspace(0.0, self.length, count + 1))
+
+
+@dataclass(frozen=True, slots=True)
+class DwellSegment(Segment):
+    """A wait; its place is NaN where the program does not say it.
+
+    Parameters
+    ----------
+    duration : float
+        How long [s].
+    """
+
+    duration: float
+
+    @property
+    def length(self) -> float:
+        """No way at all."""
+        return 0.0
+
+    def points(self, count: int) -> Array:
+        """Return the place, over and over."""
+        return np.tile(self.start, (count + 1, 1))
+
+    def curvatures(self, count: int) -> Array:
+        """Return zeros."""
+        return np.zeros(count + 1)

@@ -1,0 +1,270 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The programmed contour that a machine is judged by: positions by arc length, distances to it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from fuzzycnc_ros.core.arrays import Array
+
+_NEIGHBOURS = 3
+"""Vertices looked up for each sample; the segments at all but the last are tried."""
+
+_BLOCK = 2_000_000
+"""Segments searched in one go; bounds the memory."""
+
+
+@dataclass(frozen=True)
+class ContourDistance:
+    """Distance of samples from a contour.
+
+    Attributes
+    ----------
+    distance : ndarray, shape (m,)
+        Shortest distance to the contour inside each sample's window [m].
+    arc_length : ndarray, shape (m,)
+        Where on the contour the nearest point lies [m].
+    """
+
+    distance: Array
+    arc_length: Array
+
+
+class Contour:
+    """A path in arc length, with a search for the nearest point that knows where to look.
+
+    Parameters
+    ----------
+    point : callable
+        Positions of the path, shape (m, d) [m], at parameters of shape (m,).
+    parameter : array_like, shape (n,)
+        Increasing parameters of the arc-length table, first and last the path's ends; dense
+        enough that the path hardly bends between two of them.
+    vertices : int
+        Least number of vertices of the polyline that distances are taken to.
+
+    Attributes
+    ----------
+    length : float
+        Length of the path [m].
+
+    Raises
+    ------
+    ValueError
+        If parameters do not increase, positions are not finite or not in two or more
+        dimensions, or the path has no length.
+
+    Notes
+    -----
+    `curve` and `polyline` build the two usual kinds.  A polyline of 40 001 points keeps its
+    corners as vertices; a curve's are equally spaced in arc length.
+
+    Examples
+    --------
+    >>> square = Contour.polyline([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    >>> square.position([0.5, 1.5]).tolist()
+    [[0.5, 0.0], [1.0, 0.5]]
+    >>> found = square.distance([[0.5, 0.25]], [0.5], 1.0)
+    >>> found.distance.tolist(), found.arc_length.tolist()
+    ([0.25], [0.5])
+    """
+
+    def __init__(
+        self,
+        point: Callable[[Array], Array],
+        parameter: ArrayLike,
+        *,
+        vertices: int = 40_001,
+    ) -> None:
+        _check_vertices(vertices)
+        table = np.asarray(parameter, dtype=np.float64)
+        if table.ndim != 1 or len(table) < 2 or not np.all(np.diff(table) > 0.0):
+            raise ValueError('parameter: expected two or more increasing numbers')
+        self._point = point
+        self._parameter = table
+        self._arc = _arc_length(_checked(point(table), len(table)))
+        self.length = float(self._arc[-1])
+        if not self.length > 0.0:
+            raise ValueError('expected a path with a length but all its points are one')
+        self._vertices = self.position(np.linspace(0.0, self.length, vertices))
+        self._index()
+
+    @classmethod
+    def curve(cls, point: Callable[[Array], Array], *, vertices: int = 40_001) -> 'Contour':
+        """Take a smooth curve over the parameters 0 to 1, such as `NurbsCurve.point`."""
+        _check_vertices(vertices)
+        return cls(point, np.linspace(0.0, 1.0, vertices), vertices=vertices)
+
+    @classmethod
+    def polyline(cls, points: ArrayLike, *, vertices: int = 40_001) -> 'Contour':
+        """Take straight lines between `points`, shape (n, d) [m], corners and all.
+
+        Points that coincide with the one before are left out.
+        """
+        _check_vertices(vertices)
+        corner = _checked(np.asarray(points, dtype=np.float64), len(np.asarray(points)))
+        corner = corner[np.append(True, np.any(np.diff(corner, axis=0) != 0.0, axis=1))]
+        if len(corner) < 2:
+            raise ValueError('points: expected two or more different points')
+        arc = _arc_length(corner)
+
+        def point(at: Array) -> Array:
+            return np.column_stack([np.interp(at, arc, axis) for axis in corner.T])
+
+        contour = cls(point, arc, vertices=2)
+        grid = np.union1d(arc, np.linspace(0.0, arc[-1], vertices))
+        contour._vertices = point(grid)
+        contour._index()
+        return contour
+
+    def _index(self) -> None:
+        """Prepare the search over the vertices."""
+        step = np.diff(self._vertices, axis=0)
+        kept = np.append(True, np.any(step != 0.0, axis=1))
+        self._vertices = self._vertices[kept]
+        self._step = np.diff(self._vertices, axis=0)
+        self._square = np.einsum('ij,ij->i', self._step, self._step)
+        self._vertex_arc = _arc_length(self._vertices)
+        # the polyline is shorter than the curve by its chords' share
+        self._vertex_arc *= self.length / self._vertex_arc[-1]
+        self._longest = float(np.sqrt(self._square.max()))
+        self._tree = cKDTree(self._vertices)
+
+    def arc_length(self, parameter: ArrayLike) -> Array:
+        """Return the arc length at parameters of the path [m]; outside, that of the ends."""
+        at = np.asarray(parameter, dtype=np.float64)
+        return np.asarray(np.interp(at, self._parameter, self._arc))
+
+    def position(self, arc_length: ArrayLike) -> Array:
+        """Return the path's positions, shape (m, d) [m], at arc lengths of shape (m,) [m].
+
+        Outside of the path they are those of its ends.
+        """
+        at = np.asarray(arc_length, dtype=np.float64)
+        return np.asarray(self._point(np.interp(at, self._arc, self._parameter)))
+
+    def distance(self, points: ArrayLike, arc_length: ArrayLike, reach: float) -> ContourDistance:
+        """Return the shortest distance to the part of the path around each sample's own place.
+
+        Parameters
+        ----------
+        points : array_like, shape (m, d)
+            Where the tool was [m].
+        arc_length : array_like, shape (m,)
+            Where on the path the tool should have been [m].
+        reach : float
+            How far before and behind that place the nearest point may lie [m]; positive.
+
+        Raises
+        ------
+        ValueError
+            If shapes differ, a number is not finite or the reach not positive.
+
+        Notes
+        -----
+        The window keeps a sample on its own branch: without it a path that crosses itself is
+        measured against the wrong one.  Nearest vertices of the whole path come first; they
+        decide wherever they prove that no segment inside the window can be nearer, all other
+        samples are searched through their whole window.
+        """
+        place = np.asarray(points, dtype=np.float64)
+        arc = np.asarray(arc_length, dtype=np.float64)
+        dimensions = self._vertices.shape[1]
+        if place.shape != (len(arc), dimensions):
+            raise ValueError(
+                f'points: expected the shape ({len(arc)}, {dimensions}) but found {place.shape}'
+            )
+        if not (np.isfinite(place).all() and np.isfinite(arc).all()):
+            raise ValueError('expected finite positions and arc lengths')
+        if not (np.isfinite(reach) and reach > 0.0):
+            raise ValueError(f'reach: expected more than 0 m but found {reach} m')
+        # segments whose ends both lie in the window, and always at least one
+        low = np.searchsorted(self._vertex_arc, arc - reach, side='left')
+        high = np.searchsorted(self._vertex_arc, arc + reach, side='right') - 1
+        low = np.clip(low, 0, len(self._step) - 1)
+        high = np.maximum(np.clip(high, 1, len(self._step)), low + 1)
+        square, fraction, segment, proven = self._near_vertices(place, low, high)
+        rest = np.flatnonzero(~proven)
+        square[rest], fraction[rest], segment[rest] = self._whole_window(
+            place[rest], low[rest], high[rest]
+        )
+        span = np.diff(self._vertex_arc)[segment]
+        return ContourDistance(np.sqrt(square), self._vertex_arc[segment] + fraction * span)
+
+    def _near_vertices(
+        self, place: Array, low: NDArray[np.intp], high: NDArray[np.intp]
+    ) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.bool_]]:
+        """Search the segments at the nearest vertices; say for which samples that is proof."""
+        count = min(_NEIGHBOURS, len(self._vertices))
+        radius, vertex = map(np.asarray, self._tree.query(place, k=range(1, count + 1)))
+        tried = vertex[:, :-1]
+        candidate = np.concatenate([tried - 1, tried], axis=1)
+        inside = (candidate >= low[:, None]) & (candidate < high[:, None])
+        candidate = np.where(inside, candidate, low[:, None])
+        square, fraction = self._to_segment(place[:, None, :], candidate)
+        square[~inside] = np.inf
+        best = square.argmin(axis=1)
+        row = np.arange(len(place))
+        # An end of the nearest segment is at most half a segment farther along it; all vertices
+        # nearer than the last neighbour have been tried.
+        bound = square[row, best] + 0.25 * self._longest**2
+        proven = radius[:, -1] ** 2 >= bound
+        return square[row, best], fraction[row, best], candidate[row, best], proven
+
+    def _whole_window(
+        self, place: Array, low: NDArray[np.intp], high: NDArray[np.intp]
+    ) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Search every segment of each sample's window."""
+        square = np.empty(len(place))
+        fraction = np.empty(len(place))
+        segment = np.empty(len(place), dtype=np.intp)
+        size = high - low
+        block = np.cumsum(size) // _BLOCK
+        for rows in np.split(np.arange(len(place)), np.flatnonzero(np.diff(block)) + 1):
+            if not len(rows):
+                continue
+            start = np.cumsum(size[rows]) - size[rows]
+            owner = np.repeat(rows, size[rows])
+            candidate = np.arange(len(owner)) + np.repeat(low[rows] - start, size[rows])
+            found, part = self._to_segment(place[owner], candidate)
+            square[rows] = np.minimum.reduceat(found, start)
+            hit = np.flatnonzero(found == np.repeat(square[rows], size[rows]))
+            first = hit[np.searchsorted(hit, start)]
+            fraction[rows] = part[first]
+            segment[rows] = candidate[first]
+        return square, fraction, segment
+
+    def _to_segment(self, place: Array, segment: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Return the squared distance to segments and where along them it is taken, 0 to 1."""
+        away = place - self._vertices[segment]
+        step = self._step[segment]
+        along = np.einsum('...i,...i->...', away, step) / self._square[segment]
+        along = np.clip(along, 0.0, 1.0)
+        away = away - along[..., None] * step
+        return np.einsum('...i,...i->...', away, away), along
+
+
+def _arc_length(points: Array) -> Array:
+    """Return the length along a polyline at each of its points."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+
+
+def _check_vertices(vertices: int) -> None:
+    """Refuse a polyline of less than two vertices."""
+    if vertices < 2:
+        raise ValueError(f'vertices: expected 2 or more but found {vertices}')
+
+
+def _checked(points: Array, count: int) -> Array:
+    """Refuse what is no list of `count` positions in two or more dimensions."""
+    if points.ndim != 2 or points.shape[0] != count or points.shape[1] < 2:
+        raise ValueError(
+            f'points: expected the shape ({count}, 2) or ({count}, 3) but found {points.shape}'
+        )
+    if not np.isfinite(points).all():
+        raise ValueError('points: expected finite numbers only')
+    return points

@@ -1,0 +1,203 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Real part programs, written by others: read without loss, and as a real controller reads them.
+
+The Siemens programs are from ElMoe/Production-Data-Set-for-Five-Axis-CNC-Milling-with-Multiple-
+Changeovers, the others from winder/Universal-G-Code-Sender, both public repositories.
+"""
+
+import math
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.core.feedrate.program import (
+    ArcSegment,
+    DwellSegment,
+    read_program,
+    sample_path,
+    strip_feeds,
+    write_program,
+)
+
+# Name, segments that may be scheduled, arcs, runs.
+FILES = {
+    'ccby-5axis/Keychain_Schluesselanhaenger.mpf': (547, 58, 14),
+    'ccby-5axis/Bottle_opener_Flaschenoeffner.txt': (2651, 1553, 10),
+    'ccby-5axis/Coordinate_system_representation_Achskreuz.mpf': (2037, 696, 168),
+    'ugs/Gates_combined_R12.nc': (15904, 5748, 21),
+    'ugs/arc_rword_test.gcode': (196, 168, 1),
+    'ugs/comments.gcode': (0, 0, 0),
+    'ugs/g17-g18-g19.gcode': (6, 6, 3),
+    'ugs/no_spaces.gcode': (102, 0, 49),
+    'ugs/rotation.ngc': (49965, 0, 825),
+    'ugs/spiral.gcode': (8, 6, 1),
+}
+FOR_LINUXCNC = [name for name in FILES if name.startswith('ugs') and 'no_spaces' not in name]
+
+PROGRAM = """G21 G90 G17 G40 G64 P0.01
+G0 X0 Y0 Z5
+G1 Z-1.5 F120
+g1x10y0f600(out)
+G2 X20 R5
+G3 X10 Y10 R-10 F333.25
+G3 I-3 J4 P2
+G91 G1 X1.5 Y-.5
+G2 X2 Y-2 J-2
+G90.1 G90 G3 I20 J10 F2000
+"""
+
+
+def read(path):
+    return path.read_bytes().decode('utf-8', errors='surrogateescape')
+
+
+def shape(part):
+    """All that a segment's path is made of."""
+    bent = (part.centre, part.sweep) if isinstance(part, ArcSegment) else None
+    return type(part), part.start, part.end, bent
+
+
+def slowed(program, seed):
+    """Random feeds from a tenth of the program's own on."""
+    share = np.random.default_rng(seed).uniform(0.1, 1.0, len(program.segments)).tolist()
+    return [
+        part * segment.feed if segment.schedulable else math.nan
+        for part, segment in zip(share, program.segments, strict=True)
+    ]
+
+
+@pytest.fixture(scope='module')
+def gcode(data):
+    return data / 'gcode'
+
+
+@pytest.mark.parametrize('name', FILES)
+def test_a_real_program_is_read_and_written_without_loss(gcode, name):
+    text = read(gcode / name)
+    program = read_program(text)
+    assert program.text == text
+    arcs = sum(isinstance(segment, ArcSegment) for segment in program.segments)
+    free = sum(segment.schedulable for segment in program.segments)
+    assert (free, arcs, len(program.runs)) == FILES[name]
+    feeds = slowed(program, 2)
+    written = write_program(program, feeds)
+    assert strip_feeds(written) == strip_feeds(text)
+    again = read_program(written)
+    assert [shape(part) for part in again.segments] == [shape(part) for part in program.segments]
+    asked, own, new = np.array(
+        [
+            (feed, *(math.nan if part.feed is None else part.feed for part in (old, new)))
+            for feed, old, new in zip(feeds, program.segments, again.segments, strict=True)
+        ]
+    ).T
+    free = ~np.isnan(asked)
+    assert (new[free] <= asked[free] * (1.0 + 2e-9)).all()
+    assert (new[free] >= asked[free] * 0.999).all()
+    kept = np.array([part.turning and part.feed is not None for part in program.segments])
+    assert np.allclose(new[kept], own[kept], rtol=1e-4, atol=0.0)
+
+
+@pytest.mark.parametrize('name', ['ugs/Gates_combined_R12.nc', 'ugs/spiral.gcode'])
+def test_samples_of_a_real_program_are_as_long_as_its_segments(gcode, name):
+    program = read_program(read(gcode / name))
+    for first, last in program.runs:
+        part = program.segments[first:last]
+        path = sample_path(part, 5e-5)
+        length = np.linalg.norm(np.diff(path.point, axis=0), axis=1).sum()
+        assert length == pytest.approx(sum(segment.length for segment in part), rel=1e-4)
+
+
+def interpreted(text, folder):
+    """Moves that LinuxCNC's own interpreter makes of a program: kind, numbers [m], feed [m/s]."""
+    interpreter = shutil.which('rs274')
+    if interpreter is None:
+        pytest.skip("expected LinuxCNC's rs274 (Debian's linuxcnc-uspace) but it is not installed")
+    program, output = folder / 'program.ngc', folder / 'canon.txt'
+    program.write_bytes(text.encode('utf-8', errors='surrogateescape'))
+    (folder / 'tool.tbl').write_text('T1 P1 Z0\n', encoding='utf-8')
+    (folder / 'rs274.var').write_text('', encoding='utf-8')
+    subprocess.run(
+        [interpreter, '-g', '-t', 'tool.tbl', '-v', 'rs274.var', program.name, output.name],
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        timeout=60,
+        check=False,  # a program that ends without M2 or % counts as failed
+    )
+    unit, feed, moves = 1e-3, 0.0, []
+    for line in output.read_text(encoding='utf-8').splitlines():
+        name, _, rest = line.split(maxsplit=2)[2].partition('(')
+        values = [float(value) for value in re.findall(r'-?\d+\.\d+|-?\d+', rest)]
+        if name == 'USE_LENGTH_UNITS':
+            unit = 25.4e-3 if 'INCH' in rest else 1e-3
+        elif name == 'SET_FEED_RATE':
+            feed = values[0] * unit / 60.0
+        elif name in ('STRAIGHT_TRAVERSE', 'STRAIGHT_FEED'):
+            moves.append(
+                (name, [*(value * unit for value in values[:3]), 0.0, 0.0, 0.0], feed, unit)
+            )
+        elif name == 'ARC_FEED':
+            x, y, centre_x, centre_y, turns, z = values[:6]
+            numbers = [value * unit for value in (x, y, z, centre_x, centre_y)]
+            moves.append((name, [*numbers, turns], feed, unit))
+    return moves
+
+
+def check_against(program, moves):
+    """Compare ends, centres, directions and feeds; rs274 prints four decimals of a unit."""
+    parts = [part for part in program.segments if not isinstance(part, DwellSegment)]
+    assert [name for name, *_ in moves] == [
+        'ARC_FEED'
+        if isinstance(part, ArcSegment)
+        else 'STRAIGHT_TRAVERSE'
+        if part.rapid
+        else 'STRAIGHT_FEED'
+        for part in parts
+    ]
+    expected = np.array([canonical(part) for part in parts])
+    found = np.array([numbers for _, numbers, *_ in moves])
+    close = 1.01e-4 * np.array([unit for *_, unit in moves])
+    assert (np.abs(found - expected) <= close[:, np.newaxis]).all()
+    feed = np.array([0.0 if part.rapid else part.feed for part in parts])
+    moving = np.array([not part.rapid for part in parts])
+    off = np.abs(np.array([feed for *_, feed, _ in moves]) - feed)
+    assert (off <= close / 60.0)[moving].all()
+
+
+def canonical(part):
+    """The numbers of `interpreted` [m]: end, centre, turns."""
+    if not isinstance(part, ArcSegment):
+        return (*part.end, 0.0, 0.0, 0.0)
+    first, second, across = part.axes
+    turns = math.ceil(abs(part.sweep) / (2.0 * math.pi) - 1e-9)
+    return (
+        *(part.end[axis] for axis in (first, second, across)),
+        *part.centre,
+        math.copysign(turns, part.sweep),
+    )
+
+
+@pytest.mark.parametrize('name', FOR_LINUXCNC)
+def test_linuxcnc_reads_the_same_path_and_feeds(gcode, name, tmp_path):
+    program = read_program(read(gcode / name))
+    check_against(program, interpreted(program.text, tmp_path))
+
+
+@pytest.mark.parametrize('name', FOR_LINUXCNC)
+def test_linuxcnc_reads_the_same_path_and_the_new_feeds(gcode, name, tmp_path):
+    program = read_program(read(gcode / name))
+    written = write_program(program, slowed(program, 3))
+    check_against(read_program(written), interpreted(written, tmp_path))
+
+
+def test_linuxcnc_reads_the_same_arcs(tmp_path):
+    program = read_program(
+        PROGRAM + 'G91.1 G20\nG1 X1 F10\nG91 G18 G2 X1 Z1 K1\nG19 G3 Y1 Z2 R4\nM2\n'
+    )
+    check_against(program, interpreted(program.text, tmp_path))
+    written = write_program(program, slowed(program, 4))
+    check_against(read_program(written), interpreted(written, tmp_path))
