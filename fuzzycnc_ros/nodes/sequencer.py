@@ -12,7 +12,6 @@ from rclpy.node import Node
 
 from fuzzycnc_ros.components.component import STREAM
 from fuzzycnc_ros.components.records import MachineTick, TickAnswer
-from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.convert import decode, encode
 from fuzzycnc_ros.nodes.messages import RCLPY
 from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, subscription_qos
@@ -154,6 +153,9 @@ class Sequencer:
     def _participant(self, name: str, timeout: float) -> Participant:
         publisher = create_publisher(self._node, MachineTick.TYPE, tick_topic(name), STREAM)
         space = self._node.get_namespace().rstrip('/')
+        # Loaded on use: only a lock-step run needs to know the components of other nodes.
+        from fuzzycnc_ros.components.registry import COMPONENTS
+
         component = COMPONENTS.get(name)
         inputs = () if component is None else component.INPUTS
         quiet = frozenset(f'{space}/{item.name}' for item in inputs if item.quiet)

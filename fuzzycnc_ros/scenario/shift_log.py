@@ -28,8 +28,6 @@ from fuzzycnc_ros.components.records import (
 from fuzzycnc_ros.components.substitution import RiseSource
 from fuzzycnc_ros.convert import decode
 from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun
-from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
-from fuzzycnc_ros.core.thermal.drivers import drive_of, speed_known
 from fuzzycnc_ros.report import CompensationRun
 
 Floats = NDArray[np.float64]
@@ -172,15 +170,10 @@ def _compensation_run(
     samples: list[Temperatures] = log.records('temperatures', *span)
     errors: list[ThermalError] = log.records('thermal_error', *span)
     rise, known = _rises(log, model, samples, errors, span)
-    drive = np.zeros((len(samples), len(model.drivers)))
-    if speed_known(recorded):
-        drive = drive_of(recorded, model.drivers)
-    rise = np.hstack([rise, drive])
+    rise = np.hstack([rise, model.drives(recorded)])
     size = len(model.channel)
     predicted = {}
-    for candidate in model.candidates:
-        if candidate.endswith(SPEED_SUFFIX) and not speed_known(recorded):
-            continue
+    for candidate in model.candidates_on(recorded):
         with np.errstate(over='ignore', invalid='ignore'):
             values = model.predict(rise, candidate)
         predicted[candidate] = np.where(known[:, np.newaxis], values, np.nan)

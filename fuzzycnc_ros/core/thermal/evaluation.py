@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
-from fuzzycnc_ros.core.thermal.drivers import speed_known
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.residuals import mean_of_square
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
@@ -102,9 +100,7 @@ def evaluate(
         )
     predictions = {'uncompensated': np.zeros_like(even.displacement)}
     predictions |= {
-        name: item.recursion.run(rise)
-        for name, item in model.candidates.items()
-        if speed_known(even) or not name.endswith(SPEED_SUFFIX)
+        name: model.candidates[name].recursion.run(rise) for name in model.candidates_on(even)
     }
     predictions['default'] = model.recursion().run(rise)
     rms, largest = {}, {}

@@ -167,6 +167,18 @@ class ThermalModel:
             return np.zeros(len(self.drivers))
         return np.full(len(self.drivers), speed_drive(np.array(spindle_speed)))
 
+    def drives(self, run: ThermalRun) -> Array:
+        """Return what stands behind the rises of a run, shape (n, d) [-]; zeros if unknown."""
+        if not speed_known(run):
+            return np.zeros((len(run.time), len(self.drivers)))
+        return drive_of(run, self.drivers)
+
+    def candidates_on(self, run: ThermalRun) -> tuple[str, ...]:
+        """Return the candidates that find all they read in a run."""
+        return tuple(
+            name for name in self.candidates if not name.endswith(SPEED_SUFFIX) or speed_known(run)
+        )
+
     def check_stream(self, sensors: Sequence[str], interval: float) -> None:
         """Refuse a stream that the model was not made for.
 
@@ -270,10 +282,7 @@ class ThermalModel:
         width = len(self.inputs) + len(self.drivers)
         if isinstance(source, ThermalRun):
             self.check_stream(source.sensor, source.interval)
-            if not speed_known(source) and not self.needs_speed:
-                drive = np.zeros((len(source.time), len(self.drivers)))
-            else:
-                drive = drive_of(source, self.drivers)
+            drive = drive_of(source, self.drivers) if self.needs_speed else self.drives(source)
             rise = np.hstack([source.rise()[:, source.columns(self.inputs)], drive])
         else:
             rise = np.asarray(source, dtype=np.float64)

@@ -3,6 +3,7 @@
 """NURBS curves that a program gives over many lines: G5.2 ... G5.3, and G6.2."""
 
 import math
+from abc import ABC, abstractmethod
 from itertools import pairwise
 
 import numpy as np
@@ -16,7 +17,7 @@ FEWEST_ORDER = 3
 """LinuxCNC takes an L below that for this."""
 
 
-class CurveBlock:
+class CurveBlock(ABC):
     """A curve that is being read.
 
     Parameters
@@ -34,13 +35,13 @@ class CurveBlock:
         self.control: list[list[float]] = []
         self.weight: list[float] = []
 
+    @abstractmethod
     def take(self, words: list[Word], line: int) -> bool:
         """Take the words of a line; return whether the curve is complete with them."""
-        raise NotImplementedError
 
+    @abstractmethod
     def close(self) -> NurbsCurve:
         """Return the curve; `ProgramError` if it is none."""
-        raise NotImplementedError
 
     def _numbers(self, words: list[Word], line: int) -> dict[str, float]:
         if not self.state.absolute:

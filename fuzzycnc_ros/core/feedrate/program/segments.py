@@ -3,6 +3,7 @@
 """Geometry of part programs: lines, arcs, NURBS curves and dwells, in metres."""
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Segment:
+class Segment(ABC):
     """A block that moves the tool, or lets it stand.
 
     Parameters
@@ -49,10 +50,11 @@ class Segment:
         return self.feed is not None and not self.turning and self.length > 0.0
 
     @property
+    @abstractmethod
     def length(self) -> float:
         """Length of the way [m]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def points(self, count: int) -> Array:
         """Return points along it, start and end included.
 
@@ -66,11 +68,10 @@ class Segment:
         ndarray, shape (count + 1, 3)
             Points [m].
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def curvatures(self, count: int) -> Array:
         """Return the exact curvature at `points(count)`, shape (count + 1,) [1/m]."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
