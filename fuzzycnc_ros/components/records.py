@@ -75,6 +75,32 @@ class AppliedStatus(IntEnum):
     REFUSED = 3
 
 
+class TrajectoryStatus(IntEnum):
+    """What the machine side makes of its trajectory, `TrajectoryState.STATUS_*`."""
+
+    IDLE = 0
+    FOLLOWING = 1
+    FINISHED = 2
+    STARVED = 3
+    REFUSED = 4
+
+
+class SegmentKind(IntEnum):
+    """Kind of a segment of a tool path, `ToolPath.KIND_*`."""
+
+    LINE = 0
+    ARC = 1
+    NURBS = 2
+    DWELL = 3
+
+
+class Junction(IntEnum):
+    """What happens at the end of a segment of a tool path, `ToolPath.JUNCTION_*`."""
+
+    CONTINUOUS = 0
+    EXACT_STOP = 1
+
+
 class MachineMode(IntEnum):
     """Operating state of the machine, `MachineState.STATE_*`."""
 
@@ -256,6 +282,82 @@ class ToolPath(Record):
     feedrate: Floats
     offset: Offsets
     data: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FeedSchedule(Record):
+    """Feed along the stretch of a tool path that one part of the trajectory covers."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/FeedSchedule'
+
+    path_id: str
+    part: int
+    last: bool
+    method: str
+    tolerance: float
+    feed_override: float
+    arc_length: Floats
+    curvature: Floats
+    feed: Floats
+    speed: Floats
+    block: Blocks
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory(Record):
+    """Motion of the axes over the next stretch of time, with a way to rest at its end."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/Trajectory'
+
+    path_id: str
+    epoch: int
+    part: int
+    last: bool
+    start: Stamp
+    period: float
+    committed: int
+    axis: Names
+    position: Floats
+    velocity: Floats
+    arc_length: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrajectoryState(Record):
+    """What the machine side makes of the trajectory that it was given."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/TrajectoryState'
+
+    path_id: str
+    epoch: int
+    part: int
+    status: int
+    reason: str
+    arc_length: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AxisState(Record):
+    """Where the axes of a machine are and where they are told to be."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/AxisState'
+
+    axis: Names
+    reference: Floats
+    position: Floats
+    velocity: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ContourError(Record):
+    """Distance of the tool from its path over a stretch of time."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ContourError'
+
+    path_id: str
+    period: float
+    arc_length: Floats
+    error: Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

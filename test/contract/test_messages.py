@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import interfaces
 from interfaces import FILES, FOLDER, Field
 
-UNITS = {'-', 'm', 'm/s', 'rad/s', 's', 'degC', 'K'}
+UNITS = {'-', 'm', '1/m', 'm/s', 'rad/s', 's', 'degC', 'K'}
 NODES = {*COMPONENTS, 'recorder', 'player'}
 PLANNED = {'deformation_compensator', 'feedrate_scheduler', 'servo_controller', 'linuxcnc_bridge'}
 """Nodes whose messages are fixed before they are there."""
