@@ -1,0 +1,88 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the scenarios of `fuzzycnc demo` share: their folder, their steps, their closing lines."""
+
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from fuzzycnc_ros.cli.graph_processes import GraphError
+
+RUN_TIMEOUT = 300.0
+"""Wall time [s] that a live run may take."""
+
+
+def own_domain() -> None:
+    """Put the graph on a domain of its own: whatever else runs on this host must not mix in."""
+    os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)
+
+
+def renew(out: Path) -> None:
+    """Empty a demo's folder, but nothing that is not a demo's.
+
+    Raises
+    ------
+    GraphError
+        If something else lies there.
+    """
+    known = {'summary.json', 'report.html', 'model.json', 'bag', 'calibration', 'log', 'latency'}
+    if out.exists():
+        strange = sorted(item.name for item in out.iterdir() if item.name not in known)
+        if strange:
+            raise GraphError(f'--out {out}: expected an empty folder but found {strange[0]}')
+        shutil.rmtree(out)
+    out.mkdir(parents=True)
+
+
+@contextmanager
+def progress_of(console: Console) -> Iterator['Steps']:
+    """Show steps on a console."""
+    columns = (SpinnerColumn(), TextColumn('{task.description}'), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        yield Steps(console, progress)
+
+
+class Steps:
+    """One line for each step: a bar while it runs, its time when it is done."""
+
+    def __init__(self, console: Console, progress: Progress) -> None:
+        self._console, self._progress = console, progress
+
+    @contextmanager
+    def step(self, text: str) -> Iterator['Bar']:
+        """Show a step as long as the block runs."""
+        started = time.monotonic()
+        task = self._progress.add_task(text, total=None)
+        yield Bar(self._progress, task)
+        self._progress.remove_task(task)
+        self._console.print(f'  {time.monotonic() - started:5.1f} s  {text}')
+
+
+@dataclass
+class Bar:
+    """The bar of a step."""
+
+    progress: Progress
+    task: Any
+
+    def update(self, done: int, total: int) -> None:
+        """Show how much is done."""
+        self.progress.update(self.task, completed=done, total=total)
+
+
+def print_files(console: Console, out: Path) -> None:
+    """Say what lies in the folder."""
+    for name, what in (
+        ('report.html', 'the report; open it in a browser'),
+        ('bag', 'everything that was on the topics'),
+        ('summary.json', 'the figures'),
+    ):
+        console.print(f'{out / name}: {what}', soft_wrap=True)
