@@ -71,7 +71,7 @@ class PathGeometry:
         coefficient[:, -1] = point[1:]  # exactly, not by a sum
         length = np.linalg.norm(edge, axis=1)
         stop = np.zeros(len(point), bool)
-        stop[1:-1] = _turn(edge[:-1], edge[1:]) > CORNER_ANGLE
+        stop[1:-1] = turn_angles(edge[:-1], edge[1:]) > CORNER_ANGLE
         return cls(coefficient, np.append(0.0, np.cumsum(length)), stop)
 
     @classmethod
@@ -135,7 +135,7 @@ class PathGeometry:
                     f'shape {np.shape(arc_length)} or a step that is not positive'
                 )
         return cls(
-            _hermite(point, along, bend, length),
+            hermite(point, along, bend, length),
             np.append(0.0, np.cumsum(length)),
             np.zeros(len(point), bool),
         )
@@ -172,7 +172,7 @@ class PathGeometry:
                 f'parts: expected each to begin where the one before ends, but found a gap of '
                 f'{apart[at]} m behind part {at}; put a line between them'
             )
-        corner = _turn(last[:-1, 5] - last[:-1, 4], first[1:, 1] - first[1:, 0])
+        corner = turn_angles(last[:-1, 5] - last[:-1, 4], first[1:, 1] - first[1:, 0])
         corner_at = corner > CORNER_ANGLE
         bend = np.array([[part.derivative(2)[k, 3 * k] for part in parts] for k in (0, -1)])
         mean = 0.5 * (bend[1][:-1] + bend[0][1:])
@@ -343,8 +343,21 @@ def _restriction(low: float, high: float) -> Array:
     return found
 
 
-def _hermite(point: Array, tangent: Array, curvature: Array, length: Array) -> Array:
-    """Bernstein coefficients of quintics with given ends, shape (m, 6, d)."""
+def hermite(point: Array, tangent: Array, curvature: Array, length: Array) -> Array:
+    """Return quintics through points with given tangents and curvature vectors.
+
+    Parameters
+    ----------
+    point, tangent, curvature : array, shape (m + 1, d)
+        Points [m], unit tangents and curvature vectors [1/m].
+    length : array, shape (m,)
+        Length of each piece [m].
+
+    Returns
+    -------
+    array, shape (m, 6, d)
+        Bernstein coefficients [m].
+    """
     h = length[:, np.newaxis]
     first, last = point[:-1], point[1:]
     return np.stack(
@@ -377,8 +390,8 @@ def _size(vector: Array) -> Array:
     return np.asarray(np.linalg.norm(vector, axis=1))
 
 
-def _turn(before: Array, after: Array) -> Array:
-    """Angles between directions [rad], exact also where they are small."""
+def turn_angles(before: Array, after: Array) -> Array:
+    """Return angles between directions (m, d) [rad], exact also where they are small; (m,)."""
     a = before / np.linalg.norm(before, axis=1, keepdims=True)
     b = after / np.linalg.norm(after, axis=1, keepdims=True)
     return np.asarray(2.0 * np.arctan2(_size(b - a), _size(b + a)))
