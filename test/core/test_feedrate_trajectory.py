@@ -12,8 +12,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from random_paths import KINDS, random_limits, random_path, used
 
 from fuzzycnc_ros.core.feedrate.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.motion_average import range_minimum
 from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.trajectory import limit_motion, range_minimum
+from fuzzycnc_ros.core.feedrate.trajectory import limit_motion
 
 SQUARE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.1]])
 PLAIN = MotionLimits(path_velocity=0.2, path_acceleration=2.0)

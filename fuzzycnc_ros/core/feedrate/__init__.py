@@ -5,8 +5,9 @@
 The names below are loaded when they are first used.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from fuzzycnc_ros.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.fuzzy_scheduler import FuzzyScheduler, LogFuzzyScheduler
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.path_curvature import curvature
     from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
     from fuzzycnc_ros.core.feedrate.program import ProgramError, read_program, write_program
+    from fuzzycnc_ros.core.feedrate.reference_path import PathBuilder, ReferencePath
     from fuzzycnc_ros.core.feedrate.refinement import refine
     from fuzzycnc_ros.core.feedrate.sampled_path import SampledPath
     from fuzzycnc_ros.core.feedrate.schedulers import (
@@ -36,8 +38,10 @@ __all__ = [
     'LookAheadFeed',
     'MotionLimits',
     'NurbsCurve',
+    'PathBuilder',
     'PathGeometry',
     'ProgramError',
+    'ReferencePath',
     'SampledPath',
     'curvature',
     'limit_motion',
@@ -53,6 +57,7 @@ _MODULES = {
     'path_curvature': ('curvature',),
     'path_geometry': ('PathGeometry',),
     'program': ('ProgramError', 'read_program', 'write_program'),
+    'reference_path': ('PathBuilder', 'ReferencePath'),
     'refinement': ('refine',),
     'sampled_path': ('SampledPath',),
     'schedulers': (
@@ -65,10 +70,4 @@ _MODULES = {
     'trajectory': ('limit_motion',),
 }
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module."""
-    for module, names in _MODULES.items():
-        if name in names:
-            return getattr(import_module(f'{__name__}.{module}'), name)
-    raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+__getattr__ = lazy_names(__name__, _MODULES)

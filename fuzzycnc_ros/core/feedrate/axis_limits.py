@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.limits import MotionLimits
@@ -31,12 +32,54 @@ _FLAT = 1e-9
 
 
 @dataclass(frozen=True)
-class _Bands:
-    """Bands of every segment, shape (m, bands), and the largest w0 they leave, shape (m,)."""
+class Bands:
+    """Bands of every segment, shape (m, bands), and what bounds its ends, shape (m,).
+
+    `most` is the largest w0 that the bands leave, `fastest` the largest w within the velocities.
+    """
 
     slope: Array
     width: Array
     most: Array
+    fastest: Array
+
+    def __len__(self) -> int:
+        return len(self.most)
+
+    def part(self, begin: int, end: int) -> Bands:
+        """Return the bands of the segments from `begin` up to, without, `end`."""
+        chosen = slice(begin, end)
+        return Bands(
+            self.slope[chosen], self.width[chosen], self.most[chosen], self.fastest[chosen]
+        )
+
+    def joined(self, other: Bands) -> Bands:
+        """Return the bands of these segments and of those behind them."""
+        count = max(self.slope.shape[1], other.slope.shape[1])
+        slope, width = (
+            np.concatenate(
+                [
+                    np.pad(rows, ((0, 0), (0, count - rows.shape[1])), constant_values=void)
+                    for rows in pair
+                ]
+            )
+            for pair, void in (
+                ((self.slope, other.slope), 0.0),
+                ((self.width, other.width), np.inf),
+            )
+        )
+        return Bands(
+            slope,
+            width,
+            np.concatenate([self.most, other.most]),
+            np.concatenate([self.fastest, other.fastest]),
+        )
+
+    def backward(self) -> tuple[Array, Array]:
+        """Return offset and gain of w0 <= offset + gain w1, which bands that fall with w0 set."""
+        falls = self.slope < 0.0
+        over = np.where(falls, -self.slope, 1.0)
+        return np.where(falls, self.width / over, np.inf), np.where(falls, 1.0 / over, 0.0)
 
 
 def node_minimum(segment: Array) -> Array:
@@ -72,48 +115,68 @@ def fastest_speed(geometry: PathGeometry, wanted: Array, limits: MotionLimits) -
 
 
 def _fastest(geometry: PathGeometry, cap: Array, table: Array) -> Array:
-    """Return the fastest squared speeds of some spans, all swept side by side."""
-    own, side, _ = geometry.bounds()
-    bands = _bands(geometry, table[1], own[:, 0], side[:, 0])
-    fastest = (table[0] / np.maximum(own, 1e-12)).min(axis=1)
-    cap = np.minimum(cap, node_minimum(fastest**2))
+    """Return the fastest squared speeds of some spans."""
+    bands = acceleration_bands(geometry, table)
+    cap = np.minimum(cap, node_minimum(bands.fastest))
     cap[:-1] = np.minimum(cap[:-1], bands.most)
-    # Backward: w0 as large as some w1 allows, which matters for bands that fall with w0.
-    falls = bands.slope < 0.0
-    over = np.where(falls, -bands.slope, 1.0)
-    offset = np.where(falls, bands.width / over, np.inf)
-    gain = np.where(falls, 1.0 / over, 0.0)
-    first = np.append(0, np.flatnonzero(geometry.stop))
-    size = np.diff(np.append(first, len(cap) - 1))
-    order = np.argsort(-size, kind='stable')
-    first, size = first[order], size[order]
-    steps = [first[: np.searchsorted(-size, -k, 'left')] + k for k in range(int(size[0]))]
-    for k in reversed(steps):
-        allowed = (offset[k] + gain[k] * cap[k + 1, np.newaxis]).min(axis=1)
-        cap[k] = np.minimum(cap[k], allowed)
-    for k in steps:
-        allowed = (bands.width[k] - bands.slope[k] * cap[k, np.newaxis]).min(axis=1)
-        cap[k + 1] = np.minimum(cap[k + 1], np.maximum(allowed, 0.0))
+    sweep_spans(bands, cap, geometry.stop)
     return cap
 
 
-def _bands(geometry: PathGeometry, bound: Array, own: Array, side: Array) -> _Bands:
-    """Return the bands that the limits of acceleration leave, those of the path and the axes.
+def sweep_spans(bands: Bands, cap: Array, stop: NDArray[np.bool_]) -> None:
+    """Lower squared speeds at the nodes to the fastest ones; those at stops must be 0."""
+    brake_spans(bands, cap, stop)
+    rise_spans(bands, cap, stop)
 
-    `own` and `side` are the bounds of |p'| and of its derivative, each (m,).
+
+def brake_spans(bands: Bands, cap: Array, stop: NDArray[np.bool_]) -> None:
+    """Lower squared speeds at the nodes to those from which braking leads to the next.
+
+    Spans between stops, nodes of shape (m + 1,), are swept side by side.
     """
+    offset, gain = bands.backward()
+    for k in reversed(_steps(stop)):
+        allowed = (offset[k] + gain[k] * cap[k + 1, np.newaxis]).min(axis=1)
+        cap[k] = np.minimum(cap[k], allowed)
+
+
+def rise_spans(bands: Bands, cap: Array, stop: NDArray[np.bool_]) -> None:
+    """Lower squared speeds at the nodes to those that can be had from the one before."""
+    for k in _steps(stop):
+        allowed = (bands.width[k] - bands.slope[k] * cap[k, np.newaxis]).min(axis=1)
+        cap[k + 1] = np.minimum(cap[k + 1], np.maximum(allowed, 0.0))
+
+
+def _steps(stop: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """Return the first segments of all spans, then the second ones, and so on."""
+    first = np.append(0, 1 + np.flatnonzero(stop[1:-1]))
+    size = np.diff(np.append(first, len(stop) - 1))
+    order = np.argsort(-size, kind='stable')
+    first, size = first[order], size[order]
+    return [first[: np.searchsorted(-size, -k, 'left')] + k for k in range(int(size[0]))]
+
+
+def acceleration_bands(geometry: PathGeometry, table: Array) -> Bands:
+    """Return the bands that the limits of acceleration leave, those of the path and the axes."""
+    own, side, _ = geometry.bounds()
+    velocity, bound = table[0], table[1]
+    fastest = (velocity / np.maximum(own, 1e-12)).min(axis=1) ** 2
     half = 0.5 / np.diff(geometry.node)
     before, after = [], []
     if np.isfinite(bound[0]):
         # Along the path: |p'| times the change of speed, and what its parameter strays from s.
+        rise, stray = own[:, 0] * half, side[:, 0]
         for sign, share in ((1.0, 0.0), (1.0, 1.0), (-1.0, 0.0), (-1.0, 1.0)):
-            before.append((-sign * own * half + (1.0 - share) * side) / bound[0])
-            after.append((sign * own * half + share * side) / bound[0])
+            before.append((-sign * rise + (1.0 - share) * stray) / bound[0])
+            after.append((sign * rise + share * stray) / bound[0])
     tangent, bend = geometry.derivative(1), geometry.derivative(2)
     # Lines have one coefficient, all but for the rounding of positions in second differences.
-    rounding = 64.0 * np.finfo(float).eps * np.abs(geometry.coefficient).max() * 80.0 * half**2
-    straight = (np.abs(bend) <= rounding[:, np.newaxis, np.newaxis]).all()
-    coefficients = 1 if straight else 5
+    largest = np.abs(geometry.coefficient).max(axis=(1, 2))
+    rounding = 64.0 * np.finfo(float).eps * largest * 80.0 * half**2
+    straight = (np.abs(bend) <= rounding[:, np.newaxis, np.newaxis]).all(axis=(1, 2))
+    tangent[straight] = tangent[straight, :1]
+    bend[straight] = 0.0
+    coefficients = 1 if straight.all() else 5
     for axis in np.flatnonzero(np.isfinite(bound[1:])):
         for k in range(coefficients):
             rise = tangent[:, k, axis] * half
@@ -131,7 +194,7 @@ def _bands(geometry: PathGeometry, bound: Array, own: Array, side: Array) -> _Ba
     width = np.where(alone, np.inf, 1.0 / divisor)
     with np.errstate(divide='ignore'):
         most = np.where(alone, 1.0 / np.abs(first), np.inf).min(axis=1)
-    return _Bands(slope, width, np.minimum(most, _largest(slope, width)))
+    return Bands(slope, width, np.minimum(most, _largest(slope, width)), fastest)
 
 
 def _largest(slope: Array, width: Array) -> Array:

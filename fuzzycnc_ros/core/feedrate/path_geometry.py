@@ -12,8 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
-from math import comb
+from math import comb, perm
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -215,10 +216,9 @@ class PathGeometry:
     def derivative(self, order: int) -> Array:
         """Return Bernstein coefficients of a derivative, shape (m, 6 - order, d)."""
         length = np.diff(self.node)[:, np.newaxis, np.newaxis]
-        found = self.coefficient
-        for degree in range(_DEGREE, _DEGREE - order, -1):
-            found = np.diff(found, axis=1) * degree / length
-        return np.asarray(found)
+        # Differences first: they are nearly exact, quotients are not.
+        found = np.diff(self.coefficient, order, axis=1)
+        return np.asarray(found * (perm(_DEGREE, order) / length**order))
 
     def evaluate(self, arc_length: ArrayLike, order: int = 0) -> Array:
         """Return the path, or a derivative, at arc lengths of shape (k,); shape (k, d)."""
@@ -332,6 +332,7 @@ def bernstein(degree: int, share: Array) -> Array:
     return np.asarray(count * at**power * (1.0 - at) ** (degree - power))
 
 
+@lru_cache(maxsize=4096)
 def _restriction(low: float, high: float) -> Array:
     """Matrix that takes a quintic's coefficients to those of its part from `low` to `high`."""
     found = np.zeros((_DEGREE + 1, _DEGREE + 1))

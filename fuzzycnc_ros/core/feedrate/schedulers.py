@@ -9,6 +9,7 @@ papers used are not known.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from math import inf, isfinite
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -60,6 +61,9 @@ class Scheduler(ABC):
     ValueError
         If a parameter is outside its range.
     """
+
+    relative: ClassVar[bool] = False
+    """Whether the ratio scales the programmed feed; if not, `feed` is a limit by itself."""
 
     feed_max: float
     feed_min: float = 2e-5
@@ -184,6 +188,8 @@ class Scheduler(ABC):
 
 class ConstantFeed(Scheduler):
     """The same feed everywhere but at reversals."""
+
+    relative: ClassVar[bool] = True
 
     def _ratio(self, path: SampledPath) -> Array:
         return np.ones(len(path.curvature))

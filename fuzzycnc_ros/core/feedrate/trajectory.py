@@ -5,9 +5,7 @@
 Without limits of jerk the squared speed runs straight between the nodes (`axis_limits`).  With
 them, the limits at each place are first shared out into the largest speed, acceleration and jerk
 along the path; the fastest motion within speed and acceleration is then averaged over a window in
-time.  An average of length tau of accelerations up to a changes by at most 2 a / tau per second.
-It also mixes places up to tau apart, so every limit is first replaced by the smallest within tau:
-the average then obeys the limits of the place it leads to.  At stops the motion rests for tau.
+time (`motion_average`).  At stops the motion rests for the length of the window.
 """
 
 from __future__ import annotations
@@ -21,11 +19,15 @@ from numpy.typing import ArrayLike
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.axis_limits import fastest_speed, node_minimum
 from fuzzycnc_ros.core.feedrate.limits import MotionLimits, sweep
+from fuzzycnc_ros.core.feedrate.motion_average import (
+    Shares,
+    range_minimum,
+    share_limits,
+    windows,
+)
+from fuzzycnc_ros.core.feedrate.motion_pieces import Pieces, squares
 from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
 
-_AT_STOPS = 8
-"""Pieces of a segment that ends at a stop: the motion gets going within the first of them."""
-_PIECES_MAX = 64
 _WINDOWS = 2.0 ** np.arange(-6, 1)
 """Windows tried, as shares of the longest useful one."""
 
@@ -168,6 +170,7 @@ def limit_motion(
     start: float = 0.0,
     end: float = 0.0,
     window: float | None = None,
+    feed_max: float | None = None,
 ) -> Trajectory:
     """Return the motion that follows the desired speeds as far as the limits allow.
 
@@ -175,134 +178,98 @@ def limit_motion(
     ----------
     geometry : PathGeometry
         Path of m segments; its corners are exact stops.
-    speed : float or array, shape (m + 1,)
-        Desired speeds at the nodes, above 0 [m/s]; lower values serve as given speeds of
-        junctions.  Between nodes the square is linear.
+    speed : float or array, shape (m + 1,) or (m, 2)
+        Desired speeds at the nodes, or at both ends of each segment where they jump, above 0
+        [m/s]; lower values serve as given speeds of junctions.  In between the square is linear.
     limits : MotionLimits
         Kept at every moment.
     start, end : float
-        Speeds at the ends [m/s]; lower ones are taken where these cannot be had.  With limits of
-        jerk both ends are at rest.
+        Speeds at the ends [m/s]; lower ones are taken where these cannot be had.  With an average
+        both ends are at rest.
     window : float, optional
-        Length of the average with limits of jerk [s]; by default the fastest of several.
+        Length of the average [s]; by default the fastest of several with limits of jerk, and no
+        average without.
+    feed_max : float, optional
+        Speed that segments are cut for [m/s]; by default the largest desired one.
 
     Raises
     ------
     ValueError
         If a speed is not positive and finite, a shape differs, or `start` or `end` is not 0
-        where jerk is limited.
+        where the motion is averaged.
     """
-    wanted = np.broadcast_to(np.asarray(speed, dtype=float), geometry.node.shape)
-    good = (wanted > 0.0) & (wanted < np.inf)
-    if not good.all():
-        at = int(np.argmin(good))
-        raise ValueError(
-            f'speed: expected more than 0 m/s, but found {wanted[at]} at node {at}; corners of '
-            'the path are stops by themselves'
-        )
+    pieces = Pieces.of_geometry(geometry, squares(speed, len(geometry.coefficient)))
     if not (0.0 <= start < np.inf and 0.0 <= end < np.inf):
         raise ValueError(f'start, end: expected 0 m/s or more, but found {start} and {end}')
-    fine = _refined(geometry, wanted, limits)
-    square = np.interp(fine.node, geometry.node, wanted**2)
-    if not limits.limits_jerk:
-        square[[0, -1]] = np.minimum(square[[0, -1]], [start**2, end**2])
-        return _timed(fine, fastest_speed(fine, square, limits))
+    table = limits.table(geometry.axes)
+    fine = pieces.fine(table, feed_max or float(np.sqrt(pieces.square.max())))
+    if window is None and not limits.limits_jerk:
+        cap = np.minimum(
+            np.append(fine.square[:, 0], np.inf), np.append(np.inf, fine.square[:, 1])
+        )
+        cap[[0, -1]] = np.minimum(cap[[0, -1]], [start**2, end**2])
+        return _timed(fine.geometry, fastest_speed(fine.geometry, cap, limits))
     if start or end:
         raise ValueError(
             f'start, end: expected 0 m/s where jerk is limited, but found {start} and {end}'
         )
     if window is not None and not 0.0 < window < np.inf:
         raise ValueError(f'window: expected a positive number of s, but found {window}')
-    shares = _shares(fine, square, limits)
+    shares = share_limits(fine.geometry, fine.square, table)
     # A longer window than the longest of these admits no more acceleration anywhere.
     longest = 2.0 * float((shares.rise / shares.jolt).max())
     tried = [window] if window is not None else [longest * share for share in _WINDOWS]
-    found = [_averaged(fine, shares, float(one)) for one in tried]
+    found = [_averaged(fine.geometry, shares, float(one)) for one in tried]
     return min(found, key=lambda one: one.duration)
 
 
-def _refined(geometry: PathGeometry, wanted: Array, limits: MotionLimits) -> PathGeometry:
-    """Cut segments that are long for a motion which is uniform in each."""
-    table = limits.table(geometry.axes)
-    fastest = min(float(wanted.max()), float(np.linalg.norm(table[0, 1:])), table[0, 0])
-    braking = fastest**2 / (2.0 * min(table[1, 0], float(np.linalg.norm(table[1, 1:]))))
-    length = np.diff(geometry.node)
-    pieces = np.clip(np.ceil(length / (0.1 * braking)), 1, _PIECES_MAX).astype(int)
-    rest = geometry.stop.copy()
-    rest[[0, -1]] = True
-    at_stop = rest[:-1] | rest[1:]
-    pieces[at_stop] = np.maximum(pieces[at_stop], _AT_STOPS)
-    return geometry.split(pieces)
+def timed(
+    place: Array, length: Array, square: Array, dwell: Array, start: float = 0.0
+) -> tuple[Array, Array, Array, Array]:
+    """Return time, arc length, speed and acceleration at the instants of a motion.
+
+    Parameters
+    ----------
+    place, square : array, shape (m + 1,)
+        Arc length [m] and squared speeds [m^2/s^2] at the nodes, the square linear in between.
+    length : array, shape (m,)
+        Lengths of the pieces [m].
+    dwell : array, shape (m,)
+        Rests at the first m nodes, at which the speed is 0 where they are not [s].
+    start : float
+        When the motion comes to the first node [s].
+    """
+    speed = np.sqrt(square)
+    moving = 2.0 * length / (speed[:-1] + speed[1:])
+    rise = np.append(np.diff(square) / (2.0 * length), 0.0)
+    time = np.cumsum(np.append(start, moving + dwell))
+    rests = np.flatnonzero(dwell)
+    if not len(rests):
+        return time, place, speed, rise
+    return (
+        np.insert(time, rests + 1, time[rests] + dwell[rests]),
+        np.insert(place, rests + 1, place[rests]),
+        np.insert(speed, rests + 1, 0.0),
+        np.insert(rise, rests, 0.0),
+    )
 
 
 def _timed(
     geometry: PathGeometry, square: Array, dwell: float = 0.0, window: float = 0.0
 ) -> Trajectory:
     """Return the motion with squared speeds at the nodes; it rests for `dwell` at stops."""
-    speed = np.sqrt(square)
-    step = np.diff(geometry.node)
-    moving = 2.0 * step / (speed[:-1] + speed[1:])
-    rise = np.append(np.diff(square) / (2.0 * step), 0.0)
-    time = np.append(0.0, np.cumsum(moving + dwell * geometry.stop[:-1]))
-    if dwell == 0.0:
-        return Trajectory(geometry, time, geometry.node, speed, rise, window)
-    corner = np.flatnonzero(geometry.stop)
-    return Trajectory(
-        geometry,
-        np.insert(time, corner + 1, time[corner] + dwell),
-        np.insert(geometry.node, corner + 1, geometry.node[corner]),
-        np.insert(speed, corner + 1, 0.0),
-        np.insert(rise, corner, 0.0),
-        window,
-    )
+    rests = np.where(geometry.stop[:-1], dwell, 0.0)
+    motion = timed(geometry.node, np.diff(geometry.node), square, rests)
+    return Trajectory(geometry, *motion, window)
 
 
-@dataclass(frozen=True)
-class _Shares:
-    """Largest squared speed, acceleration and jerk along the path in each segment, each (m,)."""
-
-    cap: Array
-    rise: Array
-    jolt: Array
-
-
-def _shares(geometry: PathGeometry, wanted: Array, limits: MotionLimits) -> _Shares:
-    """Share the limits out so that all parts of an axis' acceleration and jerk fit at once.
-
-    Of an acceleration, 0.7 may go to the curve, the rest to the change of speed.  Of a jerk, half
-    may go to the change of the curve, then 0.3 of the rest to the curve while the speed changes.
-    What a part leaves unused goes to the next.
-    """
-    velocity, acceleration, jerk = limits.table(geometry.axes)
-    own, side, twist = (np.maximum(bound, 1e-12) for bound in geometry.bounds())
-    cap = np.minimum(wanted[:-1], wanted[1:])
-    for bound in (
-        (velocity / own) ** 2,
-        0.7 * acceleration / side,
-        (0.5 * jerk / twist) ** (2.0 / 3.0),
-    ):
-        cap = np.minimum(cap, bound.min(axis=1))
-    square, speed = cap[:, np.newaxis], np.sqrt(cap)[:, np.newaxis]
-    left = jerk - twist * square * speed
-    turning = 3.0 * side * speed
-    rise = np.minimum((acceleration - side * square) / own, 0.3 * left / turning).min(axis=1)
-    jolt = ((left - turning * rise[:, np.newaxis]) / own).min(axis=1)
-    return _Shares(cap, rise, jolt)
-
-
-def _averaged(geometry: PathGeometry, shares: _Shares, window: float) -> Trajectory:
+def _averaged(geometry: PathGeometry, shares: Shares, window: float) -> Trajectory:
     """Return the fastest motion whose average over `window` [s] keeps to the shares."""
     rise = np.minimum(shares.rise, 0.5 * window * shares.jolt)
     first = _timed(geometry, _swept(geometry, shares.cap, rise)).time
     # No motion within smaller limits covers the ground faster, so what comes within the window
     # of it lies among these segments, and on this side of every stop.
-    low = np.searchsorted(first, first[:-1] - window, 'right') - 1
-    high = np.searchsorted(first, first[1:] + window, 'left')
-    inner = np.flatnonzero(geometry.stop)
-    fence = np.concatenate([[0], inner, [len(rise)]])
-    span = np.searchsorted(inner, np.arange(len(rise)), 'right')
-    low = np.maximum(low, fence[span])
-    high = np.minimum(high, fence[span + 1])
+    low, high = windows(first, geometry.stop, window, 0, len(rise))
     cap, rise = (range_minimum(values, low, high) for values in (shares.cap, rise))
     return _timed(geometry, _swept(geometry, cap, rise), window, window)
 
@@ -314,17 +281,3 @@ def _swept(geometry: PathGeometry, cap: Array, rise: Array) -> Array:
     found[geometry.stop] = 0.0
     gain = 2.0 * rise * np.diff(geometry.node)
     return sweep(sweep(found[::-1], gain[::-1])[::-1], gain)
-
-
-def range_minimum(values: Array, low: Array, high: Array) -> Array:
-    """Return the smallest of `values[low[k]:high[k]]` for every k; no range may be empty."""
-    found = np.empty(len(low))
-    level = np.frexp(high - low)[1] - 1  # largest power of two within the range
-    table = values
-    for power in range(int(level.max()) + 1):
-        if power:
-            half = 1 << (power - 1)
-            table = np.minimum(table[:-half], table[half:])
-        chosen = np.flatnonzero(level == power)
-        found[chosen] = np.minimum(table[low[chosen]], table[high[chosen] - (1 << power)])
-    return found

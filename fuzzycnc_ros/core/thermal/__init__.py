@@ -6,8 +6,9 @@ The names below are loaded when they are first used.  A node that only runs a mo
 without the estimators, whose base, scikit-learn's, takes a second to load.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from fuzzycnc_ros.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.anfis import Anfis, GreyAnfis
@@ -109,10 +110,4 @@ _MODULES = {
     'training': ('train_model',),
 }
 
-
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module."""
-    for module, names in _MODULES.items():
-        if name in names:
-            return getattr(import_module(f'{__name__}.{module}'), name)
-    raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+__getattr__ = lazy_names(__name__, _MODULES)

@@ -1,0 +1,42 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reference paths from geometry, in parts, for tests of motion."""
+
+import numpy as np
+
+from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
+from fuzzycnc_ros.core.feedrate.reference_path import ReferencePath
+
+
+def reference_parts(
+    geometry: PathGeometry,
+    chunk: int,
+    *,
+    feed: np.ndarray | float = np.inf,
+    rest: float = 0.0,
+    place: float = 0.0,
+    last: bool = True,
+) -> list[ReferencePath]:
+    """Return a path in parts of `chunk` pieces; it rests for `rest` at inner stops."""
+    count = len(geometry.coefficient)
+    stop = geometry.stop.copy()
+    stop[0], stop[-1] = place == 0.0, last
+    bend = np.linalg.norm(geometry.derivative(2), axis=2)
+    curvature = np.maximum(np.append(bend[:, 0], 0.0), np.append(0.0, bend[:, -1]))
+    feeds = np.broadcast_to(feed, (count,))
+    found = []
+    for begin in range(0, count, chunk):
+        pieces, nodes = slice(begin, begin + chunk), slice(begin, begin + chunk + 1)
+        found.append(
+            ReferencePath(
+                geometry=geometry.part(begin, min(begin + chunk, count)),
+                place=place + float(geometry.node[begin]),
+                curvature=curvature[nodes],
+                owner=np.arange(count)[pieces],
+                blend=np.zeros(count, bool)[pieces],
+                feed=feeds[pieces],
+                stop=stop[nodes],
+                rest=(rest * geometry.stop)[nodes],
+            )
+        )
+    return found
