@@ -7,6 +7,7 @@ from setuptools import find_packages, setup
 package_name = 'fuzzycnc_ros'
 nodes = [
     'compensator',
+    'feedrate_scheduler',
     'player',
     'recorder',
     'sensor_selector',

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start the thermal compensation of one machine under its own namespace."""
+"""Start the thermal compensation of one machine, and on request its feedrate scheduler."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, RegisterEventHandler
 from launch.conditions import IfCondition
 from launch.events import matches_action
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import AndSubstitution, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import LifecycleNode, Node
 from launch_ros.event_handlers import OnStateTransition
 from launch_ros.events.lifecycle import ChangeState
@@ -36,37 +36,43 @@ def generate_launch_description() -> LaunchDescription:
             'output': 'screen',
         }
 
+    def all_true(*arguments: str) -> IfCondition:
+        """Whether all these launch arguments are true."""
+        value = LaunchConfiguration(arguments[0])
+        for argument in arguments[1:]:
+            value = AndSubstitution(value, LaunchConfiguration(argument))
+        return IfCondition(value)
+
     def params_file(name: str) -> PathJoinSubstitution:
         return PathJoinSubstitution([params, f'{name}.yaml'])
 
-    compensator = LifecycleNode(
-        **common('compensator'),
-        # The transitions are made below, so that a manual deactivation is not undone.
-        parameters=[params_file('compensator'), sim_time, {'autostart': False}],
-    )
-    activate_once = RegisterEventHandler(
-        OnStateTransition(
-            target_lifecycle_node=compensator,
-            start_state='configuring',
-            goal_state='inactive',
-            entities=[
-                EmitEvent(
-                    event=ChangeState(
-                        lifecycle_node_matcher=matches_action(compensator),
-                        transition_id=Transition.TRANSITION_ACTIVATE,
-                    )
-                )
-            ],
-        ),
-        condition=IfCondition(LaunchConfiguration('autostart')),
-    )
-    configure = EmitEvent(
-        event=ChangeState(
-            lifecycle_node_matcher=matches_action(compensator),
-            transition_id=Transition.TRANSITION_CONFIGURE,
-        ),
-        condition=IfCondition(LaunchConfiguration('autostart')),
-    )
+    def managed(name: str, *only_if: str) -> list:
+        """A managed node, configured and activated once where `autostart` says so."""
+        node = LifecycleNode(
+            **common(name),
+            # The transitions are made below, so that a manual deactivation is not undone.
+            parameters=[params_file(name), sim_time, {'autostart': False}],
+            condition=all_true(*only_if) if only_if else None,
+        )
+
+        def change(transition: int, condition: IfCondition | None = None) -> EmitEvent:
+            event = ChangeState(
+                lifecycle_node_matcher=matches_action(node), transition_id=transition
+            )
+            return EmitEvent(event=event, condition=condition)
+
+        wanted = all_true('autostart', *only_if)
+        activate_once = RegisterEventHandler(
+            OnStateTransition(
+                target_lifecycle_node=node,
+                start_state='configuring',
+                goal_state='inactive',
+                entities=[change(Transition.TRANSITION_ACTIVATE)],
+            ),
+            condition=wanted,
+        )
+        return [activate_once, node, change(Transition.TRANSITION_CONFIGURE, wanted)]
+
     return LaunchDescription(
         [
             DeclareLaunchArgument(
@@ -91,21 +97,26 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 'autostart',
                 default_value=LaunchConfiguration('simulated'),
-                description='Configure and activate the compensator; '
+                description='Configure and activate the managed nodes; '
                 'by default only where the machine is simulated',
+            ),
+            DeclareLaunchArgument(
+                'feedrate',
+                default_value='false',
+                choices=['true', 'false'],
+                description='Start the feedrate scheduler too, which runs tool paths',
             ),
             LogInfo(
                 msg='fuzzycnc is not a safety function (ISO 13849): emergency stop, limit '
                 'switches and drive limits stay in hardware.'
             ),
-            activate_once,
             Node(
                 **common('simulated_machine'),
                 parameters=[params_file('simulated_machine')],
                 condition=IfCondition(LaunchConfiguration('simulated')),
             ),
             *[Node(**common(name), parameters=[params_file(name), sim_time]) for name in NODES],
-            compensator,
-            configure,
+            *managed('compensator'),
+            *managed('feedrate_scheduler', 'feedrate'),
         ]
     )

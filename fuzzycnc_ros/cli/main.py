@@ -18,8 +18,10 @@ from fuzzycnc_ros.cli.evaluate import evaluate
 from fuzzycnc_ros.cli.graph_processes import GraphError
 from fuzzycnc_ros.cli.import_csv import import_csv
 from fuzzycnc_ros.cli.info import info
+from fuzzycnc_ros.cli.pareto import pareto
 from fuzzycnc_ros.cli.record import record
 from fuzzycnc_ros.cli.replay import replay
+from fuzzycnc_ros.cli.schedule import schedule
 from fuzzycnc_ros.cli.simulate import simulate
 from fuzzycnc_ros.cli.train import train
 from fuzzycnc_ros.cli.up import up
@@ -43,6 +45,11 @@ Which model, and how many sensors, on runs that nothing has seen:
     fuzzycnc compare monday tuesday wednesday --report models.html
     fuzzycnc curve monday tuesday wednesday --report sensors.html
 
+Feeds of a part program that keep a contour tolerance, and methods side by side:
+
+    fuzzycnc schedule part.ngc --tolerance 0.01mm --out scheduled.ngc
+    fuzzycnc pareto butterfly
+
 `fuzzycnc COMMAND --help` explains each command with examples.
 """
 
@@ -62,6 +69,8 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     'evaluate': evaluate,
     'compare': compare,
     'curve': curve,
+    'schedule': schedule,
+    'pareto': pareto,
     'import-csv': import_csv,
     'info': info,
 }

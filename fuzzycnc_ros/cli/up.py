@@ -34,6 +34,7 @@ def node_specs(
     lockstep: bool = False,
     autostart: bool = False,
     state_directory: Path | None = None,
+    feedrate: bool = False,
     machine_parameters: dict[str, Any] | None = None,
 ) -> list[NodeSpec]:
     """Return the nodes of a thermal compensation graph, the simulated machine last.
@@ -49,9 +50,11 @@ def node_specs(
     lockstep : bool
         Whether the simulated machine gives turns instead of following the clock.
     autostart : bool
-        Whether the compensator becomes active by itself.
+        Whether the managed nodes become active by themselves.
     state_directory : Path, optional
         Where nodes keep what must survive a restart.
+    feedrate : bool
+        Whether the feedrate scheduler takes part.
     machine_parameters : dict, optional
         Further parameters of the simulated machine.
     """
@@ -68,12 +71,16 @@ def node_specs(
         NodeSpec('thermal_predictor', predictor),
         NodeSpec('compensator', dict(common, autostart=autostart)),
     ]
+    if feedrate:
+        specs.append(NodeSpec('feedrate_scheduler', dict(common, autostart=autostart)))
+    served = [spec.name for spec in specs]
     if record is not None:
         specs.append(NodeSpec('recorder', dict(common, output=str(record))))
     if duties:
         machine = {
             'duties': list(duties),
             'lockstep': lockstep,
+            'lockstep_nodes': served,
             'lockstep_recorder': record is not None,
             **(machine_parameters or {}),
         }
@@ -116,7 +123,10 @@ def up(
     ] = False,
     autostart: Annotated[
         bool,
-        typer.Option(help='Activate the compensator; without it a lifecycle manager or you do.'),
+        typer.Option(help='Activate the managed nodes; without it a lifecycle manager or you do.'),
+    ] = False,
+    feedrate: Annotated[
+        bool, typer.Option(help='Start the feedrate scheduler too, which runs tool paths.')
     ] = False,
     state_directory: Annotated[
         Optional[Path],  # noqa: UP045
@@ -149,6 +159,7 @@ def up(
         lockstep=lockstep,
         autostart=autostart,
         state_directory=state_directory,
+        feedrate=feedrate,
         machine_parameters={'rate': rate},
     )
     files = _parameter_files(params)

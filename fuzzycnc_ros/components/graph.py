@@ -89,10 +89,13 @@ class InProcessGraph:
         RuntimeError
             If the machine's programme is over.
         """
+        merger = self._mergers[self.machine.NAME]
+        # What is there already may bring the next tick forward.
+        self.publish(merger.advance(merger.time))
         stamp = self.machine.next_tick
         if stamp is None:
             raise RuntimeError('the programme of the simulated machine is over')
-        self.publish(self._mergers[self.machine.NAME].advance(stamp))
+        self.publish(merger.advance(stamp))
         self.publish(self.machine.tick())
         self._tick += 1
         for component in self.components:
@@ -102,12 +105,12 @@ class InProcessGraph:
 
     def run(self, progress: Callable[[int, int], None] | None = None) -> None:
         """Run the whole programme; `progress` is told the ticks done and in all."""
-        total, done = self.machine.total_ticks, 0
+        total, count = self.machine.total_ticks, 0
         while self.machine.next_tick is not None:
             self.step()
-            done += 1
-            if progress is not None and done % 50 == 0:
-                progress(done, total)
+            count += 1
+            if progress is not None and count % 50 == 0:
+                progress(self.machine.ticks_done, total)
 
     def _announce(self, merger: Merger, lifecycle_state: str) -> None:
         """Tell the sink what a component runs with."""

@@ -4,6 +4,7 @@
 
 from fuzzycnc_ros.components.compensator import Compensator
 from fuzzycnc_ros.components.component import Component
+from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine
 from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition
@@ -17,5 +18,6 @@ COMPONENTS: dict[str, type[Component]] = {
         SensorSelector,
         ThermalPredictor,
         Compensator,
+        FeedrateScheduler,
     )
 }

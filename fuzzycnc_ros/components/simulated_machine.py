@@ -2,134 +2,143 @@
 # SPDX-License-Identifier: Apache-2.0
 """Component `simulated_machine`: the thermal mill of method sheet 001 as a machine on topics.
 
-It is the only component that makes time: `tick` moves the machine on by one period.  Whoever
-hosts it decides when that happens, a lock-step sequencer or a clock.
+It is the only component that makes time: `tick` moves the machine on.  Whoever hosts it decides
+when that happens, a lock-step sequencer or a clock.  Ticks of warmth are long; while the axes
+follow a trajectory there are short ones in between, one per interpolation period.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
-from fuzzycnc_ros.components.component import Component, Emission, Health, Input, Level, Output
+from fuzzycnc_ros.components.component import (
+    LATCHED,
+    Component,
+    Emission,
+    Health,
+    Input,
+    Level,
+    Output,
+)
+from fuzzycnc_ros.components.contouring_motion import (
+    MOTION_AXES,
+    ContouringMotion,
+    contouring_config,
+)
+from fuzzycnc_ros.components.path_programme import PathProgramme
 from fuzzycnc_ros.components.records import (
+    AxisState,
     Compensation,
     CompensationApplied,
+    ContourError,
     Displacement,
     MachineMode,
     MachineState,
     Temperatures,
+    ToolPath,
+    Trajectory,
+    TrajectoryState,
     nanoseconds,
 )
-from fuzzycnc_ros.core.config import Config, param
-from fuzzycnc_ros.core.machine.duties import DUTIES, Duty
+from fuzzycnc_ros.components.simulated_machine_config import SimulatedMachineConfig
+from fuzzycnc_ros.core.machine.duties import DUTIES, Duty, DutyBlock
 from fuzzycnc_ros.core.machine.mill import DISPLACEMENT_NOISE, MILL_AXES, MILL_SENSORS, ThermalMill
 from fuzzycnc_ros.core.machine.offset_input import OffsetInput, OffsetInputConfig
 from fuzzycnc_ros.core.machine.sensor_faults import parse_sensor_fault
+
+__all__ = ['DAY', 'DAY_START', 'WAIT', 'SimulatedMachine', 'SimulatedMachineConfig']
 
 DAY_START = 6 * 3600.0
 """Machine time at which the first duty starts [s]: six in the morning of day one."""
 DAY = 24 * 3600.0
 """Time between the starts of two duties [s]: every duty starts from a cold machine."""
+TOLD_AGAIN = 30.0
+"""Time after which axes that rest during a duty are told again [s]; few need to know."""
+WAIT = 0.01
+"""Time between two ticks that wait for the trajectory of a path [s]."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class SimulatedMachineConfig(Config):
-    """Parameters of `simulated_machine`."""
-
-    duties: tuple[str, ...] = param(
-        ('T2',), '-', 'Duties to run, one a day, each from cold: D0, D0b, T1, T2, T3'
-    )
-    duty_duration: float = param(
-        0.0, 's', 'Time after which each duty is cut off; 0 runs it whole', low=0.0, high=864000.0
-    )
-    seed: int = param(0, '-', 'Seed of all measuring noise', low=0, high=2**31 - 1)
-    tick_period: float = param(
-        12.0, 's', 'Machine time between two sets of readings', low=0.1, high=60.0
-    )
-    rate: float = param(
-        1.0, '-', 'Speed of machine time without lock-step; 1 is real time', low=0.01, high=1e4
-    )
-    displacement_interval: float = param(
-        60.0, 's', 'Machine time between two displacement measurements', low=0.1, high=3600.0
-    )
-    sensor_faults: tuple[str, ...] = param(
-        (), '-', 'Sensor faults as sensor:kind:start[:value], start in s after a duty began'
-    )
-    offset_max: float = param(
-        60e-6, 'm', "The machine's own limit of an offset", low=1e-6, high=1e-3
-    )
-    slew_max: float = param(
-        0.5e-6, 'm/s', "The machine's own limit of an offset's change", low=1e-9, high=1e-3
-    )
-    lockstep_nodes: tuple[str, ...] = param(
-        ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator'),
-        '-',
-        'Nodes of the run: in lock-step they get turns in this order, else the start awaits them',
-    )
-    start_timeout: float = param(
-        10.0,
-        's',
-        'Wall time after which a run without lock-step starts without nodes that are missing',
-        low=0.0,
-        high=600.0,
-    )
-    lockstep_recorder: bool = param(
-        False, '-', 'Whether the run starts with a recorder, and in lock-step waits for it'
-    )
-    answer_timeout: float = param(
-        1.0,
-        's',
-        'Wall time after which a silent node of a lock-step run is lost',
-        low=0.05,
-        high=60.0,
-    )
+_NO_DUTY = Duty('none', (DutyBlock(0.0, DAY),), base=20.0, amplitude=2.0, phase_hours=0.0)
+"""A machine that only follows paths stands in its shop with the spindle at rest."""
 
 
 class SimulatedMachine(Component):
-    """Run duties on the simulated mill and apply the compensation that arrives."""
+    """Run duties on the simulated mill, apply compensation and follow trajectories."""
 
     NAME = 'simulated_machine'
-    SUMMARY = 'The simulated mill: temperatures, displacement, state; applies compensation.'
+    SUMMARY = (
+        'The simulated mill: temperatures, displacement, state; applies compensation, follows '
+        'trajectories.'
+    )
     CONFIG = SimulatedMachineConfig
-    INPUTS = (Input('compensation', Compensation),)
+    INPUTS = (Input('compensation', Compensation), Input('trajectory', Trajectory))
     OUTPUTS = (
         Output('machine_state', MachineState),
         Output('compensation_applied', CompensationApplied),
         Output('displacement', Displacement),
         Output('sensor_readings', Temperatures),
+        Output('axis_state', AxisState),
+        Output('contour_error', ContourError),
+        Output('trajectory_state', TrajectoryState),
+        Output('tool_path', ToolPath, LATCHED),
     )
     _config: SimulatedMachineConfig
 
     def __init__(self, config: SimulatedMachineConfig | None = None) -> None:
         super().__init__(config)
-        unknown = [name for name in self._config.duties if name not in DUTIES]
-        if unknown or not self._config.duties:
+        duties, paths = self._config.duties, self._config.paths
+        unknown = [name for name in duties if name not in DUTIES]
+        if unknown or not (duties or paths):
             raise ValueError(
                 f'duties: expected names among {", ".join(DUTIES)} but found '
-                f'{", ".join(unknown) or "none"}'
+                f'{", ".join(unknown) or "none, and no paths either"}'
             )
         self._faults = tuple(parse_sensor_fault(text) for text in self._config.sensor_faults)
         self._offsets = OffsetInput(
             MILL_AXES,
             OffsetInputConfig(offset_max=self._config.offset_max, slew_max=self._config.slew_max),
         )
+        self._motion = ContouringMotion(contouring_config(self._config))
+        self._paths = PathProgramme(
+            paths, feed=self._config.path_feed, timeout=self._config.path_timeout
+        )
+        self._tick_period = nanoseconds(self._config.tick_period)
         self._run = 0
         self._ticks = 0
+        self._time = 0
+        self._duty_over = False
+        self._duty: Duty = _NO_DUTY
+        self._mill: ThermalMill
+        self._speed = 0.0
+        self._mode = MachineMode.ON
+        self._told_mode: MachineMode | None = None
+        self._told_again = 0
         self._enter(0)
 
     @property
     def next_tick(self) -> int | None:
-        """Machine time of the next tick [ns]; None when all duties are done."""
-        if self._run >= len(self._config.duties):
-            return None
-        return self._start + (self._ticks + 1) * nanoseconds(self._config.tick_period)
+        """Machine time of the next tick [ns]; None when the programme is over."""
+        slow, fast = self._slow_tick(), self._fast_tick()
+        return slow if fast is None or (slow is not None and slow < fast) else fast
 
     @property
     def total_ticks(self) -> int:
-        """Number of ticks of the whole programme."""
-        period = nanoseconds(self._config.tick_period)
-        return sum(nanoseconds(self._length(name)) // period for name in self._config.duties)
+        """Number of ticks of the whole programme; where it has paths an estimate."""
+        duties = sum(self._duty_ticks(name) for name in self._config.duties)
+        return duties + self._paths.ticks(self._config.axis_interpolation_period)
+
+    @property
+    def ticks_done(self) -> int:
+        """How many of `total_ticks` are over."""
+        done = sum(self._duty_ticks(name) for name in self._config.duties[: self._run])
+        if not self._duties_done:
+            return done + self._ticks
+        place = self._motion.place(self._paths.path_id)
+        return done + self._paths.ticks_done(self._config.axis_interpolation_period, place)
+
+    @property
+    def failure(self) -> str:
+        """Why the programme was given up; empty if it was not."""
+        return self._paths.failure
 
     def on_compensation(self, command: Compensation) -> None:
         """Take an offset command; the offset input decides whether it is followed."""
@@ -143,41 +152,109 @@ class SimulatedMachine(Component):
             valid_until=command.valid_until,
         )
 
+    def on_trajectory(self, part: Trajectory) -> None:
+        """Take a part of a trajectory; the trajectory input decides whether it is followed."""
+        self._motion.command(part)
+
+    def set_mode(self, mode: MachineMode) -> None:
+        """Switch the machine; only in ON it moves, applies offsets and turns its spindle.
+
+        An emergency stop holds the commanded position at once; the path is not taken up again.
+        """
+        self._mode = mode
+        allowed, why = mode is MachineMode.ON, mode.name.lower()
+        self._offsets.allow(allowed, why)
+        self._motion.allow(allowed, why, self._time)
+
     def tick(self) -> Iterator[Emission]:
         """Move on to the next tick and report everything that is measured there.
 
         Raises
         ------
         RuntimeError
-            If all duties are done.
+            If the programme is over.
         """
         stamp = self.next_tick
         if stamp is None:
             raise RuntimeError('all duties are done; there is no next tick')
+        slow, fast = stamp == self._slow_tick(), stamp == self._fast_tick()
+        self._time = stamp
+        if slow:
+            self._warm(stamp)
+        workpiece = self.frame('workpiece')
+        moved = list(self._motion.tick(stamp, workpiece)) if fast else []
+        if not fast:
+            self._motion.advance(stamp)
+        mode = self._present_mode()
+        if slow or mode is not self._told_mode:
+            self._told_mode = mode
+            yield Emission('machine_state', self._state(stamp, mode))
+        if slow:
+            yield from self._readings(stamp)
+        yield from moved
+        told = {item.output for item in moved}
+        if slow and (self._duties_done or stamp >= self._told_again):
+            self._told_again = stamp + nanoseconds(TOLD_AGAIN)
+            if not self._motion.moving and 'axis_state' not in told:
+                yield self._motion.state(stamp, workpiece)
+            if 'trajectory_state' not in told:
+                yield self._motion.report(stamp, workpiece)
+        yield from self._go_on(stamp, slow)
+
+    def health(self) -> list[Health]:
+        """Report duty and path, the offsets in force and why a command was refused."""
+        values = {
+            f'offset {axis} [um]': f'{1e6 * offset:.2f}'
+            for axis, offset in zip(MILL_AXES, self._offsets.applied, strict=True)
+        }
+        level = Level.WARN if self._offsets.reason else Level.OK
+        text = self._offsets.reason or self._offsets.status.name.lower()
+        duty = 'all duties done' if self._duties_done else f'duty {self._duty.name}'
+        found = [
+            Health('duty', Level.OK, duty),
+            Health('compensation', level, text, values),
+            self._motion.health(),
+        ]
+        if self.failure:
+            found.append(Health('path', Level.ERROR, self.failure))
+        elif self._config.paths:
+            found.append(Health('path', Level.OK, self._paths.path_id or 'none'))
+        return found
+
+    @property
+    def _duties_done(self) -> bool:
+        return self._run >= len(self._config.duties)
+
+    def _slow_tick(self) -> int | None:
+        """Return when warmth is next moved on [ns]; None where nothing warms up any more."""
+        if self._duty_over or (self._duties_done and (self._paths.over or not self._config.paths)):
+            return None
+        return self._start + (self._ticks + 1) * self._tick_period
+
+    def _fast_tick(self) -> int | None:
+        """Return when the axes are next moved on, or a trajectory is waited for [ns]."""
+        due = self._motion.next_time(self._time)
+        if self._paths.waiting and not self._motion.busy:
+            wait = self._time + nanoseconds(WAIT)
+            return wait if due is None else min(due, wait)
+        if due is None and self._told_mode not in (None, self._present_mode()):
+            return self._time + nanoseconds(self._config.axis_interpolation_period)
+        return due
+
+    def _warm(self, stamp: int) -> None:
+        """Move temperatures and offsets on by a tick period."""
         period = self._config.tick_period
-        elapsed = self._ticks * period
-        speed = self._duty.spindle_speed(elapsed)
-        self._mill.advance(period, speed)
+        allowed = self._mode is MachineMode.ON
+        self._speed = self._duty.spindle_speed(self._ticks * period) if allowed else 0.0
+        self._mill.advance(period, self._speed)
         self._offsets.advance(stamp)
         self._ticks += 1
-        machine = self.frame('machine')
-        yield Emission(
-            'machine_state',
-            MachineState(
-                stamp=stamp,
-                frame_id=machine,
-                state=int(MachineMode.RUNNING if speed else MachineMode.ON),
-                homed=True,
-                offsets_allowed=True,
-                cold_since=self._start,
-                spindle_speed=speed,
-                axis=MILL_AXES,
-                position=np.zeros(len(MILL_AXES)),
-            ),
-        )
+
+    def _readings(self, stamp: int) -> Iterator[Emission]:
+        """Yield what is measured of the warm machine."""
         yield Emission('compensation_applied', self._applied(stamp))
         interval = nanoseconds(self._config.displacement_interval)
-        if (stamp - self._start) % interval < nanoseconds(period):
+        if (stamp - self._start) % interval < self._tick_period:
             yield Emission(
                 'displacement',
                 Displacement(
@@ -195,28 +272,50 @@ class SimulatedMachine(Component):
             'sensor_readings',
             Temperatures(
                 stamp=stamp,
-                frame_id=machine,
+                frame_id=self.frame('machine'),
                 sensor=MILL_SENSORS,
                 temperature=reading,
                 status=np.where(np.isfinite(reading), 0, 1).astype(np.uint8),
                 readings=1,
             ),
         )
-        following = (self._ticks + 1) * nanoseconds(period)
-        if following > nanoseconds(self._length(self._duty.name)):
-            self._enter(self._run + 1)
 
-    def health(self) -> list[Health]:
-        """Report the duty, the offsets in force and why a command was refused."""
-        values = {
-            f'offset {axis} [um]': f'{1e6 * offset:.2f}'
-            for axis, offset in zip(MILL_AXES, self._offsets.applied, strict=True)
-        }
-        level = Level.WARN if self._offsets.reason else Level.OK
-        text = self._offsets.reason or self._offsets.status.name.lower()
-        done = self._run >= len(self._config.duties)
-        duty = 'all duties done' if done else f'duty {self._duty.name}'
-        return [Health('duty', Level.OK, duty), Health('compensation', level, text, values)]
+    def _go_on(self, stamp: int, slow: bool) -> Iterator[Emission]:
+        """Go on to the next duty or path where the present one is over and the axes rest."""
+        if slow and not self._duties_done:
+            following = (self._ticks + 1) * self._tick_period
+            self._duty_over = following > nanoseconds(self._length(self._duty.name))
+        if self._motion.busy:
+            self._paths.wait(stamp, 'following one', busy=True)
+        elif self._duty_over:
+            self._enter(self._run + 1)
+        elif self._duties_done and self._config.paths:
+            done = self._motion.finished(self._paths.path_id)
+            if done or (slow and not self._paths.path_id):
+                path = self._paths.load_next(stamp, self.frame('workpiece'))
+                if path is not None:
+                    yield Emission('tool_path', path)
+            else:
+                self._paths.wait(stamp, self._motion.health().message, busy=False)
+
+    def _present_mode(self) -> MachineMode:
+        """Return the operating state; a program runs where the spindle or the axes do."""
+        if self._mode is MachineMode.ON and (self._speed or self._motion.moving):
+            return MachineMode.RUNNING
+        return self._mode
+
+    def _state(self, stamp: int, mode: MachineMode) -> MachineState:
+        return MachineState(
+            stamp=stamp,
+            frame_id=self.frame('machine'),
+            state=int(mode),
+            homed=True,
+            offsets_allowed=self._mode is MachineMode.ON,
+            cold_since=self._start,
+            spindle_speed=self._speed,
+            axis=MOTION_AXES,
+            position=self._motion.reference,
+        )
 
     def _length(self, duty: str) -> float:
         """Return for how long a duty is run [s]; at least one tick."""
@@ -224,17 +323,19 @@ class SimulatedMachine(Component):
         wanted = min(whole, self._config.duty_duration or whole)
         return max(wanted, self._config.tick_period)
 
+    def _duty_ticks(self, duty: str) -> int:
+        """Return the number of ticks of a duty."""
+        return nanoseconds(self._length(duty)) // self._tick_period
+
     def _enter(self, run: int) -> None:
-        """Set the machine up, cold, for one duty of the programme."""
-        self._run = run
-        self._ticks = 0
-        if run >= len(self._config.duties):
+        """Set the machine up, cold, for one duty of the programme; paths follow on the last."""
+        self._run, self._duty_over = run, False
+        self._duty = _NO_DUTY if self._duties_done else DUTIES[self._config.duties[run]]
+        if run and self._duties_done:
             return
-        self._start = nanoseconds(DAY_START + run * DAY)
-        self._duty: Duty = DUTIES[self._config.duties[run]]
-        self._mill: ThermalMill = self._duty.mill(
-            seed=self._config.seed + 1000 * run, faults=self._faults
-        )
+        self._ticks = 0
+        self._start = self._time = nanoseconds(DAY_START + run * DAY)
+        self._mill = self._duty.mill(seed=self._config.seed + 1000 * run, faults=self._faults)
 
     def _applied(self, stamp: int) -> CompensationApplied:
         return CompensationApplied(

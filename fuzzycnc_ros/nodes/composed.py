@@ -13,6 +13,7 @@ NODES = (
     'sensor_selector',
     'thermal_predictor',
     'compensator',
+    'feedrate_scheduler',
     'recorder',
     'player',
     'simulated_machine',

@@ -19,9 +19,51 @@ from fuzzycnc_ros.nodes.qos import publisher_qos
 from fuzzycnc_ros.nodes.sequencer import Sequencer
 from fuzzycnc_ros.nodes.timers import wall_timer
 
+START_POLL = 0.05
+"""Wall time [s] between two looks at the graph before a run without lock-step starts."""
+CATCH_UP = 0.02
+"""Wall time [s] for which late ticks are caught up before messages get their turn again."""
+LATE = 0.01
+"""Wall time [s] from which on a tick counts as late."""
 SETTLING = 1.0
 """Wall time [s] for which the graph must have been complete before a run without lock-step starts:
 the other nodes, above all the recorder, still find each other's topics."""
+
+
+class Pace:
+    """When ticks of machine time are due on the wall.
+
+    Parameters
+    ----------
+    rate : float
+        Speed of machine time; 1 is real time.
+    stamp : int
+        Machine time [ns] that is now.
+    now : float
+        Wall time [s].
+    """
+
+    def __init__(self, rate: float, stamp: int, now: float) -> None:
+        self._rate = rate
+        self._stamp, self._now = stamp, now
+        self.late = 0
+        """Ticks that came late."""
+
+    def due(self, stamp: int) -> float:
+        """Return the wall time [s] of a tick."""
+        return self._now + 1e-9 * (stamp - self._stamp) / self._rate
+
+    def count(self, stamp: int, now: float) -> None:
+        """Note that a tick is made at wall time `now` [s]."""
+        self.late += now - self.due(stamp) > LATE
+
+    def resume(self, stamp: int, now: float) -> None:
+        """Go on from machine time `stamp` [ns] at wall time `now` [s].
+
+        Machine time moves in ticks alone.  What arrives in the midst of a long one and asks for
+        a short one continues from its beginning, rather than have hundreds of ticks be late.
+        """
+        self._stamp, self._now = stamp, now
 
 
 class SimulatedMachineNode(ComponentNode):
@@ -36,7 +78,9 @@ class SimulatedMachineNode(ComponentNode):
         assert isinstance(config, SimulatedMachineConfig)
         self._clock = node.create_publisher(ClockMessage, '/clock', publisher_qos(STREAM))
         self._done = False
+        self._ticks = 0
         self.sequencer: Sequencer | None = None
+        self._pace: Pace | None = None
         if self.settings.lockstep:
             self.sequencer = Sequencer(
                 node,
@@ -50,9 +94,9 @@ class SimulatedMachineNode(ComponentNode):
                 reads=tuple(self._subscriptions),
             )
         else:
-            self._waiting_since: float | None = time.monotonic()
+            self._waiting_since = time.monotonic()
             self._complete_since: float | None = None
-            wall_timer(node, config.tick_period / config.rate, self._tick_in_time)
+            self._timer = wall_timer(node, START_POLL, self._tick_in_time)
 
     @property
     def done(self) -> bool:
@@ -62,6 +106,18 @@ class SimulatedMachineNode(ComponentNode):
     def _heard(self, topic: str, sequence_number: int) -> None:
         if self.sequencer is not None:
             self.sequencer.received(topic, sequence_number)
+        elif self._pace is not None:
+            self._take_at_once(self._pace)
+
+    def _take_at_once(self, pace: Pace) -> None:
+        """Real time: look at what came in, as it may bring the next tick forward."""
+        before = self.component.next_tick
+        self._work(self.merger.time)
+        after, now = self.component.next_tick, time.monotonic()
+        if before is not None and after is not None and after < before:
+            if pace.due(after) < now:
+                pace.resume(self.merger.time, now)
+            self._wake(pace.due(after) - now)
 
     def _all_matched(self, readers: Mapping[str, int]) -> bool:
         clock = self._clock
@@ -70,21 +126,45 @@ class SimulatedMachineNode(ComponentNode):
         )
 
     def _tick(self) -> int | None:
+        self._work(self.merger.time)
         stamp = self.component.next_tick
         if stamp is None:
             return None
+        self._ticks += 1
         self._clock.publish(ClockMessage(clock=RCLPY.time(stamp)))
         self._work(stamp)
         self.publish(self.component.tick())
         return stamp
 
     def _tick_in_time(self) -> None:
-        """Tick, once the nodes of the run are there; what they miss at first is lost."""
-        if self._waiting_since is not None and not self._may_start(self._waiting_since):
-            return
-        self._waiting_since = None
-        if self._tick() is None:
-            self._finish()
+        """Make the ticks that are due, once the nodes of the run are there."""
+        now = time.monotonic()
+        if self._pace is None:
+            first = self.component.next_tick
+            if first is None or not self._may_start(self._waiting_since):
+                return
+            config = self.component.configuration
+            assert isinstance(config, SimulatedMachineConfig)
+            self._pace = Pace(config.rate, first, now)
+        until = now + CATCH_UP
+        while now < until:
+            stamp = self.component.next_tick
+            if stamp is None:
+                self._timer.cancel()
+                self._finish()
+                return
+            if self._pace.due(stamp) > now:
+                break
+            self._pace.count(stamp, now)
+            self._tick()
+            now = time.monotonic()
+        following = self.component.next_tick
+        self._wake(0.0 if following is None else self._pace.due(following) - now)
+
+    def _wake(self, wait: float) -> None:
+        """Have the timer call back once more, in `wait` [s] from now."""
+        self._timer.timer_period_ns = max(int(1e9 * wait), 1000)
+        self._timer.reset()
 
     def _may_start(self, since: float) -> bool:
         config = self.component.configuration
@@ -108,11 +188,16 @@ class SimulatedMachineNode(ComponentNode):
         lost = self.sequencer.lost if self.sequencer else []
         missed = self.sequencer.missed if self.sequencer else 0
         outcome = {
-            'ticks': self.sequencer.tick if self.sequencer else self.component.total_ticks,
+            'ticks': self._ticks,
             'degraded': bool(lost or missed),
             'lost': lost,
             'missed': missed,
         }
+        if self._pace is not None:
+            outcome['late'] = self._pace.late
+        if self.component.failure:
+            outcome['failure'] = self.component.failure
+            self.exit_code = 1
         print(json.dumps(outcome), file=sys.stdout, flush=True)
         self.report()
         self._done = True

@@ -272,7 +272,7 @@ def test_launch_file_names_what_exists(path, setup_arguments):
         for item in ast.walk(tree)
         if isinstance(item, ast.Call)
         and isinstance(item.func, ast.Name)
-        and item.func.id in ('common', 'params_file')
+        and item.func.id in ('common', 'managed', 'params_file')
         and isinstance(item.args[0], ast.Constant)
     }
     listed = next(

@@ -19,7 +19,21 @@ PARAMETERS = [
     for record in RECORDS
     for item in fields(record)
 ]
-SI_UNITS = {'-', 'm', 'm/s', 's', 'degC', 'K', 'K/s', 'rad/s'}
+SI_UNITS = {
+    '-',
+    'm',
+    'm/s',
+    'm/s^2',
+    'm/s^3',
+    '1/m',
+    's',
+    '1/s',
+    's^2',
+    'degC',
+    'K',
+    'K/s',
+    'rad/s',
+}
 ABBREVIATIONS = {'cfg', 'freq', 'idx', 'max_len', 'num', 'temp', 'tmp', 'vel'}
 
 
@@ -90,7 +104,7 @@ def test_value_out_of_bounds_is_refused(record, item):
             record(**{item.name: 'nonsense'})
     elif meta['low'] is not None:
         for value in (2 * meta['high'] + 1, meta['low'] - 1):
-            wrong = type(default)(value)
+            wrong = (value,) * len(default) if isinstance(default, tuple) else type(default)(value)
             with pytest.raises(ValueError, match=rf'{item.name} = \S+ is outside \[') as caught:
                 record(**{item.name: wrong})
             assert meta['unit'] in str(caught.value)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Refinement, the claims of the paper, savings: method sheet 002, sections 6.1, 6.2, 11."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,7 +13,12 @@ from scipy.optimize import brentq
 from fuzzycnc_ros.core.feedrate.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.fuzzy_scheduler import FuzzyScheduler, LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.refinement import knob_at_error, refine
-from fuzzycnc_ros.core.feedrate.schedulers import ChordErrorFeed, LookAheadFeed
+from fuzzycnc_ros.core.feedrate.sampled_path import SampledPath
+from fuzzycnc_ros.core.feedrate.schedulers import (
+    ChordErrorFeed,
+    JerkLimitedFeed,
+    LookAheadFeed,
+)
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring import simulate_contouring
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
@@ -79,7 +85,7 @@ def published_time(key, tolerance):
 
 def dimensionless_time(key, tolerance):
     found = knob_at_error(
-        lambda asked: drive(key, dimensionless(key, asked, margin=1.0)), tolerance, tolerance
+        lambda asked: drive(key, dimensionless(key, asked)), tolerance, tolerance
     )
     return found.run.duration
 
@@ -133,14 +139,85 @@ def test_the_two_claims_of_the_paper(key, feed_mm_min, less_error, less_time):
     assert 1.0 - seconds / chord.duration == pytest.approx(less_time, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ('key', 'method', 'feed_mm_min', 'published_s', 'seconds', 'error_um'),
+    [
+        ('infinity', LookAheadFeed, 300, 62, 62.5, 1.93),
+        ('infinity', ChordErrorFeed, 300, 122, 62.5, 1.93),
+        ('infinity', JerkLimitedFeed, 300, 907, 62.5, 1.93),
+        ('infinity', FuzzyScheduler, 300, 62, 63.2, 1.62),
+        ('trident', LookAheadFeed, 300, 46, 46.2, 8.01),
+        ('trident', ChordErrorFeed, 300, 127, 46.2, 8.01),
+        ('trident', JerkLimitedFeed, 150, 599, 92.1, 2.07),
+        ('trident', FuzzyScheduler, 300, 45, 47.2, 2.34),
+        ('trident', FuzzyScheduler, 150, 92, 94.1, 0.60),
+        ('butterfly', LookAheadFeed, 300, 73, 67.3, 44.7),
+        ('butterfly', ChordErrorFeed, 185, 120, 109.1, 28.9),
+        ('butterfly', JerkLimitedFeed, 58, 729, 347.5, 5.90),
+        ('butterfly', FuzzyScheduler, 300, 67, 85.1, 2.49),
+        ('butterfly', FuzzyScheduler, 185, 109, 138.0, 0.94),
+        ('butterfly', FuzzyScheduler, 58, 360, 439.4, 0.31),
+    ],
+)
+def test_rows_of_tables_10_to_12(key, method, feed_mm_min, published_s, seconds, error_um):
+    run = drive(key, method(feed_max=feed_mm_min / 60e3).feed(shape(key)[2]))
+    assert run.duration == pytest.approx(seconds, rel=0.01)
+    assert 1e6 * run.error_max == pytest.approx(error_um, rel=0.03)
+    # What does not slow down at such feeds has the published time, as has the published method
+    # where the curvature stays small.
+    if method is LookAheadFeed or (method is FuzzyScheduler and key != 'butterfly'):
+        assert run.duration == pytest.approx(published_s, rel=0.09)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('key', [*SHAPES, *UNSEEN])
 def test_saving_at_equal_error(key):
     for tolerance in TOLERANCES:
-        assert drive(key, dimensionless(key, tolerance)).error_max <= 1.05 * tolerance
         seconds = dimensionless_time(key, tolerance)
         assert seconds <= 1.15 * refined_time(key, tolerance)
-        # spline 9 has no sharp bend: 39.3 % are saved at 0.1 mm; constant normal acceleration,
-        # which the rules approach, saves 39.4 %, refinement 43 %
-        share = 0.61 if (key, tolerance) == (9, 1e-4) else 0.6
-        assert seconds <= share * published_time(key, tolerance)
+        assert seconds <= 0.6 * published_time(key, tolerance)
+
+
+@pytest.mark.parametrize('curvature_max', [None, 5e4], ids=['path', 'machine'])
+@pytest.mark.parametrize('key', [*SHAPES, *UNSEEN])
+def test_untuned_feed_keeps_the_tolerance_and_uses_it(key, curvature_max):
+    for tolerance in TOLERANCES:
+        feed = dimensionless(key, tolerance, curvature_max=curvature_max)
+        # 1.05 is asked for; the approach leaves no more than this
+        assert 0.95 * tolerance <= drive(key, feed).error_max <= 1.02 * tolerance
+
+
+@pytest.mark.parametrize('radius', [2e-4, 1e-3, 5e-3])
+def test_tight_arc_after_a_line_keeps_the_tolerance(radius):
+    bend = 0.5 * np.pi * radius
+    node = np.array([0.0, 0.03, 0.03 + bend, 0.06 + bend])
+
+    def point(arc):
+        angle = np.clip((arc - node[1]) / radius, 0.0, 0.5 * np.pi)
+        along = np.minimum(arc, node[1]) + radius * np.sin(angle)
+        return np.column_stack(
+            [along, radius * (1.0 - np.cos(angle)) + np.maximum(arc - node[2], 0.0)]
+        )
+
+    arc = np.unique(np.concatenate([np.linspace(*node[i : i + 2], 500) for i in range(3)]))
+    contour = Contour(point, arc)
+    curvature = np.where((arc >= node[1]) & (arc <= node[2]), 1.0 / radius, 0.0)
+    scheduler = LogFuzzyScheduler(
+        feed_max=FEED_MAX, tolerance=1e-5, machine_constant=CONSTANT, curvature_max=5e4
+    )
+    feed = scheduler.feed(SampledPath(arc, curvature))
+    assert simulate_contouring(contour, arc, feed).error_max <= 1.05e-5
+    late = replace(scheduler, approach_time=0.0, margin=1.25)
+    if radius < 5e-3:
+        feed = late.feed(SampledPath(arc, curvature))
+        assert simulate_contouring(contour, arc, feed).error_max > 1.05e-5
+
+
+def test_approach_saves_time_at_equal_error():
+    for key in UNSEEN:
+        plain = knob_at_error(
+            lambda asked, key=key: drive(key, dimensionless(key, asked, approach_time=0.0)),
+            5e-5,
+            5e-5,
+        )
+        assert dimensionless_time(key, 5e-5) <= 0.985 * plain.run.duration

@@ -210,6 +210,7 @@ def test_dimensionless_ratio_does_not_depend_on_the_scale():
             feed_max=0.2 * np.sqrt(scale),
             guard_length=scale * LOG_FUZZY.guard_length,
             guard_time=np.sqrt(scale) * LOG_FUZZY.guard_time,
+            approach_time=np.sqrt(scale) * 0.028,
         )
         return scheduler.bounded_ratio(SampledPath.from_points(points))
 

@@ -197,7 +197,9 @@ class PlannedMotion:
         return np.asarray(self.time[np.maximum(at, 0)])
 
     def speed_at(self, place: Array) -> Array:
-        """Return averaged speeds at places, shape (k,) [m/s]."""
+        """Return averaged speeds at places, shape (k,), none or more [m/s]."""
+        if not len(place):
+            return np.zeros(0)
         if self.window == 0.0:
             moving = np.append(np.diff(self.arc_length) > 0.0, True)
             square = self.speed[moving] ** 2

@@ -115,7 +115,8 @@ class Contour:
         def point(at: Array) -> Array:
             return np.column_stack([np.interp(at, arc, axis) for axis in corner.T])
 
-        contour = cls(point, arc, vertices=2)
+        # Of a closed path two vertices would be one.
+        contour = cls(point, arc, vertices=max(vertices, 1001))
         grid = np.union1d(arc, np.linspace(0.0, arc[-1], vertices))
         contour._vertices = point(grid)
         contour._index()

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.signal import lfilter, lfiltic
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.config import Config, param
@@ -247,6 +246,9 @@ class ContouringAxes:
 
     def _linear(self, held: Array, position: float, velocity: float) -> tuple[Array, float]:
         """Run the loop as a filter, up to where the first limit would be met."""
+        # Here, since `step` does without: half a second that a node saves when it starts.
+        from scipy.signal import lfilter, lfiltic
+
         config = self._config
         period, (gain, damping) = config.control_period, config.loop
         denominator = [1.0, damping + gain - 2.0, 1.0 - damping]

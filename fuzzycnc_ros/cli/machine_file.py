@@ -1,0 +1,167 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A machine as the scheduling commands know it: a ROS parameter file, as the nodes read it."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Optional, TypeVar
+
+import typer
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
+    from fuzzycnc_ros.core.config import Config
+    from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+
+    SomeConfig = TypeVar('SomeConfig', bound=Config)
+
+Machine = Annotated[
+    Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
+    typer.Option(
+        metavar='FILE.yaml',
+        show_default=False,
+        help='ROS parameter file of the machine: its section feedrate_scheduler, and that of '
+        'simulated_machine for simulated errors.  Built-in defaults without it.',
+    ),
+]
+
+_NODES = ('feedrate_scheduler', 'simulated_machine')
+
+
+@dataclass(frozen=True)
+class MachineFile:
+    """What a machine file says.
+
+    Parameters
+    ----------
+    scheduler : FeedrateSchedulerConfig
+        Limits of the machine and settings of the schedulers.
+    contouring : ContouringConfig
+        The simulated machine on which contour errors are measured.
+    """
+
+    scheduler: FeedrateSchedulerConfig
+    contouring: ContouringConfig
+
+
+@dataclass
+class _Section:
+    """Parameters of a node, and in which line each of them stands."""
+
+    value: dict[str, Any] = field(default_factory=dict)
+    line: dict[str, int] = field(default_factory=dict)
+
+
+def read_machine(path: Path | None) -> MachineFile:
+    """Read a machine file; without one, return the defaults.
+
+    Raises
+    ------
+    ValueError
+        If it is none; the message names file, line and parameter.
+    """
+    from fuzzycnc_ros.components.contouring_motion import contouring_config
+    from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
+    from fuzzycnc_ros.components.host_config import HostConfig
+    from fuzzycnc_ros.components.simulated_machine_config import SimulatedMachineConfig
+
+    found = _sections(path) if path is not None else {}
+    scheduler, simulated = (found.get(node, _Section()) for node in _NODES)
+    nodes = _names(HostConfig) | {'use_sim_time'}
+    machine = _made(SimulatedMachineConfig, simulated, nodes, path)
+    try:
+        contouring = contouring_config(machine)
+    except ValueError as error:
+        raise ValueError(f'{path}: {error}') from error
+    return MachineFile(_made(FeedrateSchedulerConfig, scheduler, nodes, path), contouring)
+
+
+def _names(config: type[Config]) -> set[str]:
+    return {item.name for item in fields(config)}
+
+
+def _sections(path: Path) -> dict[str, _Section]:
+    """Return the parameters of both nodes."""
+    import yaml
+
+    try:
+        root = yaml.compose(path.read_text(encoding='utf-8'), Loader=yaml.SafeLoader)
+    except FileNotFoundError as error:
+        raise ValueError(
+            f'{path}: expected a ROS parameter file of the machine but nothing is there'
+        ) from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f'{path}: expected a ROS parameter file (YAML) but: {error}') from error
+    found: dict[str, _Section] = {}
+    for name, _, section in _items(path, root, 'sections such as feedrate_scheduler'):
+        node = name.rpartition('/')[2]
+        if node not in _NODES:
+            continue
+        for key, line, parameters in _items(path, section, 'ros__parameters'):
+            if key != 'ros__parameters':
+                raise ValueError(
+                    f'{path}: line {line}: expected ros__parameters in the section {name} but '
+                    f'found {key}'
+                )
+            target = found.setdefault(node, _Section())
+            for parameter, place, value in _items(path, parameters, 'parameters'):
+                target.value[parameter] = _value(value)
+                target.line[parameter] = place
+    if not found:
+        raise ValueError(
+            f'{path}: expected a section feedrate_scheduler or simulated_machine, as in '
+            'params/feedrate_scheduler.yaml, but found none'
+        )
+    return found
+
+
+def _items(path: Path, node: Any, wanted: str) -> list[tuple[str, int, Any]]:
+    """Return names, lines and nodes of a mapping."""
+    import yaml
+
+    if not isinstance(node, yaml.MappingNode):
+        place = '' if node is None else f' line {node.start_mark.line + 1}:'
+        raise ValueError(f'{path}:{place} expected {wanted} but found no mapping')
+    return [(str(key.value), key.start_mark.line + 1, value) for key, value in node.value]
+
+
+def _value(node: Any) -> Any:
+    """Return a value; 20e-6 is a number here as in ROS, though not in YAML 1.1."""
+    import yaml
+
+    if isinstance(node, yaml.SequenceNode):
+        return [_value(item) for item in node.value]
+    value = yaml.SafeLoader('').construct_object(node, deep=True)
+    if isinstance(value, str) and node.style is None:
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return value
+
+
+def _made(
+    kind: type[SomeConfig], section: _Section, others: set[str], path: Path | None
+) -> SomeConfig:
+    """Return the configuration of a section; `others` are parameters for somebody else."""
+    known = _names(kind)
+    for name, line in section.line.items():
+        if name not in known | others:
+            near = difflib.get_close_matches(name, known | others, 1)
+            meant = f'; did you mean {near[0]}?' if near else '; see params/*.yaml for all of them'
+            raise ValueError(f'{path}: line {line}: unknown parameter {name}{meant}')
+    try:
+        return kind(**{name: value for name, value in section.value.items() if name in known})
+    except ValueError as error:
+        raise ValueError(f'{path}:{_place(section.line, str(error))} {error}') from error
+
+
+def _place(lines: Mapping[str, int], message: str) -> str:
+    """Return the line of the first parameter that a message names."""
+    named = [lines[word] for word in re.findall(r'\w+', message) if word in lines]
+    return f' line {named[0]}:' if named else ''

@@ -1,0 +1,93 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Part programs on disk: read line by line, byte for byte, and written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+from fuzzycnc_ros.cli.console import check_folder
+
+STREAM = '-'
+"""Name of the standard streams."""
+
+
+@contextmanager
+def program_lines(path: Path) -> Iterator[Path]:
+    """Have a program as a file that can be read more than once; `-` is standard input.
+
+    Raises
+    ------
+    ValueError
+        If there is no such file.
+    """
+    if str(path) != STREAM:
+        if path.is_dir():
+            raise ValueError(f'{path}: expected a part program but found a directory')
+        if not path.exists():
+            raise ValueError(f'{path}: expected a part program but nothing is there')
+        yield path
+        return
+    with tempfile.NamedTemporaryFile(prefix='fuzzycnc-', suffix='.ngc') as copy:
+        shutil.copyfileobj(sys.stdin.buffer, copy)
+        copy.flush()
+        yield Path(copy.name)
+
+
+def open_program(path: Path) -> IO[str]:
+    """Open a program so that writing its lines gives back every byte."""
+    return open(path, encoding='utf-8', errors='surrogateescape', newline='')
+
+
+def check_output(program: Path, out: Path, in_place: bool) -> None:
+    """Refuse an output before the work begins.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be written, or is the program itself and nobody said so.
+    """
+    if str(out) == STREAM:
+        return
+    check_folder(out)
+    if out.is_dir():
+        raise ValueError(f'--out {out}: expected a file but found a directory')
+    if not os.access(out if out.exists() else out.absolute().parent, os.W_OK):
+        raise ValueError(f'--out {out}: expected a file that may be written; choose another one')
+    if not in_place and program.exists() and out.exists() and program.samefile(out):
+        raise ValueError(
+            f'--out {out}: expected another file than the program itself; choose another name, '
+            'or say --in-place'
+        )
+
+
+@contextmanager
+def new_program(out: Path) -> Iterator[IO[str]]:
+    """Write a program that appears at the end of the block, whole; after an error not at all."""
+    if str(out) == STREAM:
+        with tempfile.TemporaryFile(
+            'w+', encoding='utf-8', errors='surrogateescape', newline=''
+        ) as file:
+            yield file
+            file.seek(0)
+            sys.stdout.flush()
+            shutil.copyfileobj(file.buffer, sys.stdout.buffer)
+            sys.stdout.buffer.flush()
+        return
+    part = out.with_name(f'.{out.name}.{secrets.token_hex(4)}')
+    try:
+        with open(part, 'x', encoding='utf-8', errors='surrogateescape', newline='') as file:
+            yield file
+        os.replace(part, out)
+    except BaseException:
+        with suppress(FileNotFoundError):
+            part.unlink()
+        raise

@@ -1,0 +1,121 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The paths that a simulated machine loads by itself: it plays the operator."""
+
+from collections.abc import Sequence
+
+from fuzzycnc_ros.components.records import ToolPath, nanoseconds
+from fuzzycnc_ros.components.tool_paths import curve_tool_path
+from fuzzycnc_ros.core.feedrate.curves import CURVES, SHEET_SCALES
+
+_USUAL_SPEED = 0.02
+"""Speed along a path that progress is told by, before anything is known [m/s]."""
+
+
+class PathProgramme:
+    """Curves of the literature, loaded one after the other.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Curves of `core.feedrate.curves`, at the method sheet's scales.
+    feed : float
+        Programmed feed [m/s].
+    timeout : float
+        Time to wait for a trajectory before the programme is given up [s].
+
+    Attributes
+    ----------
+    failure : str
+        Why the programme was given up; empty if it was not.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown.
+    """
+
+    def __init__(self, names: Sequence[str], *, feed: float, timeout: float) -> None:
+        unknown = [name for name in names if name not in CURVES]
+        if unknown:
+            raise ValueError(
+                f'paths: expected names among {", ".join(CURVES)} but found {", ".join(unknown)}'
+            )
+        self._curves = [CURVES[name](SHEET_SCALES[name]) for name in names]
+        self._ids = [_unique(names, index) for index in range(len(names))]
+        self._feed, self._timeout = feed, nanoseconds(timeout)
+        self._number = -1
+        self._since = 0
+        self.failure = ''
+
+    @property
+    def over(self) -> bool:
+        """Whether all paths were followed or the programme was given up."""
+        return bool(self.failure) or self._number >= len(self._ids)
+
+    @property
+    def path_id(self) -> str:
+        """Path that is loaded; empty if none is."""
+        return self._ids[self._number] if 0 <= self._number < len(self._ids) else ''
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a path is loaded and its trajectory to be waited for."""
+        return bool(self.path_id) and not self.failure
+
+    def load_next(self, stamp: int, frame_id: str) -> ToolPath | None:
+        """Go on to the next path; return it, None if there is none left."""
+        self._number += 1
+        self._since = stamp
+        if self.over:
+            return None
+        return curve_tool_path(
+            self._curves[self._number],
+            path_id=self.path_id,
+            feed=self._feed,
+            stamp=stamp,
+            frame_id=frame_id,
+        )
+
+    def wait(self, stamp: int, status: str, *, busy: bool) -> None:
+        """Give up if the machine has been without a trajectory for too long.
+
+        Parameters
+        ----------
+        stamp : int
+            Machine time [ns].
+        status : str
+            What became of the trajectory, for the message.
+        busy : bool
+            Whether a trajectory is being followed.
+        """
+        if busy:
+            self._since = stamp
+        elif self.waiting and stamp - self._since >= self._timeout:
+            self.failure = (
+                f'path {self.path_id} was not followed to its end: no trajectory for '
+                f'{1e-9 * self._timeout:g} s of machine time ({status}); is feedrate_scheduler '
+                'active?'
+            )
+
+    def ticks(self, period: float) -> int:
+        """Return about how many periods [s] the whole programme takes."""
+        return sum(self._usual_ticks(period))
+
+    def ticks_done(self, period: float, arc_length: float) -> int:
+        """Return how many of them are over at a place on the present path [m]."""
+        usual = self._usual_ticks(period)
+        before = sum(usual[: max(self._number, 0)])
+        if not self.path_id:
+            return before
+        part = min(arc_length / self._curves[self._number].length, 1.0)
+        return before + int(part * usual[self._number])
+
+    def _usual_ticks(self, period: float) -> list[int]:
+        return [round(curve.length / _USUAL_SPEED / period) for curve in self._curves]
+
+
+def _unique(names: Sequence[str], index: int) -> str:
+    """Return the name of a path; one that is loaded again gets a number."""
+    count = list(names[:index]).count(names[index])
+    return f'{names[index]}_{count + 1}' if count else names[index]

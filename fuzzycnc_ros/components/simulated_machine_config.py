@@ -1,0 +1,80 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of `simulated_machine`."""
+
+from dataclasses import dataclass
+
+from fuzzycnc_ros.components.contouring_motion import axis_param
+from fuzzycnc_ros.core.config import Config, param
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedMachineConfig(Config):
+    """Parameters of `simulated_machine`."""
+
+    duties: tuple[str, ...] = param(
+        ('T2',), '-', 'Duties to run, one a day, each from cold: D0, D0b, T1, T2, T3'
+    )
+    paths: tuple[str, ...] = param(
+        (), '-', 'Paths to load after the duties, one by one: infinity, trident, butterfly'
+    )
+    path_feed: float = param(0.2, 'm/s', 'Programmed feed of these paths', low=1e-6, high=10.0)
+    path_timeout: float = param(
+        60.0,
+        's',
+        'Machine time without a trajectory for a path after which the run ends',
+        low=0.1,
+        high=86400.0,
+    )
+    duty_duration: float = param(
+        0.0, 's', 'Time after which each duty is cut off; 0 runs it whole', low=0.0, high=864000.0
+    )
+    seed: int = param(0, '-', 'Seed of all measuring noise', low=0, high=2**31 - 1)
+    tick_period: float = param(
+        12.0, 's', 'Machine time between two sets of readings', low=0.1, high=60.0
+    )
+    rate: float = param(
+        1.0, '-', 'Speed of machine time without lock-step; 1 is real time', low=0.01, high=1e4
+    )
+    displacement_interval: float = param(
+        60.0, 's', 'Machine time between two displacement measurements', low=0.1, high=3600.0
+    )
+    sensor_faults: tuple[str, ...] = param(
+        (), '-', 'Sensor faults as sensor:kind:start[:value], start in s after a duty began'
+    )
+    offset_max: float = param(
+        60e-6, 'm', "The machine's own limit of an offset", low=1e-6, high=1e-3
+    )
+    slew_max: float = param(
+        0.5e-6, 'm/s', "The machine's own limit of an offset's change", low=1e-9, high=1e-3
+    )
+    axis_interpolation_period: float = axis_param('interpolation_period')
+    axis_control_steps: int = axis_param('control_steps')
+    axis_filter_samples: int = axis_param('filter_samples')
+    axis_position_gain: float = axis_param('position_gain')
+    axis_velocity_bandwidth: float = axis_param('velocity_bandwidth')
+    axis_velocity_max: float = axis_param('velocity_max')
+    axis_acceleration_max: float = axis_param('acceleration_max')
+    axis_run_out: float = axis_param('run_out')
+    lockstep_nodes: tuple[str, ...] = param(
+        ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator'),
+        '-',
+        'Nodes of the run: in lock-step they get turns in this order, else the start awaits them',
+    )
+    start_timeout: float = param(
+        10.0,
+        's',
+        'Wall time after which a run without lock-step starts without nodes that are missing',
+        low=0.0,
+        high=600.0,
+    )
+    lockstep_recorder: bool = param(
+        False, '-', 'Whether the run starts with a recorder, and in lock-step waits for it'
+    )
+    answer_timeout: float = param(
+        1.0,
+        's',
+        'Wall time after which a silent node of a lock-step run is lost',
+        low=0.05,
+        high=60.0,
+    )

@@ -1,0 +1,105 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node `feedrate_scheduler`: service `schedule_program`, and time in which no path arrives.
+
+In real time nothing drives this node between two paths, so it works up to the present by itself:
+what it has heard meanwhile does not pile up, and a request finds it at the present machine time.
+Where that makes the component act it is written down as `deadline_fired`, so that a replay
+repeats it.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+
+from fuzzycnc_msgs.srv import ScheduleProgram
+from fuzzycnc_ros.components.component import Answer
+from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
+from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.records import DeadlineFired, nanoseconds
+from fuzzycnc_ros.convert import encode
+from fuzzycnc_ros.nodes import run
+from fuzzycnc_ros.nodes.host import DEADLINE_POLL
+from fuzzycnc_ros.nodes.managed import ManagedComponentNode
+from fuzzycnc_ros.nodes.messages import RCLPY
+from fuzzycnc_ros.nodes.timers import wall_timer
+
+LAG = 0.02
+"""How far behind the present the node works [s]: messages take their time to arrive."""
+
+
+class FeedrateSchedulerNode(ManagedComponentNode):
+    """Serve the scheduler and its service."""
+
+    component: FeedrateScheduler
+
+    def __init__(self) -> None:
+        super().__init__(FeedrateScheduler)
+        self.node.create_service(ScheduleProgram, 'schedule_program', self._on_program)
+        config = self.component.configuration
+        assert isinstance(config, FeedrateSchedulerConfig)
+        # A part must leave well before its start.
+        often = 0.25 * min(config.lead, config.chunk)
+        if not self.settings.lockstep and often < DEADLINE_POLL:
+            wall_timer(self.node, often, self._poll_deadline)
+
+    def request(self, name: str, arguments: Mapping[str, Any]) -> Answer:
+        """Carry out a request at the present machine time."""
+        self._work_to_now(note=True)
+        return super().request(name, arguments)
+
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        self._work_to_now(note=True)
+        return super()._on_parameters(parameters)
+
+    def _poll_deadline(self) -> None:
+        """Real time: work up to now."""
+        self._work_to_now()
+
+    def _work_to_now(self, *, note: bool = False) -> None:
+        """Work up to now in real time, and write down how far if something follows from it."""
+        if self.settings.lockstep:
+            return
+        now = self._now() - nanoseconds(LAG)
+        emissions = self.merger.advance(max(now, self.merger.time))
+        self.publish(emissions)
+        if emissions or note:
+            record = DeadlineFired(
+                stamp=self.merger.time,
+                frame_id=self.component.frame('machine'),
+                node=self.node.get_name(),
+            )
+            self._deadlines.publish(encode(record, RCLPY))
+
+    def _on_program(
+        self, request: ScheduleProgram.Request, response: ScheduleProgram.Response
+    ) -> ScheduleProgram.Response:
+        arguments = {
+            'program': request.program,
+            'units': request.units,
+            'path_id': request.path_id,
+            'run': bool(request.run),
+        }
+        answer = self.request('schedule_program', arguments)
+        response.success, response.message = answer.success, answer.message
+        response.duration = float('nan')
+        found = self.component.scheduled
+        if answer.success and found is not None:
+            response.program, response.duration = found.program, found.duration
+        return response
+
+
+def make() -> FeedrateSchedulerNode:
+    """Create the node."""
+    return FeedrateSchedulerNode()
+
+
+def main() -> None:
+    """Run the node until it is interrupted."""
+    run.main(make)
+
+
+if __name__ == '__main__':
+    main()

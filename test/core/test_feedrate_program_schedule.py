@@ -1,0 +1,387 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Part programs scheduled: a feed for each block, times within limits, streams of any length."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fuzzycnc_ros.components.feedrate_scheduler_config import (
+    FeedrateSchedulerConfig,
+    make_scheduler,
+)
+from fuzzycnc_ros.core.feedrate import program_feeds, program_run
+from fuzzycnc_ros.core.feedrate.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.program import (
+    ArcSegment,
+    ProgramReader,
+    read_program,
+    strip_feeds,
+    write_program,
+)
+from fuzzycnc_ros.core.feedrate.program_motion import rest_to_rest, straight_time
+from fuzzycnc_ros.core.feedrate.program_schedule import (
+    ProgramScheduler,
+    ProgramSettings,
+    schedule_program,
+)
+from fuzzycnc_ros.core.feedrate.schedulers import ConstantFeed, ConstantNormalAcceleration
+from fuzzycnc_ros.core.feedrate.trajectory import limit_motion
+
+LIMITS = MotionLimits(
+    path_velocity=0.25, path_acceleration=1.5, velocity=(0.25,) * 3, acceleration=(4.0,) * 3
+)
+SIDEWAYS = 0.05
+"""Normal acceleration of the scheduler in most tests [m/s^2]."""
+
+ROUTE = 'F6000\nG1 X30\nG2 X40 I5\nG1 X70\n'
+"""A line, half a circle of 5 mm to its side, another line: two corners."""
+
+FILES = [
+    'ccby-5axis/Keychain_Schluesselanhaenger.mpf',
+    'ccby-5axis/Bottle_opener_Flaschenoeffner.txt',
+    'ccby-5axis/Coordinate_system_representation_Achskreuz.mpf',
+    'ugs/Gates_combined_R12.nc',
+    'ugs/arc_rword_test.gcode',
+    'ugs/comments.gcode',
+    'ugs/g17-g18-g19.gcode',
+    'ugs/no_spaces.gcode',
+    'ugs/rotation.ngc',
+    'ugs/spiral.gcode',
+]
+
+LONG = ['ugs/Gates_combined_R12.nc', 'ugs/rotation.ngc']
+
+
+def made(scheduler=None, **changes):
+    """Settings whose scheduler keeps a normal acceleration."""
+    law = ConstantNormalAcceleration(feed_max=0.2, normal_acceleration=SIDEWAYS)
+    return ProgramSettings(**{'scheduler': scheduler or law, 'limits': LIMITS, **changes})
+
+
+def feeds(text, **changes):
+    """Feeds of the blocks of a program that have one [m/s]."""
+    found = schedule_program(read_program(text), made(**changes)).feeds
+    return found[~np.isnan(found)]
+
+
+def on_circle(count, radius=20.0, feed=12000):
+    """A polyline on a full circle [mm]."""
+    angle = np.linspace(0.0, 2.0 * math.pi, count + 1)
+    lines = [f'X{radius * math.cos(a):.6f} Y{radius * math.sin(a):.6f}' for a in angle.tolist()]
+    return f'G0 {lines[0]} Z0\nG1 F{feed}\n' + '\n'.join(lines[1:]) + '\n'
+
+
+def random_program(seed, blocks=60):
+    """Lines, arcs, helices and rapids, with a tangent now and then."""
+    generator = np.random.default_rng(seed)
+    lines = ['G0 X0 Y0 Z0 F3000', 'G91']
+    for _ in range(blocks):
+        x, y, z = generator.uniform(-6.0, 6.0, 3).round(3).tolist()
+        kind = generator.integers(0, 8)
+        if kind < 4:
+            lines.append(f'G1 X{x} Y{y}')
+        elif kind < 6:
+            lines.append(f'G{2 + kind % 2} X{x} Y{y} R{0.5 * math.hypot(x, y) + 1.0:.3f}')
+        elif kind == 6:
+            lines.append(f'G2 I{abs(x) + 0.5} J{y} Z{z}')
+        else:
+            lines.append(
+                f'G0 Z{z}' if generator.integers(0, 2) else f'G1 F{1500 + 500 * abs(z):.0f}'
+            )
+    return '\n'.join(lines) + '\n'
+
+
+def test_lines_keep_the_feed_of_the_program_and_arcs_that_of_their_curvature():
+    for blend in (0.0, 1e-5):
+        line, arc, last = feeds(ROUTE, blend=blend)
+        assert line == last == pytest.approx(0.1, rel=1e-12)
+        assert arc == pytest.approx(math.sqrt(SIDEWAYS * 5e-3), rel=2e-3)
+
+
+def test_a_bend_that_goes_on_without_a_corner_slows_the_arc_alone():
+    text = 'F6000\nG1 X30\nG3 X35 Y5 J5\nG1 Y35\nG3 X30 Y40 I-5\nG1 X0\n'
+    found = schedule_program(read_program(text), made())
+    assert found.times.stops == 1
+    slow = math.sqrt(SIDEWAYS * 5e-3)
+    assert found.feeds == pytest.approx([0.1, slow, 0.1, slow, 0.1], rel=2e-3)
+
+
+def test_a_dense_polyline_is_as_slow_as_its_circle_where_corners_are_blended():
+    round_feed = math.sqrt(SIDEWAYS * 0.02)
+    dense = feeds(on_circle(400), blend=1e-5)[1:-1]
+    assert dense.min() > 0.8 * round_feed
+    assert dense.max() < 1.25 * round_feed
+    assert feeds(on_circle(400)) == pytest.approx(np.full(400, 0.2), rel=1e-9)  # stops
+    square = 'F6000\nG1 X30\nY30\nX0\nY0\n'
+    assert feeds(square, blend=1e-5) == pytest.approx(np.full(4, 0.1), rel=1e-9)
+
+
+def test_a_curve_whose_end_is_sharpest_runs_with_the_feed_of_its_end():
+    # a quarter of an ellipse with half axes of 20 and 2 mm: sharpest where it leaves X
+    weight = 0.5 * math.sqrt(2.0)
+    text = f'G0 X0 Y2\nF12000\nG5.2 P1 L3\nX20 Y2 P{weight}\nX20 Y0 P1\nG5.3\nG1 X50\n'
+    curve, line = feeds(text)
+    radius = 0.002**2 / 0.02
+    assert curve == pytest.approx(math.sqrt(SIDEWAYS * radius), rel=0.02)
+    assert line == pytest.approx(0.2, rel=1e-9)
+
+
+@settings(deadline=None, max_examples=15)
+@given(seed=st.integers(0, 10_000), blend=st.sampled_from([0.0, 1e-5, 1e-4]))
+def test_no_block_runs_faster_than_the_program_or_the_scheduler_say(seed, blend):
+    program = read_program(random_program(seed))
+    found = schedule_program(program, made(blend=blend))
+    slow = math.sqrt(SIDEWAYS)
+    for segment, feed in zip(program.segments, found.feeds.tolist(), strict=True):
+        assert segment.schedulable is not math.isnan(feed)
+        if segment.schedulable:
+            assert 2e-5 <= feed <= segment.feed * (1.0 + 1e-12)
+            if isinstance(segment, ArcSegment):
+                assert feed <= 1.01 * slow / math.sqrt(float(segment.curvatures(4).max()))
+    assert found.times.duration >= found.times.programmed * (1.0 - 1e-3)
+    written = write_program(program, found.feeds)
+    assert strip_feeds(written) == strip_feeds(program.text)
+
+
+@pytest.mark.parametrize('blend', [0.0, 1e-5])
+@pytest.mark.parametrize('method', ['log_fuzzy', 'fuzzy', 'normal_acceleration', 'look_ahead'])
+def test_a_stream_of_small_parts_gives_what_large_ones_give(monkeypatch, method, blend):
+    law = make_scheduler(FeedrateSchedulerConfig(method=method))
+    program = read_program(random_program(3, blocks=80) + 'G90\n' + on_circle(150))
+    whole = schedule_program(program, made(law, blend=blend))
+    for chunk in (11, 40):
+        monkeypatch.setattr(program_run, 'CHUNK', chunk)
+        parts = schedule_program(program, made(law, blend=blend))
+        assert len(parts.paths) > len(whole.paths)
+        assert np.allclose(parts.feeds, whole.feeds, rtol=1e-9, atol=0.0, equal_nan=True)
+        assert parts.times.duration == pytest.approx(whole.times.duration, rel=1e-9)
+        assert parts.times.programmed == pytest.approx(whole.times.programmed, rel=1e-9)
+
+
+@pytest.mark.parametrize('blend', [0.0, 1e-5])
+def test_a_long_program_is_read_no_farther_ahead_than_the_scheduler_looks(monkeypatch, blend):
+    chunk, taken = 128, 0
+    monkeypatch.setattr(program_run, 'CHUNK', chunk)
+    monkeypatch.setattr(program_feeds, 'GROUP', chunk)
+
+    def lines():
+        nonlocal taken
+        for line in on_circle(4000, radius=80.0).splitlines(keepends=True):
+            taken += 1
+            yield line
+
+    law = make_scheduler(FeedrateSchedulerConfig())
+    scheduler = ProgramScheduler(made(law, blend=blend))
+    ahead = 0
+    for done, _ in enumerate(scheduler.schedule(ProgramReader().blocks(lines()))):
+        ahead = max(ahead, taken - done)
+    assert taken > 4000
+    assert ahead < 5 * chunk
+
+
+def test_neighbours_whose_feeds_are_close_share_the_lowest():
+    text = 'F12000 G91\n' + ''.join(
+        f'G3 X{2.0 * radius:.3f} I{radius:.3f}\n' for radius in (5.0, 5.1, 5.2, 8.0, 7.9)
+    )
+    alone = feeds(text, feed_step=0.0)
+    assert np.diff(alone[:4]).min() > 0.0
+    low, high = alone[0], alone[4]
+    assert feeds(text, feed_step=0.05).tolist() == [low, low, low, high, high]
+    assert feeds(text, feed_step=0.5).tolist() == [low] * 5
+
+
+def test_the_override_lifts_the_bound_of_the_program_and_never_the_tolerance():
+    slow = math.sqrt(SIDEWAYS * 5e-3)
+    for override, line, arc in ((0.5, 0.05, 0.5 * slow), (1.5, 0.15, slow)):
+        found = feeds(ROUTE, override=override)
+        assert found == pytest.approx([line, arc, line], rel=2e-3)
+    even = ConstantFeed(feed_max=0.2)
+    assert feeds(ROUTE, scheduler=even, override=1.5) == pytest.approx([0.15] * 3, rel=1e-9)
+
+
+def test_another_bound_takes_the_place_of_the_feed_words():
+    slow = math.sqrt(SIDEWAYS * 5e-3)
+    assert feeds(ROUTE, feed=0.02) == pytest.approx([0.02, slow, 0.02], rel=2e-3)
+    program = read_program(ROUTE)
+    free = schedule_program(program, made(feed=0.2)).times
+    bound = schedule_program(program, made()).times
+    assert free.duration < bound.duration
+    assert free.programmed == pytest.approx(bound.programmed, rel=1e-9)
+
+
+def test_an_axis_that_is_slow_bounds_the_feed():
+    limits = MotionLimits(path_velocity=0.25, path_acceleration=1.5, velocity=(0.25, 0.25, 0.01))
+    assert feeds('F12000\nG1 X30\nX60 Z30\nZ60\n', limits=limits) == pytest.approx(
+        [0.2, 0.01 * math.sqrt(2.0), 0.01], rel=1e-9
+    )
+
+
+def test_times_are_those_of_trapezoids_between_stops():
+    # 30 mm at 0.1 m/s and 1.5 m/s^2 from rest to rest, four times
+    one = 0.03 / 0.1 + 0.1 / 1.5
+    text = 'G0 X0 Y0 Z0 F6000\nG1 X30\nY30\nX0\nY0\n'
+    found = schedule_program(read_program(text), made()).times
+    assert found.duration == pytest.approx(4.0 * one, rel=1e-12)
+    assert (found.stops, found.chosen, found.blocks) == (4, 4, 5)
+    rested = schedule_program(read_program(text), made(settle=0.2)).times
+    assert rested.duration == pytest.approx(4.0 * (one + 0.2), rel=1e-12)
+    blended = schedule_program(read_program(text), made(blend=1e-3)).times
+    assert blended.stops == 1
+    assert blended.programmed < found.programmed
+
+
+def test_what_is_not_scheduled_counts_as_well():
+    text = 'G0 X0 Y0 Z0\nG1 X30 F6000\nG0 Z10\nG4 P1.5\nG1 X0 A90\nG93 G1 X5 F2\nG94\nG0 Z=Q1\n'
+    found = schedule_program(read_program(text), made()).times
+    assert found.rapid == pytest.approx(2.0 * math.sqrt(0.01 / 4.0), rel=1e-12)
+    assert found.dwell == 1.5
+    assert found.kept == pytest.approx(0.03 / 0.1, rel=1e-12)
+    assert found.untimed == 1  # G93; where Z goes at last is no motion of the program's
+    line = 0.03 / 0.1 + 0.1 / 1.5
+    assert found.duration == pytest.approx(line + found.rapid + 1.5 + found.kept, rel=1e-12)
+    assert found.programmed == pytest.approx(found.duration, rel=1e-12)
+
+
+def test_the_time_of_a_whole_path_is_that_of_the_motion_along_it():
+    for seed, blend in ((1, 0.0), (2, 1e-5), (5, 1e-4)):
+        found = schedule_program(read_program(random_program(seed)), made(blend=blend))
+        time = found.times.rapid
+        run = []
+        for part in [*found.paths, None]:
+            if run and (part is None or part.first):
+                assert len(run) == 1
+                time += limit_motion(
+                    run[0].path.geometry, run[0].feed, LIMITS, feed_max=0.25
+                ).duration
+                run = []
+            run.append(part)
+        assert found.times.duration == pytest.approx(time, rel=0.02)
+        assert found.times.duration <= time * (1.0 + 1e-6)
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    length=st.floats(1e-5, 1.0),
+    speed=st.floats(1e-3, 1.0),
+    rise=st.floats(0.1, 10.0),
+    jolt=st.floats(1.0, 1e4),
+)
+def test_the_shortest_time_with_jerk_covers_its_way(length, speed, rise, jolt):
+    limits = MotionLimits(path_velocity=speed, path_acceleration=rise, path_jerk=jolt)
+    (time,) = straight_time(np.array([[length, 0.0]]), np.array([math.inf]), limits)
+    # the profile by integrating its jerk: up, hold, down, cruise and the same mirrored
+    build = min(rise / jolt, math.sqrt(speed / jolt), (0.5 * length / jolt) ** (1.0 / 3.0))
+    top = jolt * build
+    hold = 0.0
+    if math.isclose(build, rise / jolt):
+        full = max(speed / top - build, 0.0)
+        short = -1.5 * build + math.sqrt(0.25 * build**2 + length / top)
+        hold = max(min(full, short), 0.0)
+    reached = top * (build + hold)
+    way = reached * (2.0 * build + hold)
+    cruise = (length - way) / reached
+    assert cruise >= -1e-9 * time
+    assert time == pytest.approx(2.0 * (2.0 * build + hold) + cruise, rel=1e-6)
+
+
+def test_rapids_heed_the_axes_and_not_the_path():
+    slow = MotionLimits(
+        path_velocity=0.01, path_acceleration=0.1, velocity=(0.25,) * 3, acceleration=(4.0,) * 3
+    )
+    start, end = [0.0, 0.0, 0.0], [0.3, 0.3, 0.0]
+    assert rest_to_rest(start, end, slow) == pytest.approx(0.3 / 0.25 + 0.25 / 4.0, rel=1e-12)
+    assert math.isnan(rest_to_rest(start, [math.nan, 0.0, 0.0], slow))
+    assert rest_to_rest(start, start, slow) == 0.0
+
+
+def test_limits_of_jerk_cost_time():
+    program = read_program(on_circle(60) + ROUTE)
+    hard = schedule_program(program, made()).times
+    soft = schedule_program(
+        program,
+        made(limits=MotionLimits(path_velocity=0.25, path_acceleration=1.5, path_jerk=50.0)),
+    ).times
+    assert soft.duration > 1.05 * hard.duration
+    assert soft.programmed > 1.05 * hard.programmed
+
+
+@pytest.mark.parametrize('tolerance', [1e-6, 1e-5, 1e-4])
+def test_the_error_to_expect_keeps_the_tolerance(tolerance):
+    law = make_scheduler(FeedrateSchedulerConfig(tolerance=tolerance))
+    program = read_program(random_program(8) + 'G90 G0 X20 Y0 Z0\nG91 G3 I-20\nG1 X20\nG2 I0.4\n')
+    times = schedule_program(program, made(law)).times
+    assert 0.3 * tolerance < times.error <= 1.02 * tolerance
+    assert times.programmed_error > times.error
+
+
+@pytest.mark.parametrize('method', ['jerk_limited', 'look_ahead', 'chord_error', 'constant'])
+def test_every_scheduler_schedules_programs(method):
+    law = make_scheduler(FeedrateSchedulerConfig(method=method))
+    found = schedule_program(read_program(random_program(4)), made(law))
+    assert 0.0 < found.times.programmed <= found.times.duration * (1.0 + 1e-3)
+
+
+def test_blocks_without_a_length_pass():
+    text = 'F6000\nG1 X10\nX10\nM8\n\nX20\nX20.0000000001\nX30\n'
+    program = read_program(text)
+    found = schedule_program(program, made())
+    assert found.feeds[~np.isnan(found.feeds)] == pytest.approx(0.1, rel=1e-9)
+    assert write_program(program, found.feeds) == text
+
+
+def test_many_lines_without_motion_end_a_run():
+    quiet = program_run.QUIET
+    text = 'F6000\nG1 X10\n' + 'M8\n' * (quiet + 5) + 'X20\n'
+    found = schedule_program(read_program(text), made())
+    assert [part.first for part in found.paths] == [True, True]
+    assert found.times.duration == pytest.approx(2.0 * (0.01 / 0.1 + 0.1 / 1.5), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [('override', 0.0), ('feed', -1.0), ('blend', -1e-6), ('settle', math.nan), ('feed_step', -1)],
+)
+def test_settings_out_of_range_are_refused(name, value):
+    with pytest.raises(ValueError, match=f'{name}: expected a number'):
+        made(**{name: value})
+
+
+@pytest.fixture(scope='module')
+def gcode(data):
+    return data / 'gcode'
+
+
+def shape(part):
+    """All that a segment's path is made of."""
+    bent = (*part.centre, part.sweep) if isinstance(part, ArcSegment) else ()
+    return (*part.start, *part.end, *bent)
+
+
+@pytest.mark.parametrize('blend', [0.0, 1e-5])
+@pytest.mark.parametrize(
+    'name',
+    [pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in FILES],
+)
+def test_a_real_program_keeps_its_path(gcode, name, blend):
+    text = (gcode / name).read_bytes().decode('utf-8', errors='surrogateescape')
+    program = read_program(text)
+    law = make_scheduler(FeedrateSchedulerConfig())
+    found = schedule_program(program, made(law, blend=blend))
+    written = write_program(program, found.feeds)
+    assert strip_feeds(written) == strip_feeds(text)
+    again = read_program(written)
+    assert len(again.segments) == len(program.segments)
+    for old, new in zip(program.segments, again.segments, strict=True):
+        assert type(old) is type(new)
+        assert np.allclose(shape(old), shape(new), rtol=0.0, atol=1e-12, equal_nan=True)
+        if old.schedulable:
+            assert new.feed <= old.feed * (1.0 + 1e-8)
+    times = found.times
+    assert times.chosen == sum(segment.schedulable for segment in program.segments)
+    assert times.blocks == len(program.blocks)
+    assert times.duration >= times.programmed * (1.0 - 1e-3)
+    assert times.error <= 1.5e-5

@@ -1,0 +1,43 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""When the simulated machine ticks without lock-step."""
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(scope='module')
+def pace_of():
+    """The class; its module needs rclpy."""
+    pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
+    from fuzzycnc_ros.nodes.simulated_machine import Pace
+
+    return Pace
+
+
+SECOND = 1_000_000_000
+
+
+@pytest.mark.parametrize('rate', [0.5, 1.0, 1000.0])
+def test_machine_time_passes_at_its_rate(pace_of, rate):
+    pace = pace_of(rate, 7 * SECOND, 100.0)
+    assert pace.due(7 * SECOND) == 100.0
+    assert pace.due(19 * SECOND) == pytest.approx(100.0 + 12.0 / rate)
+    assert pace.due(7 * SECOND + 1_000_000) == pytest.approx(100.0 + 1e-3 / rate)
+
+
+def test_late_ticks_are_counted_and_caught_up(pace_of):
+    pace = pace_of(1.0, 0, 100.0)
+    for tick, wall in ((1, 101.0), (2, 102.005), (3, 103.5), (4, 104.0)):
+        pace.count(tick * SECOND, wall)
+    assert pace.late == 1
+    assert pace.due(5 * SECOND) == 105.0  # the late one moves no other
+
+
+def test_time_goes_on_from_the_last_tick_where_a_long_one_is_broken_off(pace_of):
+    pace = pace_of(1.0, 0, 100.0)
+    assert pace.due(1_000_000) < 107.0
+    pace.resume(0, 107.0)
+    assert pace.due(1_000_000) == pytest.approx(107.001)
+    assert pace.due(12 * SECOND) == pytest.approx(119.0)
