@@ -14,7 +14,12 @@ from fuzzycnc_ros.components.feedrate_scheduler_config import (
     make_scheduler,
 )
 from fuzzycnc_ros.components.records import FeedSchedule, Floats, Trajectory, nanoseconds
-from fuzzycnc_ros.components.tool_paths import ToolPathSegments
+from fuzzycnc_ros.components.tool_paths import (
+    ToolPathSegments,
+    curve_tool_path,
+    tool_path_segments,
+)
+from fuzzycnc_ros.core.feedrate.curves import trident
 from fuzzycnc_ros.core.feedrate.planner import Planner, PlannerSettings
 from fuzzycnc_ros.core.feedrate.planner_motion import PlannedSamples
 from fuzzycnc_ros.core.feedrate.program import LineSegment
@@ -69,6 +74,26 @@ def planner_settings(config: FeedrateSchedulerConfig) -> PlannerSettings:
         window=config.jerk_window or None,
         settle=config.settle,
     )
+
+
+def rehearse(config: FeedrateSchedulerConfig) -> None:
+    """Plan a small path and throw it away: all code and tables are there when one is to be run.
+
+    The first plan of a process takes some tenths of a second, the following ones milliseconds;
+    in real time they would make the first part of a path late.
+
+    Raises
+    ------
+    ValueError
+        If the parameters do not fit each other.
+    """
+    path = curve_tool_path(
+        trident(0.01), path_id='rehearsal', feed=config.feed_max, stamp=0, frame_id=''
+    )
+    run = PathRun(
+        Header('rehearsal', 0, ''), tool_path_segments(path), np.zeros(3), config, start=0
+    )
+    run.send(0)
 
 
 class PathRun:

@@ -24,7 +24,7 @@ from fuzzycnc_ros.components.component import (
     Level,
     Output,
 )
-from fuzzycnc_ros.components.feedrate_run import Header, PathRun
+from fuzzycnc_ros.components.feedrate_run import Header, PathRun, rehearse
 from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.program_request import ScheduledProgram, schedule_text
 from fuzzycnc_ros.components.records import (
@@ -205,6 +205,10 @@ class FeedrateScheduler(Component):
     def _activate(self) -> Answer:
         if self._active:
             return Answer(False, 'already active')
+        try:
+            rehearse(self._config)
+        except ValueError as error:
+            return Answer(False, str(error))
         self._active = True
         self._epoch = 0
         self._lost = ''

@@ -85,6 +85,16 @@ class TrajectoryStatus(IntEnum):
     REFUSED = 4
 
 
+class ServoStatus(IntEnum):
+    """What the position controllers do, `ServoState.STATUS_*`."""
+
+    INACTIVE = 0
+    RESTING = 1
+    MOVING = 2
+    FOLLOWING = 3
+    FAULT = 4
+
+
 class SegmentKind(IntEnum):
     """Kind of a segment of a tool path, `ToolPath.KIND_*`."""
 
@@ -346,6 +356,46 @@ class AxisState(Record):
     reference: Floats
     position: Floats
     velocity: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AxisCommand(Record):
+    """What the drives of the axes shall do until the next command."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/AxisCommand'
+
+    epoch: int
+    axis: Names
+    duty: Floats
+    valid_until: Stamp
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PositionCommand(Record):
+    """Where axes shall go, each from where it is and to rest there."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/PositionCommand'
+
+    axis: Names
+    position: Floats
+    velocity: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ServoState(Record):
+    """What the position controllers of the axes do."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ServoState'
+
+    epoch: int
+    status: int
+    reason: str
+    axis: Names
+    reference: Floats
+    error: Floats
+    disturbance: Floats
+    saturated: Bools
+    missed: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

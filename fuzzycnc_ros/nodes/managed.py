@@ -50,7 +50,11 @@ class ManagedNode(LifecycleNode):
         return SUCCESS
 
     def _request(self, name: str, state: str) -> Any:
-        if self.host is None or not self.host.request(name, {}).success:
+        if self.host is None:
+            return FAILURE
+        answer = self.host.request(name, {})
+        if not answer.success:
+            self.get_logger().error(f'{name} refused: {answer.message}')
             return FAILURE
         return self._announce(state)
 

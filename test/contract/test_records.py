@@ -51,6 +51,7 @@ ENUMS = [
     ('ToolPath', 'KIND', records.SegmentKind),
     ('ToolPath', 'JUNCTION', records.Junction),
     ('TrajectoryState', 'STATUS', records.TrajectoryStatus),
+    ('ServoState', 'STATUS', records.ServoStatus),
 ]
 CASES = ('ordinary', 'empty', 'extreme')
 

@@ -271,3 +271,12 @@ def test_work_in_other_turns_gives_the_same_parts():
 def test_configuration_that_makes_no_sense_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         FeedrateSchedulerConfig(**changes)
+
+
+def test_parts_shorter_than_a_piece_of_the_path():
+    """With limits of jerk too; a part may lie between two nodes of the path."""
+    config = replace(CONFIG, chunk=0.02, lead=0.05, axis_jerk=(100.0, 100.0, 100.0))
+    rig = Rig(config)
+    rig.run(path_of(SMALL))
+    check_motion(rig)
+    assert any(not len(schedule.arc_length) for schedule in rig.records('feed_schedule'))

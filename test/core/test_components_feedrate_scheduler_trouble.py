@@ -22,7 +22,12 @@ from feedrate_rig import CONFIG, PROGRAM, SMALL, Rig, check_motion, distance, pa
 
 @pytest.mark.parametrize('changes', [{'method': 'look_ahead'}, {'curvature_max': 0.0}])
 def test_method_that_needs_the_whole_path_refuses_paths(changes):
-    rig = Rig(replace(CONFIG, **changes))
+    rig = Rig(replace(CONFIG, **changes), active=False)
+    answer = rig.request('activate')
+    assert not answer.success
+    assert answer.message.startswith('method: expected one that takes a path in parts')
+    rig.restart()
+    rig.component.reconfigure(replace(CONFIG, **changes))
     rig.step(path_of(SMALL))
     rig.steps(20)
     assert 'ERROR state: curve refused: method: expected one that takes' in rig.bench.health()

@@ -61,7 +61,7 @@ class BlockFeeds:
             if self._open[0] == index[0]:
                 before = self._open[1]
                 for total, own, merge in zip(
-                    sums, before, (np.minimum, np.add, np.maximum), strict=True
+                    sums, before, (np.minimum, np.add, np.maximum, np.maximum), strict=True
                 ):
                     total[:, 0] = merge(total[:, 0], own)
             else:
@@ -87,7 +87,7 @@ class BlockFeeds:
         return found + self._merged()
 
     def _sums(self, path: ReferencePath, feed: Array, first: NDArray[np.intp]) -> list[Array]:
-        """Return smallest feed, length and largest curvature by kind of piece and block."""
+        """Return least feed, length, largest curvature and feed by kind of piece and block."""
         bend = own_curvature(path.geometry).max(axis=1)
         own = np.array([self._own(index) for index in path.owner[first].tolist()])
         count = np.diff(np.append(first, len(path.owner)))
@@ -99,13 +99,17 @@ class BlockFeeds:
             np.minimum.reduceat(np.where(chosen, feed, inf), first, axis=1),
             np.add.reduceat(np.where(chosen, length, 0.0), first, axis=1),
             np.maximum.reduceat(np.where(chosen, bend, 0.0), first, axis=1),
+            np.maximum.reduceat(np.where(chosen, feed, 0.0), first, axis=1),
         ]
 
     def _feeds(self, index: NDArray[np.intp], sums: list[Array]) -> Array:
         """Return the feed of each block, shape (k,) [m/s]."""
-        feed, length, bend = sums
+        feed, length, bend, top = sums
         plain = np.minimum(feed[_CORE], feed[_EDGE])
-        found = np.where(length[_CORE] > 0.0, feed[_CORE], plain)
+        # A line that is all near its neighbours does not bend by itself: the least of them counts.
+        line = np.array([self._own(at) == 0.0 for at in index.tolist()], dtype=bool)
+        found = np.where(line & (length[_EDGE] > 0.0), top[_EDGE], plain)
+        found = np.where(length[_CORE] > 0.0, feed[_CORE], found)
         for row in np.flatnonzero(bend[_EDGE] > 1.001 * bend[_CORE]).tolist():
             if self._own(int(index[row])) == inf:  # sharpest at its ends, by itself
                 found[row] = plain[row]

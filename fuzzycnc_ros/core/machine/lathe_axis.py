@@ -1,0 +1,172 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The lathe's X axis: amplifier, torque motor, friction with breakaway, grating or encoder."""
+
+from dataclasses import dataclass
+from math import exp
+
+from fuzzycnc_ros.core.config import param
+from fuzzycnc_ros.core.machine.axis_friction import stribeck_friction
+from fuzzycnc_ros.core.machine.axis_plant import AxisPlant, LinearAxis
+from fuzzycnc_ros.core.machine.position_sensor import PositionSensor, PositionSensorConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class LatheAxisConfig(PositionSensorConfig):
+    """The lathe axis of method sheet 004 section 9; friction and load in units of duty."""
+
+    gain: float = param(0.286, 'm/s', 'Steady velocity at full duty', low=1e-6, high=100.0)
+    gain_factor: float = param(
+        1.0, '-', 'What the gain has changed by against the nominal one', low=0.01, high=100.0
+    )
+    direction: float = param(
+        1.0, '-', 'Sign of the velocity that a positive duty drives', low=-1.0, high=1.0
+    )
+    amplifier_lag: float = param(8e-4, 's', 'Time constant of the amplifier', low=1e-6, high=1.0)
+    torque_lag: float = param(1.5e-3, 's', 'Time constant of the torque', low=1e-6, high=1.0)
+    velocity_lag: float = param(0.017, 's', 'Time constant of the mechanics', low=1e-5, high=10.0)
+    sensor_lag: float = param(6e-3, 's', 'Time constant of the sensor', low=1e-6, high=1.0)
+    coulomb: float = param(0.02, '-', 'Friction in motion, as duty', low=0.0, high=1.0)
+    breakaway: float = param(0.03, '-', 'Friction at the onset of motion', low=0.0, high=1.0)
+    stribeck_velocity: float = param(
+        2e-3, 'm/s', 'Velocity over which breakaway falls to Coulomb friction', low=1e-7, high=1.0
+    )
+    load: float = param(0.0, '-', 'Load against positive motion, as duty', low=-1.0, high=1.0)
+    load_time: float = param(0.0, 's', 'When the load sets in, after the start', low=0.0, high=1e6)
+    period: float = param(1e-3, 's', 'Control period', low=1e-5, high=0.1)
+    substeps: int = param(20, '-', 'Steps of the simulation per period', low=1, high=1000)
+    duty_max: float = param(1.0, '-', 'Largest magnitude of duty', low=1e-3, high=1.0)
+
+    def __post_init__(self) -> None:
+        """Check the fields and how they fit together.
+
+        Raises
+        ------
+        ValueError
+            If a field is out of its bounds, breakaway is below Coulomb friction, or the
+            direction is not a sign.
+        """
+        super().__post_init__()
+        if self.breakaway < self.coulomb:
+            raise ValueError(
+                f'breakaway: expected coulomb = {self.coulomb} or more but found {self.breakaway}'
+            )
+        if abs(self.direction) != 1.0:
+            raise ValueError(f'direction: expected 1 or -1 but found {self.direction}')
+
+
+class LatheAxis(AxisPlant):
+    """The lathe axis, simulated in exact first-order substeps (method sheet 004 section 9).
+
+    Parameters
+    ----------
+    config : LatheAxisConfig, optional
+        Axis, sensor and faults; by default the friction case of the sheet.
+    position : float
+        Where the slide rests at the beginning [m].
+
+    Notes
+    -----
+    An encoder's screw error is taken at the lagged position, where it is read; the sheet leaves
+    the order open, and at rest it is the same.
+
+    Examples
+    --------
+    >>> axis = LatheAxis(LatheAxisConfig(coulomb=0.0, breakaway=0.0))
+    >>> for _ in range(1000):
+    ...     axis.drive(0.3)
+    >>> f'{1e3 * axis.position:.3f} {1e3 * axis.velocity:.3f}'
+    '84.144 85.800'
+    """
+
+    def __init__(self, config: LatheAxisConfig | None = None, *, position: float = 0.0) -> None:
+        self._config = config = config or LatheAxisConfig()
+        self.period = config.period
+        self.duty_max = config.duty_max
+        self._sensor = PositionSensor(config, self.period)
+        self._shares = substep_shares(config)
+        self._amplifier = self._torque = self._velocity = 0.0
+        self._screw = self._slide = self._sensed = position
+        self._step = 0
+        self._load_step = round(config.load_time / self.period)
+
+    @property
+    def position(self) -> float:
+        """True position of the slide [m]."""
+        return self._slide
+
+    @property
+    def velocity(self) -> float:
+        """True velocity of the slide [m/s]; 0 while the screw turns through backlash."""
+        free = abs(self._screw - self._slide) < 0.5 * self._config.backlash
+        return 0.0 if free else self._velocity
+
+    def measure(self) -> float:
+        """Return the position as the sensor gives it now [m]; NaN while it gives none."""
+        return self._sensor.read(self._sensed)
+
+    def drive(self, duty: float) -> None:
+        """Hold a duty [-] for one period; refuses one that is not finite."""
+        config = self._config
+        asked = config.direction * self._cut(duty)
+        amplify, build, keep, sense = self._shares
+        gain, half_step = config.gain * config.gain_factor, 0.5 * self.period / config.substeps
+        load = config.load if self._step >= self._load_step else 0.0
+        friction = (config.coulomb, config.breakaway, config.stribeck_velocity)
+        rubs, play, on_screw = (
+            config.breakaway > 0.0,
+            0.5 * config.backlash,
+            config.sensor == 'encoder',
+        )
+        amplifier, torque, velocity = self._amplifier, self._torque, self._velocity
+        screw, slide, sensed = self._screw, self._slide, self._sensed
+        for _ in range(config.substeps):
+            before = amplifier
+            amplifier += (asked - amplifier) * amplify
+            before, torque = torque, torque + (0.5 * (before + amplifier) - torque) * build
+            push = 0.5 * (before + torque) - load
+            if rubs:
+                push -= stribeck_friction(velocity, push, *friction)
+            before, velocity = velocity, gain * push + (velocity - gain * push) * keep
+            if rubs and before * velocity < 0.0:
+                velocity = 0.0
+            seen = screw if on_screw else slide
+            screw += half_step * (before + velocity)
+            slide = min(max(slide, screw - play), screw + play) if play else screw
+            sensed += (0.5 * (seen + (screw if on_screw else slide)) - sensed) * sense
+        self._amplifier, self._torque, self._velocity = amplifier, torque, velocity
+        self._screw, self._slide, self._sensed = screw, slide, sensed
+        self._step += 1
+        self._sensor.advance()
+
+    def linear(self) -> LinearAxis:
+        """Return the nominal linear model: without friction, load, faults and gain changes."""
+        config = self._config
+        return LinearAxis.chain(
+            config.direction * config.gain,
+            {'amplifier': config.amplifier_lag, 'torque': config.torque_lag},
+            config.velocity_lag,
+            sensor_lag=config.sensor_lag,
+            period=config.period,
+        )
+
+
+def substep_shares(config: LatheAxisConfig) -> tuple[float, float, float, float]:
+    """Return what a substep does to the states of an axis.
+
+    Returns
+    -------
+    amplify, build : float
+        Share of the way to their inputs that amplifier and torque go [-].
+    keep : float
+        Share of its deviation from the steady velocity that the velocity keeps [-].
+    sense : float
+        Share of the way to the position that the sensor goes [-].
+    """
+    step = config.period / config.substeps
+    return (
+        1.0 - exp(-step / config.amplifier_lag),
+        1.0 - exp(-step / config.torque_lag),
+        exp(-step / config.velocity_lag),
+        1.0 - exp(-step / config.sensor_lag),
+    )

@@ -1,0 +1,239 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Controllers for comparison, behind the same interface: PID, fixed universe, P-PI cascade.
+
+Their defaults are for the lathe axis of method sheet 004: found by differential evolution on steps
+from 20 um to 190 mm with friction, gains from half to one and a half times nominal and a step of
+load, then rounded, the PID's integral band widened to be above the dip under that load.  The
+settings of the sheet's own comparators are not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
+from fuzzycnc_ros.core.servo.filtered_rate import FilteredRate, Integrator
+from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise
+from fuzzycnc_ros.core.servo.params import VariableUniverseParams
+from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
+
+
+class PidController(AxisController):
+    """Proportional, integral, derivative, with filtered rate and conditional integration.
+
+    Parameters
+    ----------
+    axis : LinearAxis
+        Nominal model, for period, direction and limits alone.
+    proportional : float
+        Duty per error [1/m].
+    integral : float
+        Duty per error and time [1/(m s)]; errors of a single count are not integrated.
+    derivative : float
+        Duty per error rate [s/m].
+    rate_lag : float
+        Filter of the rate [s].
+    integral_band : float
+        Error beyond which nothing is integrated [m].
+    feedforward : bool
+        Whether velocity and acceleration of the reference are fed forward.
+    **limits
+        As `AxisController`.
+    """
+
+    def __init__(
+        self,
+        axis: LinearAxis,
+        *,
+        proportional: float = 295.0,
+        integral: float = 2990.0,
+        derivative: float = 5.5,
+        rate_lag: float = 1.1e-3,
+        integral_band: float = 4e-4,
+        feedforward: bool = True,
+        **limits: Any,
+    ) -> None:
+        for name, value in (
+            ('proportional', proportional),
+            ('integral', integral),
+            ('derivative', derivative),
+        ):
+            if not (isfinite(value) and value >= 0.0):
+                raise ValueError(f'{name}: expected 0 or more but found {value}')
+        super().__init__(axis, **limits)
+        self._proportional = self._direction * proportional
+        self._derivative = self._direction * derivative
+        self._rate = FilteredRate(rate_lag, axis.period)
+        self._integral = Integrator(
+            self._direction * integral,
+            axis.period,
+            dead_zone=1.12 * self.watch.limits.count,
+            band=integral_band,
+        )
+        self._per_velocity = 1.0 / axis.gain if feedforward else 0.0
+        self._per_acceleration = axis.lag * self._per_velocity
+        self._error = self._error_rate = 0.0
+
+    @property
+    def status(self) -> ControllerStatus:
+        """What the last period was like; `disturbance` is the integral."""
+        return self._plain_status(self._error, self._error_rate, self._integral.value)
+
+    def _restart(self, position: float, duty: float) -> None:
+        self._rate.reset(position)
+        self._integral.reset(duty)
+
+    def _wanted(
+        self, reference: float, position: float, velocity: float, acceleration: float
+    ) -> float:
+        error = self._error = reference - position
+        rate = self._error_rate = velocity - self._rate.of(position)
+        return (
+            self._proportional * error
+            + self._derivative * rate
+            + self._integral.value
+            + velocity * self._per_velocity
+            + acceleration * self._per_acceleration
+        )
+
+    def _commit(self, duty: float, position: float) -> None:
+        self._integral.add(self._error, self._saturated, duty)
+
+    def _bridge(self, duty: float) -> None:
+        self._rate.coast()
+
+
+class FixedUniverseController(VariableUniverseController):
+    """The same rules, observer and feedforward on universes that do not contract.
+
+    What the contraction is worth shows beside it: the ablation of method sheet 004 section 8.
+
+    Parameters
+    ----------
+    axis : LinearAxis
+        Nominal model.
+    error_range, rate_range : float
+        Ends of the universes [m, m/s].
+    output_gain : float
+        Duty per output of the rules [-].
+    **options
+        As `VariableUniverseController`.
+    """
+
+    def __init__(
+        self,
+        axis: LinearAxis,
+        *,
+        error_range: float = 0.025,
+        rate_range: float = 0.246,
+        output_gain: float = 3.37,
+        **options: Any,
+    ) -> None:
+        params = VariableUniverseParams(
+            error_range=error_range, rate_range=rate_range, output_gain=output_gain
+        )
+        super().__init__(axis, params, **options)
+
+    def _check_params(self) -> None:
+        """Floors and exponents are of no use here, so nothing is said about them."""
+
+    def contracted(self, error: ArrayLike, rate: ArrayLike) -> tuple[Array, Array]:
+        """Return errors [m] and error rates [m/s] on their fixed universes [-]."""
+        p = self.params
+        return (
+            np.clip(np.asarray(error, dtype=np.float64) / p.error_range, -1.0, 1.0),
+            np.clip(np.asarray(rate, dtype=np.float64) / p.rate_range, -1.0, 1.0),
+        )
+
+    def _contracted(self) -> Callable[[float, float], float]:
+        p = self.params
+        rules = p.rules
+        per_error, per_rate = 1.0 / p.error_range, 1.0 / p.rate_range
+        scale = -self._direction * p.output_gain
+        return lambda error, rate: scale * rules(error * per_error, rate * per_rate)
+
+
+class CascadeController(AxisController):
+    """Position loop around a velocity loop, with feedforward and the observer's disturbance.
+
+    The observed disturbance stands for the velocity loop's integral: it acts at once and is not
+    wound up by a limit.
+
+    Parameters
+    ----------
+    axis : LinearAxis
+        Nominal model.
+    position_gain : float
+        Velocity per error [1/s].
+    velocity_gain : float
+        Duty per error of velocity, as multiple of 1 / gain of the axis [-].
+    velocity_max : float
+        Largest velocity that the position loop asks for [m/s].
+    noise : ObserverNoise, optional
+        What the observer expects.
+    **limits
+        As `AxisController`.
+    """
+
+    def __init__(
+        self,
+        axis: LinearAxis,
+        *,
+        position_gain: float = 28.3,
+        velocity_gain: float = 4.58,
+        velocity_max: float = 0.274,
+        noise: ObserverNoise | None = None,
+        **limits: Any,
+    ) -> None:
+        for name, value in (
+            ('position_gain', position_gain),
+            ('velocity_gain', velocity_gain),
+            ('velocity_max', velocity_max),
+        ):
+            if not value > 0.0:
+                raise ValueError(f'{name}: expected a positive number but found {value}')
+        super().__init__(axis, **limits)
+        self._position_gain, self._velocity_max = position_gain, velocity_max
+        self._inner = velocity_gain / axis.gain
+        self._per_velocity = 1.0 / axis.gain
+        self._per_acceleration = axis.lag / axis.gain
+        self._observer = DisturbanceObserver(axis, noise)
+        self._error = self._error_rate = 0.0
+
+    @property
+    def status(self) -> ControllerStatus:
+        """What the last period was like."""
+        return self._plain_status(self._error, self._error_rate, self._observer.disturbance)
+
+    def _restart(self, position: float, duty: float) -> None:
+        self._observer.reset(position, duty)
+
+    def _wanted(
+        self, reference: float, position: float, velocity: float, acceleration: float
+    ) -> float:
+        observer = self._observer
+        state = observer.state
+        error = self._error = reference - state[observer.position_place]
+        self._error_rate = velocity - state[observer.velocity_place]
+        top = self._velocity_max
+        asked = velocity + min(max(self._position_gain * error, -top), top)
+        return (
+            self._inner * (asked - state[observer.velocity_place])
+            + asked * self._per_velocity
+            + acceleration * self._per_acceleration
+            + state[-1]
+        )
+
+    def _commit(self, duty: float, position: float) -> None:
+        self._observer.advance(duty, position)
+
+    def _bridge(self, duty: float) -> None:
+        self._observer.coast(duty)

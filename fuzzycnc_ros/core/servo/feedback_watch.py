@@ -1,0 +1,244 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What can go wrong with an axis' feedback, and how a controller notices it by itself.
+
+Method sheet 004 section 7.  No clock is asked: everything counts control periods.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import gcd, inf, isfinite
+
+from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.servo.params import response_lag, velocity_lag
+
+_INCREMENTS = 32
+"""Changes of the reading after which their common divisor is judged."""
+
+_KINDS = 8
+"""Different sizes among them: a steady speed alone may have a divisor."""
+
+_SPEED_SHARE = 0.3
+"""Share of a new reading in the smoothed speed of the run-away test."""
+
+_SPEED_MIN = 0.01
+"""Speed below which the run-away test is silent, as share of the speed at full duty."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeedbackLimits:
+    """What a controller believes of its feedback, and when it gives up.
+
+    Parameters
+    ----------
+    error_max : float
+        Largest believable distance between reference and reading [m]; more is a wrong unit.
+    acceleration_max : float
+        Largest acceleration that the reading can show [m/s^2]; a reading further from the
+        straight continuation of the last two is a jump.
+    count : float
+        One count of the sensor [m]; 0 if it does not count.
+    noise : float
+        RMS of the noise that its readings carry [m].
+    bad_max : int
+        Bad readings in a row that are bridged with the last duty; one more is a fault.
+    runaway_duty : float
+        Duty [-] above which the axis must not gain speed against it; more than load and friction
+        take.
+    runaway_periods : int
+        Periods in a row for which it may.
+    response_lag : float
+        Lags of drive and sensor together [s]: so old is the duty that a reading answers to.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its range.
+    """
+
+    error_max: float = 0.5
+    acceleration_max: float = 33.6
+    count: float = 0.625e-6
+    noise: float = 0.2e-6
+    bad_max: int = 5
+    runaway_duty: float = 0.2
+    runaway_periods: int = 5
+    response_lag: float = 8.3e-3
+
+    def __post_init__(self) -> None:
+        for name in ('error_max', 'acceleration_max', 'runaway_duty', 'response_lag'):
+            value = getattr(self, name)
+            if not value > 0.0:
+                raise ValueError(f'{name}: expected a positive number but found {value}')
+        for name in ('count', 'noise'):
+            value = getattr(self, name)
+            if not 0.0 <= value < inf:
+                raise ValueError(f'{name}: expected 0 m or more but found {value} m')
+        for name in ('bad_max', 'runaway_periods'):
+            if getattr(self, name) < 1:
+                raise ValueError(f'{name}: expected 1 or more but found {getattr(self, name)}')
+
+    @classmethod
+    def of(
+        cls,
+        axis: LinearAxis,
+        *,
+        count: float = 0.625e-6,
+        noise: float = 0.2e-6,
+        travel: float = 0.5,
+    ) -> FeedbackLimits:
+        """Return the limits of an axis whose gain may be twice the nominal one.
+
+        Parameters
+        ----------
+        axis : LinearAxis
+            Nominal model.
+        count, noise : float
+            One count of its sensor and RMS of the noise [m].
+        travel : float
+            Its travel [m].
+        """
+        return cls(
+            error_max=travel,
+            acceleration_max=2.0 * abs(axis.gain) / velocity_lag(axis),
+            count=count,
+            noise=noise,
+            response_lag=max(response_lag(axis), 2.0 * axis.period),
+        )
+
+
+class FeedbackWatch:
+    """Judges every reading before a controller uses it.
+
+    Parameters
+    ----------
+    limits : FeedbackLimits
+        What to believe.
+    period : float
+        Control period [s].
+    direction : float
+        Sign of the velocity that a positive duty drives.
+    speed_full : float
+        Speed at full duty [m/s].
+
+    Attributes
+    ----------
+    bad : int
+        Bad readings in a row.
+    bad_total : int
+        Bad readings since the reset.
+    fault : str
+        Why the controller has given up; empty while it has not.
+    """
+
+    def __init__(
+        self, limits: FeedbackLimits, period: float, direction: float, speed_full: float
+    ) -> None:
+        self.limits = limits
+        self._jump = limits.acceleration_max * period**2 + 4.0 * limits.count + 12.0 * limits.noise
+        self._fade = min(period / limits.response_lag, 1.0)
+        self._push = limits.runaway_duty
+        self._direction = direction
+        self._still = _SPEED_MIN * speed_full * period
+        self._leap = 2.0 * speed_full * period
+        self._per_count = 1.0 / limits.count if limits.count else 0.0
+        self.reset()
+
+    def reset(self, position: float | None = None) -> None:
+        """Forget everything, faults too; `position` is where the axis rests [m], if known."""
+        self.bad = self.bad_total = 0
+        self.fault = ''
+        self._last = position
+        self._off: float | None = None
+        self._gap = 0
+        self._slope = self._speed = self._duty = 0.0
+        self._against = 0
+        self._fresh = 2  # readings
+        self._restart_divisor()
+
+    def _restart_divisor(self) -> None:
+        self._divisor = self._changes = self._odd = 0
+        self._kinds: set[int] = set()
+
+    def accepts(self, reference: float, position: float) -> bool:
+        """Whether a reading [m] can be used; counts it if not, and judges what it shows."""
+        error = reference - position
+        size = self.limits.error_max
+        if not -size <= error <= size:  # false for NaN too
+            if isfinite(error):
+                return self._refuse('reading and reference are further apart than the travel')
+            self._gap += 1
+            return self._refuse('reading or reference is not finite')
+        if self._last is None:
+            self._last = position
+        change = position - self._last
+        surprise = change - self._slope
+        room = self._jump * (1 + self._gap) ** 2
+        if self._fresh:
+            # nothing is known of the speed yet: it may be the fastest
+            room += self._leap
+            self._fresh -= 1
+        if not -room <= surprise <= room or self._still_off(position):
+            self._off = position
+            return self._refuse('reading has jumped: counts were lost')
+        self._last, self._slope, self._off = position, change, None
+        self.bad = self._gap = 0
+        if change and self._per_count:
+            self._count(change * self._per_count)
+        self._follow(change)
+        return not self.fault
+
+    def applied(self, duty: float) -> None:
+        """Note the duty [-] that is held from now on."""
+        self._duty += (duty - self._duty) * self._fade
+
+    def _still_off(self, position: float) -> bool:
+        """Whether a reading goes on smoothly from one that had jumped: an offset, no glitch."""
+        if self._off is None:
+            return False
+        return abs(position - self._off - self._slope) <= self._jump
+
+    def _refuse(self, reason: str) -> bool:
+        """Count a bad reading; give up after too many in a row."""
+        self.bad += 1
+        self.bad_total += 1
+        if self._last is not None:
+            # what is expected goes on as it was
+            self._last += self._slope
+        if self.bad > self.limits.bad_max:
+            self.fault = reason
+        return False
+
+    def _follow(self, change: float) -> None:
+        """Judge whether the axis gains speed against the duty that it answers to."""
+        before = self._speed
+        speed = before + (change - before) * _SPEED_SHARE
+        self._speed = speed
+        pushed = self._duty * self._direction
+        if pushed > self._push:
+            against = speed < before and speed < -self._still
+        elif pushed < -self._push:
+            against = speed > before and speed > self._still
+        else:
+            against = False
+        self._against = self._against + 1 if against else 0
+        if self._against >= self.limits.runaway_periods:
+            self.fault = 'axis runs away against its duty: wrong sign or load'
+
+    def _count(self, counts: float) -> None:
+        """Judge whether the reading still moves in single counts."""
+        whole = round(counts)
+        if abs(counts - whole) > 0.25:
+            self._odd += 1
+            if self._odd > self.limits.bad_max:
+                self.fault = 'reading moves in other steps than counts'
+            return
+        self._divisor = gcd(self._divisor, whole)
+        if self._divisor == 1:
+            self._restart_divisor()
+            return
+        self._changes += 1
+        self._kinds.add(whole)
+        if self._changes >= _INCREMENTS and len(self._kinds) >= _KINDS:
+            self.fault = f'reading moves in steps of {self._divisor} counts'

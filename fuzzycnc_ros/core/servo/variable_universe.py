@@ -1,0 +1,405 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The variable-universe fuzzy position controller of Long, Yuan, Xu and Du (2014), repaired.
+
+Method sheet 004.  Error and rate are each divided by a scale that shrinks with them, so that the
+same 36 rules zoom in near the target.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+from copy import copy
+from math import inf
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
+from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
+from fuzzycnc_ros.core.servo.filtered_rate import FilteredRate, Integrator
+from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise
+from fuzzycnc_ros.core.servo.params import VariableUniverseParams, default_crossover
+from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams, StickSlipRelief
+
+MODES = ('production', 'static', 'paper_literal')
+"""Modes of the controller; the first is the default."""
+
+_RELIEF = StickSlipParams()
+
+
+class VariableUniverseController(AxisController):
+    """Variable-universe fuzzy controller of one axis (method sheet 004 sections 3 and 7).
+
+    Parameters
+    ----------
+    axis : LinearAxis
+        Nominal model of the axis.
+    params : VariableUniverseParams, optional
+        Universes and rules; by default those of the mode.
+    mode : {'production', 'static', 'paper_literal'}
+        `production` adds what disturbs the axis and feeds the trajectory forward, and relieves
+        stick-slip at rest.  `static` is the published surface alone, output unscaled.
+        `paper_literal` is the published recursion, whose output scale follows the last output.
+    observer : bool
+        Whether `production` sees rate and disturbance through an observer of the axis, the
+        default, or without any model: rate from filtered differences, disturbance from an
+        integral.
+    noise : ObserverNoise, optional
+        What the observer expects.
+    stick_slip : StickSlipParams or None
+        Relief from stick-slip hunting in `production`; None for none.
+    rate_lag : float, optional
+        Filter of the differences [s]; of no use with the observer.  By default 1 ms, and none for
+        `paper_literal`: the source has none, and so the sheet's figures come out.
+    integral_gain, integral_band : float
+        Gain of the integral [1/(m s)] and error up to which it acts [m]; of no use with the
+        observer.
+    duty_max, duty_slew, limits
+        As `AxisController`.
+
+    Attributes
+    ----------
+    axis, mode, params, period, duty_max
+        As given.
+    law : callable
+        The surface at one error [m] and error rate [m/s], as `surface` gives it for arrays.
+    watch : FeedbackWatch
+        Judge of the readings.
+
+    Raises
+    ------
+    ValueError
+        If the mode is unknown or a number is out of its range.
+
+    Warns
+    -----
+    ServoParamsWarning
+        If the parameters do not suit the axis; not for the published numbers.
+
+    Notes
+    -----
+    What is published: the rules, the contraction of both inputs and the recursion of the output.
+    With the published floors the recursion crawls (11 s for 50 mm), and without it the axis swings
+    by millimetres; there is no integral action, so friction and load leave it off target.
+    `production` therefore has larger floors, no recursion, an observed disturbance and
+    feedforward; the relief from stick-slip is our own.  With an observer the contraction is worth
+    little: `FixedUniverseController` has the same rules without it and positions as well, and
+    `CascadeController` follows trajectories more closely.
+
+    Duty has the sign of `axis.gain`: the source's positive duty drives to negative positions.
+
+    Examples
+    --------
+    >>> lags = {'amplifier': 8e-4, 'torque': 1.5e-3}
+    >>> axis = LinearAxis.chain(0.286, lags, 0.017, sensor_lag=6e-3, period=1e-3)
+    >>> controller = VariableUniverseController(axis)
+    >>> controller.reset(position=0.0)
+    >>> controller.step(0.0, 0.0), controller.step(0.05, 0.0)
+    (0.0, 1.0)
+    """
+
+    def __init__(
+        self,
+        axis: LinearAxis,
+        params: VariableUniverseParams | None = None,
+        *,
+        mode: str = 'production',
+        observer: bool = True,
+        noise: ObserverNoise | None = None,
+        stick_slip: StickSlipParams | None = _RELIEF,
+        rate_lag: float | None = None,
+        integral_gain: float = 2000.0,
+        integral_band: float = 3e-4,
+        duty_max: float = 1.0,
+        duty_slew: float = inf,
+        limits: FeedbackLimits | None = None,
+    ) -> None:
+        if mode not in MODES:
+            raise ValueError(f'mode: expected one of {", ".join(MODES)} but found {mode!r}')
+        super().__init__(axis, duty_max=duty_max, duty_slew=duty_slew, limits=limits)
+        self.mode = mode
+        self.params = params or _default_params(mode, observer)
+        self._check_params()
+        production = mode == 'production'
+        self._observer = DisturbanceObserver(axis, noise) if production and observer else None
+        if rate_lag is None:
+            rate_lag = 0.0 if mode == 'paper_literal' else 1e-3
+        self._rate = FilteredRate(rate_lag, axis.period)
+        self._integral = Integrator(
+            self._direction * integral_gain if production and not observer else 0.0,
+            axis.period,
+            dead_zone=1.12 * self.watch.limits.count,
+            band=integral_band,
+        )
+        self._relief = (
+            StickSlipRelief(stick_slip, axis.period) if production and stick_slip else None
+        )
+        self.law = self._contracted()
+        self._per_velocity = 1.0 / axis.gain if production else 0.0
+        self._per_acceleration = axis.lag * self._per_velocity
+        self._error = self._error_rate = self._disturbance = self._output = 0.0
+        self._first = True
+
+    @classmethod
+    def for_axis(
+        cls,
+        axis: LinearAxis,
+        *,
+        count: float,
+        noise: float = 0.0,
+        travel: float = 0.5,
+        crossover: float | None = None,
+        stick_slip: StickSlipParams | None = None,
+        duty_max: float = 1.0,
+    ) -> VariableUniverseController:
+        """Return the production controller for an axis that nothing has been tuned on.
+
+        Universes, observer and limits follow from the nominal model and the sensor.
+
+        Parameters
+        ----------
+        axis : LinearAxis
+            Nominal model.
+        count, noise : float
+            One count of the sensor and RMS of its noise [m]; not both 0.
+        travel : float
+            Travel of the axis [m].
+        crossover : float, optional
+            Natural frequency of the position loop [rad/s]; by default `default_crossover`.
+        stick_slip : StickSlipParams, optional
+            Relief from stick-slip; none by default, since its amplitudes and bands are a matter of
+            friction and sensor, which the model does not know.
+        duty_max : float
+            Largest magnitude of duty [-].
+
+        Examples
+        --------
+        >>> axis = LinearAxis.chain(1.73, {}, 0.467, period=1e-3)
+        >>> controller = VariableUniverseController.for_axis(axis, count=5e-8)
+        >>> round(controller.params.error_gain), round(controller.params.rate_gain)
+        (2699, 71)
+        """
+        crossover = default_crossover(axis) if crossover is None else crossover
+        return cls(
+            axis,
+            VariableUniverseParams.for_axis(axis, crossover),
+            noise=ObserverNoise.for_axis(axis, crossover, count=count, noise=noise),
+            stick_slip=stick_slip,
+            limits=FeedbackLimits.of(axis, count=count, noise=noise, travel=travel),
+            duty_max=duty_max,
+        )
+
+    @property
+    def status(self) -> ControllerStatus:
+        """What the last period was like; `disturbance` is observed or integrated."""
+        x, y = self.contracted(self._error, self._error_rate)
+        cuts = self.params.rules.centres[1:-1]
+        return ControllerStatus(
+            error=self._error,
+            error_rate=self._error_rate,
+            contracted_error=float(x),
+            contracted_rate=float(y),
+            cell=(bisect_right(cuts, float(x)), bisect_right(cuts, float(y))),
+            factor=self._factor() if self.mode == 'paper_literal' else 1.0,
+            disturbance=self._disturbance,
+            duty=self._duty,
+            saturated=self._saturated,
+            rest=self._relief.state if self._relief else '',
+            bad=self.watch.bad,
+            bad_total=self.watch.bad_total,
+            fault=self.watch.fault,
+        )
+
+    def surface(self, error: ArrayLike, rate: ArrayLike) -> Array:
+        """Return the duty of the rules alone, uncut and without the recursion.
+
+        Parameters
+        ----------
+        error, rate : array_like
+            Errors [m] and error rates [m/s]; their shapes broadcast.
+
+        Returns
+        -------
+        ndarray
+            Duties [-] in the shape of the inputs.
+        """
+        x, y = self.contracted(error, rate)
+        scale = -self._direction * self.params.output_gain
+        return np.asarray(scale * self.params.rules.surface(x, y))
+
+    def estimates(self, position: Array, duty: Array) -> tuple[Array, Array, Array]:
+        """Return what the controller would have seen of a recorded run; its own state is kept.
+
+        Parameters
+        ----------
+        position, duty : ndarray, shape (n,)
+            Readings [m] and duties [-], one per control period, from rest.
+
+        Returns
+        -------
+        position, velocity, disturbance : ndarray, shape (n,)
+            Estimates [m, m/s, -]; without an observer the readings, their filtered differences
+            and no disturbance.
+        """
+        readings, duties = position.tolist(), duty.tolist()
+        if self._observer is None:
+            rate = FilteredRate(self._rate.lag, self.period)
+            rate.reset(readings[0])
+            return position, np.array([rate.of(one) for one in readings]), np.zeros(len(readings))
+        observer = copy(self._observer)
+        observer.reset(readings[0], 0.0)
+        rows = []
+        for reading, held in zip(readings, duties, strict=True):
+            rows.append((observer.position, observer.velocity, observer.disturbance))
+            observer.advance(held, reading)
+        place, speed, disturbance = np.array(rows).T
+        return place, speed, disturbance
+
+    def linear_law(self, error_gain: float, rate_gain: float) -> tuple[Array, Array, Array, float]:
+        """Return the law from reading to duty with linear gains instead of the rules.
+
+        Parameters
+        ----------
+        error_gain, rate_gain : float
+            Duty per error [1/m] and error rate [s/m].
+
+        Returns
+        -------
+        inner : ndarray, shape (k, k)
+            Transition of the law's own states in a period.
+        entry, row : ndarray, shape (k,)
+            What a reading adds to them, and what duty they give.
+        direct : float
+            Duty that a reading gives at once [1/m].
+        """
+        error_gain, rate_gain = self._direction * error_gain, self._direction * rate_gain
+        if self._observer is not None:
+            design = self._observer.design
+            row = np.zeros(len(design.duty))
+            row[design.position], row[design.velocity], row[-1] = -error_gain, -rate_gain, 1.0
+            inner = design.dynamics - np.outer(design.gain, design.reading)
+            return inner + np.outer(design.duty, row), design.gain, row, 0.0
+        # states: last reading, filtered rate, integral
+        share, grow = self._rate.share, self._integral.gain
+        fast = share / self.period
+        inner = np.array([[0.0, 0.0, 0.0], [-fast, 1.0 - share, 0.0], [0.0, 0.0, 1.0]])
+        row = np.array([rate_gain * fast, -rate_gain * (1.0 - share), 1.0])
+        entry, direct = np.array([1.0, fast, -grow]), -error_gain - rate_gain * fast
+        kept = 3 if grow else 2
+        return inner[:kept, :kept], entry[:kept], row[:kept], direct
+
+    def contracted(self, error: ArrayLike, rate: ArrayLike) -> tuple[Array, Array]:
+        """Return errors [m] and error rates [m/s] on their contracted universes [-]."""
+        p = self.params
+        e = np.clip(np.asarray(error, dtype=np.float64) / p.error_range, -1.0, 1.0)
+        c = np.clip(np.asarray(rate, dtype=np.float64) / p.rate_range, -1.0, 1.0)
+        return (
+            np.asarray(e / (np.abs(e) ** p.error_exponent + p.error_floor)),
+            np.asarray(c / (np.abs(c) ** p.rate_exponent + p.rate_floor)),
+        )
+
+    def _check_params(self) -> None:
+        """Warn of parameters that do not suit the axis; the published ones are known not to."""
+        if self.mode != 'paper_literal':
+            self.params.warn_about(self.axis)
+
+    def _contracted(self) -> Callable[[float, float], float]:
+        """Return the surface as a function of two numbers, error [m] and rate [m/s]."""
+        p = self.params
+        infer = p.rules.infer
+        per_error, per_rate = 1.0 / p.error_range, 1.0 / p.rate_range
+        error_exponent, rate_exponent = p.error_exponent, p.rate_exponent
+        error_floor, rate_floor = p.error_floor, p.rate_floor
+        scale = -self._direction * p.output_gain
+
+        def law(error: float, rate: float) -> float:
+            e = error * per_error
+            e = 1.0 if e > 1.0 else -1.0 if e < -1.0 else e
+            c = rate * per_rate
+            c = 1.0 if c > 1.0 else -1.0 if c < -1.0 else c
+            x = e / (abs(e) ** error_exponent + error_floor)
+            return scale * infer(x, c / (abs(c) ** rate_exponent + rate_floor))
+
+        return law
+
+    def _restart(self, position: float, duty: float) -> None:
+        """Begin at rest at a position [m] that a duty [-] holds."""
+        self._error = self._error_rate = 0.0
+        self._disturbance = self._output = duty
+        self._first = True
+        self._rate.reset(position)
+        self._integral.reset(duty)
+        if self._observer is not None:
+            self._observer.reset(position, duty)
+        if self._relief is not None:
+            self._relief.reset(position)
+
+    def _wanted(
+        self, reference: float, position: float, velocity: float, acceleration: float
+    ) -> float:
+        """Return the duty [-] that is wanted, whatever the limits."""
+        observer = self._observer
+        if observer is None:
+            error = self._error = reference - position
+            rate = self._error_rate = velocity - self._rate.of(position)
+            if self.mode == 'paper_literal':
+                return self._recursion(error, rate)
+            disturbance = self._integral.value
+        else:
+            state = observer.state
+            error = self._error = reference - state[observer.position_place]
+            rate = self._error_rate = velocity - state[observer.velocity_place]
+            disturbance = state[-1]
+        self._disturbance = disturbance
+        wanted = self.law(error, rate) + disturbance
+        relief = self._relief
+        if velocity or acceleration:
+            if relief is not None:
+                relief.release()
+            return wanted + velocity * self._per_velocity + acceleration * self._per_acceleration
+        if relief is None:
+            return wanted
+        return relief.duty(reference, position, wanted, self._duty)
+
+    def _recursion(self, error: float, rate: float) -> float:
+        """Return the published output, scaled by a power of the last one."""
+        if not self._first:
+            output = self._factor() * self.law(error, rate)
+        else:  # all three factors are 1
+            p = self.params
+            e, c = error / p.error_range, rate / p.rate_range
+            output = -self._direction * p.output_gain * p.rules(e, c)
+        self._first = False
+        self._output = output
+        return output
+
+    def _factor(self) -> float:
+        """Return the scale of the output's universe [-] that the next output gets."""
+        return float(abs(self._output) ** self.params.output_exponent + self.params.output_floor)
+
+    def _commit(self, duty: float, position: float) -> None:
+        """Go on to the next period, in which the duty [-] as limited is held."""
+        if self._observer is not None:
+            self._observer.advance(duty, position)
+        else:
+            self._integral.add(self._error, self._saturated, duty)
+
+    def _bridge(self, duty: float) -> None:
+        """Go on to the next period without a reading."""
+        if self._observer is not None:
+            self._observer.coast(duty)
+        else:
+            self._rate.coast()
+
+
+def _default_params(mode: str, observer: bool) -> VariableUniverseParams:
+    """Return what a mode is meant to run with."""
+    if mode == 'paper_literal':
+        return VariableUniverseParams.published()
+    if mode == 'static':
+        return VariableUniverseParams.minimal()
+    return VariableUniverseParams() if observer else VariableUniverseParams.model_free()

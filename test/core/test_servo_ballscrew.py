@@ -1,0 +1,124 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the ball-screw axis' controller, and its friction feedforward."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.core.machine import BallscrewAxis, BallscrewAxisConfig, LatheAxis
+from fuzzycnc_ros.core.servo.ballscrew import BallscrewController, ballscrew_params, observer_noise
+from fuzzycnc_ros.core.servo.observer import ObserverDesign
+
+AXIS = BallscrewAxis().linear()
+FORCE = BallscrewAxisConfig().force_max
+
+
+def drive(controller, axis, reference, velocity=0.0, periods=1000):
+    """Follow a reference that moves on at a velocity; return where it has got to."""
+    for _ in range(periods):
+        axis.drive(controller.step(reference, axis.measure(), velocity))
+        reference += velocity * axis.period
+    return reference
+
+
+@pytest.mark.parametrize(
+    ('knobs', 'message'),
+    [
+        ({'friction': 1.5}, 'friction: expected 0 to 1 but found 1.5'),
+        ({'friction': math.nan}, 'friction: expected 0 to 1'),
+        ({'observer_bandwidth': 0.0}, 'bandwidth: expected a positive number but found 0.0'),
+        ({'bandwidth': 0.5}, 'the axis damps itself more'),
+    ],
+)
+def test_settings_without_meaning_are_refused(knobs, message):
+    with pytest.raises(ValueError, match=message):
+        BallscrewController(**knobs)
+
+
+@pytest.mark.parametrize('bandwidth', [30.0, 60.0])
+def test_the_gains_close_a_critically_damped_loop(bandwidth):
+    params = ballscrew_params(AXIS, bandwidth)
+    # duty feeds back position and velocity: s^2 + s (1 + k gain) / lag + k gain / lag
+    stiffness = params.error_gain * AXIS.gain / AXIS.lag
+    damping = (1.0 + params.rate_gain * AXIS.gain) / AXIS.lag
+    assert stiffness == pytest.approx(bandwidth**2)
+    assert damping == pytest.approx(2.0 * bandwidth)
+    assert params.rate_range / AXIS.gain == pytest.approx(0.94036 / 0.286)
+
+
+@pytest.mark.parametrize('axis', [AXIS, LatheAxis().linear()], ids=['ballscrew', 'lathe'])
+def test_the_observer_does_not_depend_on_the_assumed_error_of_the_sensor(axis):
+    fine, coarse = (
+        ObserverDesign.of(axis, observer_noise(axis, 150.0, sensor)).gain
+        for sensor in (1e-9, 1e-6)
+    )
+    np.testing.assert_allclose(fine, coarse, rtol=1e-6)
+
+
+def test_a_faster_observer_has_faster_poles():
+    radius = []
+    for bandwidth in (60.0, 120.0, 240.0):
+        design = ObserverDesign.of(AXIS, observer_noise(AXIS, bandwidth))
+        left = design.dynamics - np.outer(design.gain, design.reading)
+        radius.append(np.abs(np.linalg.eigvals(left)).max())
+    rates = -np.log(radius) / AXIS.period
+    np.testing.assert_allclose(rates / rates[0], [1.0, 2.0, 4.0], rtol=0.05)
+
+
+@pytest.mark.parametrize('velocity', [0.05, -0.05])
+def test_what_is_fed_forward_does_not_end_up_in_the_observed_disturbance(velocity):
+    config = BallscrewAxisConfig()
+    observed = []
+    for share in (0.0, 1.0):
+        controller, axis = BallscrewController(friction=share), BallscrewAxis()
+        drive(controller, axis, 0.0, velocity)
+        observed.append(FORCE * controller.status.disturbance)
+    friction = math.copysign(config.coulomb_forward, velocity)
+    np.testing.assert_allclose(observed, [config.offset + friction, config.offset], atol=0.02)
+
+
+def test_friction_known_takes_the_error_out_of_a_reversal():
+    # 0.1 s there and back at 0.37 m/s^2
+    time = 1e-3 * np.arange(100)
+    reference, velocity = 0.02 * time - 0.185 * time**2, 0.02 - 0.37 * time
+    largest = []
+    for share in (0.0, 1.0):
+        controller, axis, errors = BallscrewController(friction=share), BallscrewAxis(), []
+        start = drive(controller, axis, 0.0, 0.02)
+        for target, speed in zip((start + reference).tolist(), velocity.tolist(), strict=True):
+            errors.append(abs(target - axis.position))
+            axis.drive(controller.step(target, axis.measure(), speed, -0.37))
+        largest.append(max(errors[50:]))
+    assert largest[1] < 0.1 * largest[0]
+
+
+@pytest.mark.parametrize('direction', [1.0, -1.0])
+def test_it_positions_whichever_way_the_duty_drives(direction):
+    config = BallscrewAxisConfig(direction=direction)
+    controller, axis = BallscrewController(config), BallscrewAxis(config)
+    target = drive(controller, axis, 0.0, 0.05)
+    drive(controller, axis, target)
+    assert abs(axis.position - target) < 1e-7
+    assert not controller.watch.fault
+
+
+@pytest.mark.parametrize('step', [1e-3, -1e-2])
+def test_a_step_does_not_overshoot(step):
+    controller, axis = BallscrewController(), BallscrewAxis()
+    left = []
+    for _ in range(1000):
+        axis.drive(controller.step(step, axis.measure()))
+        left.append((step - axis.position) * math.copysign(1.0, step))
+    assert min(left) > -1e-6
+    assert np.abs(left[300:]).max() < 1e-6
+
+
+def test_a_missing_reading_while_friction_is_fed_forward_is_bridged():
+    config = BallscrewAxisConfig(dropout_time=0.5, dropout_duration=4e-3)
+    controller, axis = BallscrewController(), BallscrewAxis(config)
+    target = drive(controller, axis, 0.0, 0.05, periods=510)
+    assert abs(axis.position - target) < 20e-6
+    assert controller.status.bad_total == 4
+    assert not controller.watch.fault

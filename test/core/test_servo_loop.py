@@ -1,0 +1,315 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is around the law: observer, relief from stick-slip, stability report, tuning, runs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.core.machine.axis_batch import LatheMove
+from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxis
+from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
+from fuzzycnc_ros.core.servo import (
+    DisturbanceObserver,
+    FeedbackLimits,
+    ObserverNoise,
+    PositioningRun,
+    StickSlipParams,
+    VariableUniverseController,
+    VariableUniverseParams,
+    point_to_point,
+    position,
+    position_many,
+    stability_report,
+    tune,
+)
+from fuzzycnc_ros.core.servo.observer import ObserverDesign
+from fuzzycnc_ros.core.servo.params import response_lag, settles, ultimate_gain
+from fuzzycnc_ros.core.servo.tuning import move_costs, production, tuning_moves
+
+AXIS = LatheAxis().linear()
+SMOOTH = {'coulomb': 0.0, 'breakaway': 0.0}
+
+
+@pytest.mark.parametrize('axis', [AXIS, BallscrewAxis().linear()], ids=['lathe', 'ballscrew'])
+def test_predictor_is_the_product_with_its_matrix(axis):
+    observer = DisturbanceObserver(axis)
+    design = observer.design
+    observer.reset(0.02, 0.1)
+    state = np.array(observer.state)
+    rng = np.random.default_rng(0)
+    for duty, reading in rng.normal(0.0, 0.1, (50, 2)).tolist():
+        state = design.corrected @ np.append(state, [duty, reading])
+        observer.advance(duty, reading)
+        assert observer.state == pytest.approx(state, rel=1e-12, abs=1e-14)
+    observer.coast(0.3)
+    state = design.uncorrected @ np.append(state, [0.3, 0.0])
+    assert observer.state == pytest.approx(state, rel=1e-12, abs=1e-14)
+
+
+def test_gain_solves_the_riccati_equation():
+    noise = ObserverNoise()
+    design = ObserverDesign.of(AXIS, noise)
+    a, c, gain = design.dynamics, design.reading, design.gain
+    wander = np.zeros_like(a)
+    wander[-1, -1] = noise.disturbance**2 * AXIS.period
+    wander[design.velocity, design.velocity] = noise.velocity**2 * AXIS.period
+    # the covariance that the gain leaves, by summing what it lets through
+    closed = a - np.outer(gain, c)
+    covariance = np.zeros_like(a)
+    for _ in range(4000):
+        driven = wander + noise.sensor**2 * np.outer(gain, gain)
+        covariance = closed @ covariance @ closed.T + driven
+    best = a @ covariance @ c / (c @ covariance @ c + noise.sensor**2)
+    assert gain == pytest.approx(best, rel=1e-6, abs=1e-9)
+
+
+def test_gain_depends_on_the_ratios_of_the_noise_alone():
+    noise = ObserverNoise()
+    louder = ObserverNoise(
+        sensor=1e3 * noise.sensor,
+        disturbance=1e3 * noise.disturbance,
+        velocity=1e3 * noise.velocity,
+    )
+    assert ObserverDesign.of(AXIS, louder).gain == pytest.approx(ObserverDesign.of(AXIS).gain)
+
+
+def test_observer_finds_a_load():
+    axis = LatheAxis(LatheAxisConfig(load=0.08, noise=0.0, **SMOOTH))
+    observer = DisturbanceObserver(AXIS)
+    observer.reset(0.0, 0.0)
+    for _ in range(300):
+        observer.advance(0.2, axis.measure())
+        axis.drive(0.2)
+    assert observer.disturbance == pytest.approx(0.08, abs=2e-3)
+    assert observer.velocity == pytest.approx(axis.velocity, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    'change', [{'sensor': 0.0}, {'disturbance': -1.0}, {'velocity': float('nan')}]
+)
+def test_refusals_of_noise(change):
+    with pytest.raises(ValueError, match=f'{next(iter(change))}: expected'):
+        ObserverNoise(**change)
+
+
+HUNTING = {'gain_factor': 1.4, 'coulomb': 0.045, 'breakaway': 0.08, 'load': -0.05}
+
+
+def test_relief_ends_hunting_that_goes_on_without():
+    errors = {}
+    for name, relief in (('with', StickSlipParams()), ('without', None)):
+        controller = VariableUniverseController(AXIS, stick_slip=relief)
+        config = LatheAxisConfig(**HUNTING)
+        errors[name] = position(controller, LatheAxis(config), 0.0047, 4.0).steady_error(3.0)
+    assert errors['with'] < 2e-6
+    assert errors['without'] > 20e-6
+
+
+def test_relief_holds_a_stuck_axis_and_lets_it_go():
+    controller = VariableUniverseController(AXIS)
+    axis = LatheAxis(LatheAxisConfig(**HUNTING))
+    controller.reset(0.0)
+    seen = []
+    for _ in range(4000):
+        axis.drive(controller.step(0.0047, axis.measure()))
+        seen.append(controller.status.rest)
+    assert seen[0] == ''
+    assert 'dithering' in seen
+    assert seen[-1] == 'holding'
+    held = {controller.step(0.0047, axis.measure()) for _ in range(50)}
+    assert len(held) == 1
+    axis.drive(controller.step(0.0147, axis.measure()))
+    assert controller.status.rest == ''
+    assert abs(controller.status.duty) > 0.5
+
+
+def test_relief_lets_go_of_an_axis_that_is_to_move_and_comes_back():
+    controller = VariableUniverseController(AXIS)
+    axis = LatheAxis(LatheAxisConfig(**HUNTING))
+    controller.reset(0.0)
+    for _ in range(4000):
+        axis.drive(controller.step(0.0047, axis.measure()))
+    assert controller.status.rest == 'holding'
+    there = point_to_point(0.0047, 0.0147).sample(1e-3)
+    back = point_to_point(0.0147, 0.0047).sample(1e-3)
+    for part in (there, back):
+        for motion in zip(*(rows.tolist() for rows in part.over(None)), strict=True):
+            place, speed, rise = motion
+            axis.drive(controller.step(place, axis.measure(), speed, rise))
+            if speed:
+                assert controller.status.rest == ''
+    for _ in range(1500):
+        axis.drive(controller.step(0.0047, axis.measure()))
+    assert abs(axis.position - 0.0047) < 2e-6
+
+
+def test_relief_leaves_an_axis_without_friction_alone():
+    controller = VariableUniverseController(AXIS)
+    axis = LatheAxis(LatheAxisConfig(**SMOOTH))
+    controller.reset(0.0)
+    for _ in range(3000):
+        axis.drive(controller.step(0.003, axis.measure()))
+        assert controller.status.rest == ''
+
+
+def test_dithering_can_be_turned_off_alone():
+    controller = VariableUniverseController(AXIS, stick_slip=StickSlipParams(amplitude_max=0.0))
+    axis = LatheAxis(LatheAxisConfig(**HUNTING))
+    controller.reset(0.0)
+    for _ in range(2000):
+        axis.drive(controller.step(0.0047, axis.measure()))
+        assert controller.status.rest != 'dithering'
+
+
+@pytest.mark.parametrize('change', [{'patience': -1.0}, {'half_period': 0.0}])
+def test_refusals_of_relief(change):
+    with pytest.raises(ValueError, match=f'StickSlipParams: {next(iter(change))}: expected'):
+        StickSlipParams(**change)
+
+
+def simulated_radius(controller, factor):
+    """Growth per period of a small swing on the smooth axis without counts and noise."""
+    config = LatheAxisConfig(gain_factor=factor, noise=0.0, count=0.0, **SMOOTH)
+    axis = LatheAxis(config)
+    controller.reset(0.0)
+    course = []
+    for _ in range(1000):
+        course.append(axis.position - 1e-9)
+        axis.drive(controller.step(1e-9, axis.measure()))
+    early, late = (np.abs(course[k : k + 100]).max() for k in (400, 900))
+    return (late / early) ** (1.0 / 500.0)
+
+
+@pytest.mark.parametrize('factor', [1.5, 1.75])
+def test_spectral_radius_is_how_a_small_swing_grows(factor):
+    limits = FeedbackLimits(count=0.0)
+    controller = VariableUniverseController(AXIS, stick_slip=None, limits=limits)
+    report = stability_report(controller, gains=(factor,))
+    assert simulated_radius(controller, factor) == pytest.approx(
+        report.spectral_radius[factor], abs=1.5e-3
+    )
+
+
+@pytest.mark.parametrize('options', [{}, {'observer': False}, {'mode': 'static'}])
+def test_gain_margin_is_where_the_spectral_radius_is_one(options):
+    controller = VariableUniverseController(AXIS, **options)
+    margin = stability_report(controller, gains=(1.0,)).gain_margin[1]
+    radius = stability_report(controller, gains=(0.97 * margin, 1.03 * margin)).spectral_radius
+    low, high = radius.values()
+    assert low < 1.0 < high
+
+
+def test_report_judges_as_a_whole():
+    assert stability_report(VariableUniverseController(AXIS), gains=(0.5, 1.0, 1.5)).settles
+    assert not stability_report(VariableUniverseController(AXIS)).settles  # gain x1.75
+    with pytest.raises(ValueError, match='gains: expected positive factors'):
+        stability_report(VariableUniverseController(AXIS), gains=(0.0,))
+
+
+def test_settles_says_what_the_ultimate_gain_says():
+    most = ultimate_gain(AXIS)
+    assert settles(AXIS, 0.999 * most, 0.0)
+    assert not settles(AXIS, 1.001 * most, 0.0)
+
+
+def test_params_for_another_axis_close_the_loop_where_asked():
+    axis = LinearAxis.chain(1.7, {}, 0.4, period=1e-3)
+    params = VariableUniverseParams.for_axis(axis, 80.0, damping=1.0)
+    # lag s^2 + (1 + gain rate_gain) s + gain error_gain
+    assert 1.7 * params.error_gain / 0.4 == pytest.approx(80.0**2)
+    assert (1.0 + 1.7 * params.rate_gain) / 0.4 == pytest.approx(2.0 * 80.0)
+    with pytest.raises(ValueError, match='damps itself more'):
+        VariableUniverseParams.for_axis(axis, 0.5)
+    assert response_lag(AXIS) == pytest.approx(8.3e-3)
+
+
+def test_figures_of_a_run():
+    time = 1e-3 * np.arange(6)
+    place = np.array([0.0, 6e-3, 10.5e-3, 9.9e-3, 10e-3, 10e-3])
+    run = PositioningRun(time, np.full(6, 0.01), place, place, np.zeros(6), 0.01, 0.0)
+    assert run.settle(2e-6) == 4e-3
+    assert run.overshoot == pytest.approx(0.5e-3)
+    assert run.steady_error(2.5e-3) == pytest.approx(0.1e-3)
+    assert run.following_error(2e-3)[0] == pytest.approx(0.5e-3)
+    assert replace(run, position=np.zeros(6)).settle() == np.inf
+    assert replace(run, position=np.full(6, 0.01)).settle() == 0.0
+    with pytest.raises(ValueError, match='since: expected less than'):
+        run.steady_error(1.0)
+
+
+def test_refusals_of_a_move():
+    controller = VariableUniverseController(AXIS)
+    with pytest.raises(ValueError, match='duration: expected a time for a step'):
+        position(controller, LatheAxis(), 0.01)
+    with pytest.raises(ValueError, match=r'expected one period but found 0\.001 s'):
+        position(controller, LatheAxis(LatheAxisConfig(period=2e-3)), 0.01, 0.1)
+    with pytest.raises(ValueError, match='expected one for each of 1 moves but found 2'):
+        position_many([controller] * 2, [LatheMove(LatheAxisConfig(), 0.01)], 0.1)
+
+
+def test_moves_side_by_side_are_the_moves_one_by_one():
+    moves = [LatheMove(LatheAxisConfig(seed=k, gain_factor=0.7 + 0.3 * k), 3e-3) for k in range(3)]
+    batch = position_many([VariableUniverseController(AXIS) for _ in moves], moves, 0.4)
+    for k, move in enumerate(moves):
+        run = position(VariableUniverseController(AXIS), LatheAxis(move.config), move.target, 0.4)
+        assert batch.position[k] == pytest.approx(run.position, abs=1e-9)
+        assert batch.settle(1e-5)[k] == pytest.approx(run.settle(1e-5), abs=2e-3)
+    assert batch.overshoot.shape == batch.steady_error(0.3).shape == (3,)
+
+
+def short_moves():
+    return [LatheMove(LatheAxisConfig(gain_factor=factor), 2e-3) for factor in (0.6, 1.4)]
+
+
+def test_tuning_finds_better_settings_and_repeats_itself():
+    bounds = {'output_gain': (0.8, 4.0), 'error_floor': (0.01, 0.3)}
+    told = []
+    results = [
+        tune(
+            bounds=bounds,
+            moves=short_moves(),
+            seed=3,
+            generations=3,
+            population=3,
+            duration=0.4,
+            progress=lambda *what: told.append(what),
+        )
+        for _ in range(2)
+    ]
+    first = results[0]
+    assert first.settings == results[1].settings
+    assert first.cost == results[1].cost == first.history[-1]
+    assert list(first.history) == sorted(first.history, reverse=True)
+    assert told[:3] == [(k + 1, 3, first.history[k]) for k in range(3)]
+    assert all(low <= first.settings[name] <= high for name, (low, high) in bounds.items())
+    assert first.evaluations == 4 * 6
+    controllers = [production(AXIS, first.settings) for _ in range(2)]
+    again = move_costs(position_many(controllers, short_moves(), 0.4))
+    assert again.sum() == pytest.approx(first.cost, rel=0.2)  # judged with fewer substeps
+
+
+def test_cost_puts_moves_that_fail_last():
+    moves = [
+        LatheMove(LatheAxisConfig(), 2e-3),
+        LatheMove(LatheAxisConfig(), 0.15),
+        LatheMove(LatheAxisConfig(direction=-1.0), 2e-3),
+    ]
+    controllers = [VariableUniverseController(AXIS) for _ in moves]
+    good, late, away = move_costs(position_many(controllers, moves, 0.5))
+    assert good < 0.6 < late < away
+
+
+def test_tuning_covers_the_spread_of_the_gain():
+    factors = {move.config.gain_factor for move in tuning_moves()}
+    assert min(factors) == 0.5
+    assert max(factors) == 1.5
+
+
+def test_refusals_of_tuning():
+    with pytest.raises(ValueError, match='two increasing numbers for output_gain'):
+        tune(bounds={'output_gain': (2.0, 1.0)})
+    with pytest.raises(ValueError, match='one move or more'):
+        tune(moves=[])
