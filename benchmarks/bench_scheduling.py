@@ -26,8 +26,8 @@ from fuzzycnc_ros.core.feedrate import (
     SampledPath,
     limit_motion,
 )
-from fuzzycnc_ros.core.feedrate.curves import butterfly
-from fuzzycnc_ros.core.feedrate.limits import reachable_speed
+from fuzzycnc_ros.core.feedrate.motion.limits import reachable_speed
+from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 
 POINTS, PIECES, REPEATS = 1_000_000, 20_000, 5
 RATE_MIN = 1.5e6

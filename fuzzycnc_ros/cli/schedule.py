@@ -34,8 +34,8 @@ from fuzzycnc_ros.cli.program_files import (
 from fuzzycnc_ros.cli.quantities import FEEDS, LENGTHS, SHARES, quantity
 
 if TYPE_CHECKING:
+    from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings
     from fuzzycnc_ros.core.feedrate.program import Block, Program
-    from fuzzycnc_ros.core.feedrate.program_schedule import ProgramSettings
     from fuzzycnc_ros.report.schedule import ScheduleFigures
     from fuzzycnc_ros.report.schedule_trace import PathTrace
 
@@ -141,8 +141,8 @@ def schedule(
         fuzzycnc schedule part.ngc --tolerance 10um --blend 0.01mm --feed 12000mm/min \
             --machine params/feedrate_scheduler.yaml --out fast.ngc --report fast.html
     """
+    from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramScheduler
     from fuzzycnc_ros.core.feedrate.program import ProgramReader
-    from fuzzycnc_ros.core.feedrate.program_schedule import ProgramScheduler
     from fuzzycnc_ros.report.schedule import ScheduleFigures, schedule_document, schedule_table
     from fuzzycnc_ros.report.schedule_trace import PathTrace
 

@@ -19,12 +19,12 @@ from fuzzycnc_ros.components.tool_paths import (
     curve_tool_path,
     tool_path_segments,
 )
-from fuzzycnc_ros.core.feedrate.curves import trident
-from fuzzycnc_ros.core.feedrate.planner import Planner, PlannerSettings
-from fuzzycnc_ros.core.feedrate.planner_motion import PlannedSamples
+from fuzzycnc_ros.core.feedrate.path.curves import trident
+from fuzzycnc_ros.core.feedrate.planner.planned_motion import PlannedSamples
+from fuzzycnc_ros.core.feedrate.planner.planner import Planner, PlannerSettings
 from fuzzycnc_ros.core.feedrate.program import LineSegment
-from fuzzycnc_ros.core.feedrate.reference_path import PathBuilder, ReferencePath
-from fuzzycnc_ros.core.feedrate.schedulers import Scheduler
+from fuzzycnc_ros.core.feedrate.reference.reference_path import PathBuilder, ReferencePath
+from fuzzycnc_ros.core.feedrate.schedulers.plain import Scheduler
 
 GROUP = 1024
 """Segments that are planned at a time."""

@@ -9,13 +9,13 @@ from types import MappingProxyType
 
 from fuzzycnc_ros.components.records import nanoseconds
 from fuzzycnc_ros.core.config import Config, param
-from fuzzycnc_ros.core.feedrate.fuzzy_scheduler import (
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import (
     RATIO_SETS,
     FuzzyScheduler,
     LogFuzzyScheduler,
 )
-from fuzzycnc_ros.core.feedrate.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.schedulers import (
+from fuzzycnc_ros.core.feedrate.schedulers.plain import (
     ChordErrorFeed,
     ConstantFeed,
     ConstantNormalAcceleration,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from fuzzycnc_ros.components.records import ToolPath, nanoseconds
 from fuzzycnc_ros.components.tool_paths import curve_tool_path
-from fuzzycnc_ros.core.feedrate.curves import CURVES, SHEET_SCALES
+from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 
 _USUAL_SPEED = 0.02
 """Speed along a path that progress is told by, before anything is known [m/s]."""
@@ -18,7 +18,7 @@ class PathProgramme:
     Parameters
     ----------
     names : sequence of str
-        Curves of `core.feedrate.curves`, at the method sheet's scales.
+        Curves of `core.feedrate.path.curves`, at the method sheet's scales.
     feed : float
         Programmed feed [m/s].
     timeout : float

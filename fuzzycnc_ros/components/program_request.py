@@ -11,8 +11,8 @@ from fuzzycnc_ros.components.feedrate_scheduler_config import (
 )
 from fuzzycnc_ros.components.records import ToolPath
 from fuzzycnc_ros.components.tool_paths import program_tool_path
+from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings, schedule_program
 from fuzzycnc_ros.core.feedrate.program import read_program, write_program
-from fuzzycnc_ros.core.feedrate.program_schedule import ProgramSettings, schedule_program
 
 
 @dataclass(frozen=True)

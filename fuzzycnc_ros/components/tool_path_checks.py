@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.components.records import Floats, Junction, SegmentKind, ToolPath
-from fuzzycnc_ros.core.feedrate.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.program.arcs import ABSOLUTE_MISFIT, RELATIVE_MISFIT, SAME_POINT
 
 PATH_AXES = ('X', 'Y', 'Z')

@@ -18,7 +18,7 @@ from fuzzycnc_ros.components.tool_path_checks import (
     curve_of,
     path_columns,
 )
-from fuzzycnc_ros.core.feedrate.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.program import (
     ArcSegment,
     DwellSegment,

@@ -31,18 +31,49 @@ Floats = NDArray[np.float64]
 class Followed(Protocol):
     """A path as it was scheduled and followed, such as `scenario.FollowedPath`."""
 
-    name: str
-    duration: float
-    time: Floats
-    axis: tuple[str, ...]
-    reference: Floats
-    position: Floats
-    velocity: Floats
-    arc_length: Floats
-    error: Floats
-    method: str
-    tolerance: float
-    schedule: Any
+    @property
+    def name(self) -> str:
+        """Name of the path."""
+
+    @property
+    def duration(self) -> float:
+        """Time from its start to its end [s]."""
+
+    @property
+    def time(self) -> Floats:
+        """Time since the path was left at its start, shape (n,) [s]."""
+
+    @property
+    def axis(self) -> tuple[str, ...]:
+        """Axes of the samples."""
+
+    @property
+    def reference(self) -> Floats:
+        """Commanded positions, shape (n, axes) [m]."""
+
+    @property
+    def position(self) -> Floats:
+        """Positions of the tool, shape (n, axes) [m]."""
+
+    @property
+    def velocity(self) -> Floats:
+        """Velocities of the tool, shape (n, axes) [m/s]."""
+
+    @property
+    def error(self) -> Floats:
+        """Contour error, shape (n,) [m]."""
+
+    @property
+    def method(self) -> str:
+        """Scheduler that chose the feed."""
+
+    @property
+    def tolerance(self) -> float:
+        """Contour error that it was chosen for [m]; NaN where unknown."""
+
+    @property
+    def schedule(self) -> Any:
+        """Feeds along the path: `arc_length` and `feed`; None where unknown."""
 
     @property
     def error_max(self) -> float:

@@ -13,9 +13,9 @@ from fuzzycnc_ros.report.pareto import LABELS, millimetres
 from fuzzycnc_ros.report.table import Column, Table
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.feedrate.limits import MotionLimits
+    from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings, ProgramTimes
+    from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
     from fuzzycnc_ros.core.feedrate.program import Note
-    from fuzzycnc_ros.core.feedrate.program_schedule import ProgramSettings, ProgramTimes
 
 MINUTE = 60.0
 

@@ -18,7 +18,7 @@ from fuzzycnc_ros.components.feedrate_scheduler_config import (
     make_scheduler,
 )
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.refinement import (
+from fuzzycnc_ros.core.feedrate.schedulers.refinement import (
     UnreachableToleranceError,
     knob_at_error,
     refine,

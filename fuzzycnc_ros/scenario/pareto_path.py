@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.curves import butterfly, infinity, trident
-from fuzzycnc_ros.core.feedrate.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.program import NurbsSegment, Program, Segment, sample_path
-from fuzzycnc_ros.core.feedrate.sampled_path import SampledPath
 from fuzzycnc_ros.core.machine.contour import Contour
 
 CURVES: Mapping[str, tuple[Callable[[float], NurbsCurve], float]] = MappingProxyType(

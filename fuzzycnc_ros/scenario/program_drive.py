@@ -17,16 +17,16 @@ from fuzzycnc_ros.components.feedrate_scheduler_config import (
     make_scheduler,
 )
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.program import Program
-from fuzzycnc_ros.core.feedrate.program_path import own_curvature
-from fuzzycnc_ros.core.feedrate.program_schedule import (
+from fuzzycnc_ros.core.feedrate.job.program_path import own_curvature
+from fuzzycnc_ros.core.feedrate.job.program_schedule import (
     ProgramSettings,
     ScheduledPath,
     schedule_program,
 )
-from fuzzycnc_ros.core.feedrate.schedulers import ConstantFeed
-from fuzzycnc_ros.core.feedrate.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
+from fuzzycnc_ros.core.feedrate.program import Program
+from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringAxes, ContouringConfig
 from fuzzycnc_ros.core.machine.path_error import WINDOW_LENGTH, WINDOW_TIME

@@ -30,8 +30,8 @@ from fuzzycnc_ros.components.records import (
 from fuzzycnc_ros.components.tool_paths import (
     curve_tool_path,
 )
-from fuzzycnc_ros.core.feedrate.curves import trident
-from fuzzycnc_ros.core.feedrate.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.curves import trident
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInput, TrajectoryPart
 
 sys.path.insert(0, str(Path(__file__).parent))

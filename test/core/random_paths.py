@@ -5,9 +5,9 @@
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from fuzzycnc_ros.core.feedrate.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.trajectory import Trajectory
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.motion.trajectory import Trajectory
+from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 KINDS = ('spline', 'polyline', 'reversals', 'arcs', 'arcs and corner')
 

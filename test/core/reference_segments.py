@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fuzzycnc_ros.core.feedrate.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.path_geometry import bernstein
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.path_geometry import bernstein
 from fuzzycnc_ros.core.feedrate.program.arcs import PLANES
 from fuzzycnc_ros.core.feedrate.program.segments import (
     ArcSegment,

@@ -14,10 +14,10 @@ from fuzzycnc_ros.components.feedrate_run import planner_settings
 from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.records import SECOND, ToolPath, nanoseconds
 from fuzzycnc_ros.components.tool_paths import program_tool_path, tool_path_segments
-from fuzzycnc_ros.core.feedrate.curves import butterfly
-from fuzzycnc_ros.core.feedrate.planner import Planner
+from fuzzycnc_ros.core.feedrate.path.curves import butterfly
+from fuzzycnc_ros.core.feedrate.planner.planner import Planner
 from fuzzycnc_ros.core.feedrate.program import LineSegment, read_program
-from fuzzycnc_ros.core.feedrate.reference_path import reference_path
+from fuzzycnc_ros.core.feedrate.reference.reference_path import reference_path
 
 sys.path.insert(0, str(Path(__file__).parent))
 from feedrate_rig import CONFIG, PROGRAM, SMALL, Rig, check_motion, distance, path_of

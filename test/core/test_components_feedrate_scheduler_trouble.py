@@ -12,7 +12,7 @@ import pytest
 
 from fuzzycnc_ros.components.records import SECOND, MachineMode, TrajectoryStatus, nanoseconds
 from fuzzycnc_ros.components.tool_paths import program_tool_path
-from fuzzycnc_ros.core.feedrate.curves import butterfly
+from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 from fuzzycnc_ros.core.feedrate.program import read_program
 
 sys.path.insert(0, str(Path(__file__).parent))

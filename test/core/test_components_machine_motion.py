@@ -23,7 +23,7 @@ from fuzzycnc_ros.components.simulated_machine import (
     SimulatedMachineConfig,
 )
 from fuzzycnc_ros.core.feedrate import ConstantNormalAcceleration, SampledPath
-from fuzzycnc_ros.core.feedrate.curves import SHEET_SCALES, butterfly
+from fuzzycnc_ros.core.feedrate.path.curves import SHEET_SCALES, butterfly
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring import (
     controller_feed,

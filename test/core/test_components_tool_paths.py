@@ -17,8 +17,8 @@ from fuzzycnc_ros.components.tool_paths import (
     segments_tool_path,
     tool_path_segments,
 )
-from fuzzycnc_ros.core.feedrate.curves import butterfly
-from fuzzycnc_ros.core.feedrate.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.curves import butterfly
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.program import ArcSegment, DwellSegment, read_program
 
 PROGRAM = """G21 G90 G17

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.feedrate.limits import MotionLimits, SpeedStream, reachable_speed
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits, SpeedStream, reachable_speed
 
 
 def schedule(seed, n):

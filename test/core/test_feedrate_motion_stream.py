@@ -12,10 +12,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 from random_paths import KINDS, arc, random_limits, random_path
 from reference_parts import reference_parts
 
-from fuzzycnc_ros.core.feedrate.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.motion_stream import MotionStream, default_window
-from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.trajectory import Trajectory, limit_motion
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.motion.stream import MotionStream, default_window
+from fuzzycnc_ros.core.feedrate.motion.trajectory import Trajectory, limit_motion
+from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 PLAIN = MotionLimits(path_velocity=0.2, path_acceleration=2.0)
 SMOOTH = MotionLimits(path_velocity=0.2, path_acceleration=2.0, path_jerk=40.0)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.feedrate.curves import CURVES, SHEET_SCALES, butterfly, infinity
-from fuzzycnc_ros.core.feedrate.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES, butterfly, infinity
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 
 seeds = st.integers(0, 10_000)
 

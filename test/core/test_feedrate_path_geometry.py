@@ -11,7 +11,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from random_paths import KINDS, arc, line_arc_line, random_path
 
-from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
+from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 L_SHAPE = [[0.0, 0.0], [0.1, 0.0], [0.1, 0.0], [0.2, 0.0], [0.2, 0.3], [0.2, 0.1]]
 

@@ -13,14 +13,14 @@ sys.path.insert(0, str(Path(__file__).parent))
 from random_paths import KINDS, arc, random_limits, random_path
 from reference_parts import reference_parts
 
-from fuzzycnc_ros.core.feedrate.fuzzy_scheduler import FuzzyScheduler, LogFuzzyScheduler
-from fuzzycnc_ros.core.feedrate.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.planner import Planner, PlannerSettings
-from fuzzycnc_ros.core.feedrate.planner_feeds import FeedPlan, desired_feed
-from fuzzycnc_ros.core.feedrate.planner_motion import PlannedSamples
-from fuzzycnc_ros.core.feedrate.schedulers import ConstantFeed, ConstantNormalAcceleration
-from fuzzycnc_ros.core.feedrate.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
+from fuzzycnc_ros.core.feedrate.planner.feeds import FeedPlan, desired_feed
+from fuzzycnc_ros.core.feedrate.planner.planned_motion import PlannedSamples
+from fuzzycnc_ros.core.feedrate.planner.planner import Planner, PlannerSettings
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler, LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed, ConstantNormalAcceleration
 
 PLAIN = MotionLimits(path_velocity=0.2, path_acceleration=2.0)
 SMOOTH = MotionLimits(path_velocity=0.2, path_acceleration=2.0, path_jerk=40.0)

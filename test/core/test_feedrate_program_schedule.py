@@ -13,8 +13,15 @@ from fuzzycnc_ros.components.feedrate_scheduler_config import (
     FeedrateSchedulerConfig,
     make_scheduler,
 )
-from fuzzycnc_ros.core.feedrate import program_feeds, program_run
-from fuzzycnc_ros.core.feedrate.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.job import program_feeds, program_run
+from fuzzycnc_ros.core.feedrate.job.program_motion import rest_to_rest, straight_time
+from fuzzycnc_ros.core.feedrate.job.program_schedule import (
+    ProgramScheduler,
+    ProgramSettings,
+    schedule_program,
+)
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
 from fuzzycnc_ros.core.feedrate.program import (
     ArcSegment,
     ProgramReader,
@@ -22,14 +29,7 @@ from fuzzycnc_ros.core.feedrate.program import (
     strip_feeds,
     write_program,
 )
-from fuzzycnc_ros.core.feedrate.program_motion import rest_to_rest, straight_time
-from fuzzycnc_ros.core.feedrate.program_schedule import (
-    ProgramScheduler,
-    ProgramSettings,
-    schedule_program,
-)
-from fuzzycnc_ros.core.feedrate.schedulers import ConstantFeed, ConstantNormalAcceleration
-from fuzzycnc_ros.core.feedrate.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed, ConstantNormalAcceleration
 
 LIMITS = MotionLimits(
     path_velocity=0.25, path_acceleration=1.5, velocity=(0.25,) * 3, acceleration=(4.0,) * 3

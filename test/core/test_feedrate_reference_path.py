@@ -25,10 +25,10 @@ from reference_segments import (
     random_program,
 )
 
-from fuzzycnc_ros.core.feedrate.curves import CURVES, SHEET_SCALES
-from fuzzycnc_ros.core.feedrate.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.reference_path import (
+from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
+from fuzzycnc_ros.core.feedrate.reference.reference_path import (
     EASING,
     PathBuilder,
     ReferencePath,

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.feedrate.fuzzy_scheduler import (
+from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import (
     RATIO_SETS,
     FuzzyScheduler,
     LogFuzzyScheduler,
     published_rules,
 )
-from fuzzycnc_ros.core.feedrate.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedulers import (
+from fuzzycnc_ros.core.feedrate.schedulers.plain import (
     ChordErrorFeed,
     ConstantFeed,
     ConstantNormalAcceleration,
@@ -26,7 +26,7 @@ from fuzzycnc_ros.core.feedrate.schedulers import (
     LookAheadFeed,
     chord_error_feed,
 )
-from fuzzycnc_ros.core.feedrate.streaming import stream_ratio
+from fuzzycnc_ros.core.feedrate.schedulers.streaming import stream_ratio
 
 FEED = 0.1
 SCHEDULERS = [

@@ -11,10 +11,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from random_paths import KINDS, random_limits, random_path, used
 
-from fuzzycnc_ros.core.feedrate.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.motion_average import range_minimum
-from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.motion.average import range_minimum
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 SQUARE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.1]])
 PLAIN = MotionLimits(path_velocity=0.2, path_acceleration=2.0)

@@ -11,9 +11,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from random_paths import quintic, sampled
 
-from fuzzycnc_ros.core.feedrate.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 GRID = 1001
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.feedrate.windows import arc_window_maximum, window_maximum
+from fuzzycnc_ros.core.feedrate.path.windows import arc_window_maximum, window_maximum
 
 values = st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=25).map(np.array)
 counts = st.integers(0, 40)

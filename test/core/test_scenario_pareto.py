@@ -9,7 +9,7 @@ import pytest
 
 from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.core.feedrate.program import read_program
-from fuzzycnc_ros.core.feedrate.schedulers import ConstantFeed
+from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed
 from fuzzycnc_ros.core.machine.contouring import simulate_contouring
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
 from fuzzycnc_ros.report.pareto import pareto_document, pareto_lines, pareto_table

@@ -29,7 +29,7 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.components.tool_paths import curve_tool_path
 from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.core.feedrate.curves import trident
+from fuzzycnc_ros.core.feedrate.path.curves import trident
 from fuzzycnc_ros.nodes.messages import RCLPY, message_class
 from fuzzycnc_ros.nodes.qos import publisher_qos
 

@@ -10,15 +10,15 @@ import pytest
 from scipy.interpolate import BSpline
 from scipy.optimize import brentq
 
-from fuzzycnc_ros.core.feedrate.curves import butterfly, infinity, trident
-from fuzzycnc_ros.core.feedrate.fuzzy_scheduler import FuzzyScheduler, LogFuzzyScheduler
-from fuzzycnc_ros.core.feedrate.refinement import knob_at_error, refine
-from fuzzycnc_ros.core.feedrate.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedulers import (
+from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
+from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler, LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedulers.plain import (
     ChordErrorFeed,
     JerkLimitedFeed,
     LookAheadFeed,
 )
+from fuzzycnc_ros.core.feedrate.schedulers.refinement import knob_at_error, refine
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring import simulate_contouring
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig

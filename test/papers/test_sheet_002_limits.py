@@ -5,11 +5,11 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.feedrate.curves import butterfly, infinity, trident
-from fuzzycnc_ros.core.feedrate.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 pytestmark = pytest.mark.paper
 

@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.feedrate.curves import butterfly, infinity, trident
-from fuzzycnc_ros.core.feedrate.path_curvature import curvature
-from fuzzycnc_ros.core.feedrate.refinement import knob_at_error, refine
+from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
+from fuzzycnc_ros.core.feedrate.path.path_curvature import curvature
+from fuzzycnc_ros.core.feedrate.schedulers.refinement import knob_at_error, refine
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring import identify_contour_constant, simulate_contouring
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig

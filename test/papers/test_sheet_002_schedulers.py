@@ -8,16 +8,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.feedrate.curves import butterfly, infinity, trident
-from fuzzycnc_ros.core.feedrate.fuzzy_scheduler import (
+from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import (
     FuzzyScheduler,
     LogFuzzyScheduler,
     published_rules,
 )
-from fuzzycnc_ros.core.feedrate.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.refinement import knob_at_error
-from fuzzycnc_ros.core.feedrate.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedulers import ConstantNormalAcceleration, JerkLimitedFeed
+from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantNormalAcceleration, JerkLimitedFeed
+from fuzzycnc_ros.core.feedrate.schedulers.refinement import knob_at_error
 from fuzzycnc_ros.core.fuzzy.mamdani import MamdaniTable
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring import simulate_contouring

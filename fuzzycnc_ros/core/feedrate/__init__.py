@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING
 from fuzzycnc_ros.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.feedrate.fuzzy_scheduler import FuzzyScheduler, LogFuzzyScheduler
-    from fuzzycnc_ros.core.feedrate.limits import MotionLimits
-    from fuzzycnc_ros.core.feedrate.nurbs import NurbsCurve
-    from fuzzycnc_ros.core.feedrate.path_curvature import curvature
-    from fuzzycnc_ros.core.feedrate.path_geometry import PathGeometry
+    from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+    from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
+    from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
+    from fuzzycnc_ros.core.feedrate.path.path_curvature import curvature
+    from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
+    from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
     from fuzzycnc_ros.core.feedrate.program import ProgramError, read_program, write_program
-    from fuzzycnc_ros.core.feedrate.reference_path import PathBuilder, ReferencePath
-    from fuzzycnc_ros.core.feedrate.refinement import refine
-    from fuzzycnc_ros.core.feedrate.sampled_path import SampledPath
-    from fuzzycnc_ros.core.feedrate.schedulers import (
+    from fuzzycnc_ros.core.feedrate.reference.reference_path import PathBuilder, ReferencePath
+    from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler, LogFuzzyScheduler
+    from fuzzycnc_ros.core.feedrate.schedulers.plain import (
         ChordErrorFeed,
         ConstantFeed,
         ConstantNormalAcceleration,
         JerkLimitedFeed,
         LookAheadFeed,
     )
-    from fuzzycnc_ros.core.feedrate.trajectory import limit_motion
+    from fuzzycnc_ros.core.feedrate.schedulers.refinement import refine
 
 __all__ = [
     'ChordErrorFeed',
@@ -51,23 +51,23 @@ __all__ = [
 ]
 
 _MODULES = {
-    'fuzzy_scheduler': ('FuzzyScheduler', 'LogFuzzyScheduler'),
-    'limits': ('MotionLimits',),
-    'nurbs': ('NurbsCurve',),
-    'path_curvature': ('curvature',),
-    'path_geometry': ('PathGeometry',),
+    'schedulers.fuzzy': ('FuzzyScheduler', 'LogFuzzyScheduler'),
+    'motion.limits': ('MotionLimits',),
+    'path.nurbs': ('NurbsCurve',),
+    'path.path_curvature': ('curvature',),
+    'path.path_geometry': ('PathGeometry',),
     'program': ('ProgramError', 'read_program', 'write_program'),
-    'reference_path': ('PathBuilder', 'ReferencePath'),
-    'refinement': ('refine',),
-    'sampled_path': ('SampledPath',),
-    'schedulers': (
+    'reference.reference_path': ('PathBuilder', 'ReferencePath'),
+    'schedulers.refinement': ('refine',),
+    'path.sampled_path': ('SampledPath',),
+    'schedulers.plain': (
         'ChordErrorFeed',
         'ConstantFeed',
         'ConstantNormalAcceleration',
         'JerkLimitedFeed',
         'LookAheadFeed',
     ),
-    'trajectory': ('limit_motion',),
+    'motion.trajectory': ('limit_motion',),
 }
 
 __getattr__ = lazy_names(__name__, _MODULES)

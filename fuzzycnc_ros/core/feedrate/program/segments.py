@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 
 Point = tuple[float, float, float]
 """X, Y and Z [m]."""

@@ -1,0 +1,218 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fastest speeds along a path within limits of velocity and acceleration of every axis.
+
+Along a segment of length h let the squared speed w run straight from w0 to w1.  The acceleration
+of an axis is then p' (w1 - w0) / 2h + p'' w, a polynomial whose Bernstein coefficients are linear
+in w0 and w1.  Keeping each within the limit keeps the whole segment within it, and leaves bands
+
+    -c <= w1 + g w0 <= c
+
+per segment.  Sweeping them backward and forward is the reachability analysis of Pham and Pham
+(2018, TOPP-RA), with bands that hold between grid points too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
+
+_GROUP = 16384
+"""Segments swept at a time, unless one span is longer."""
+_CHUNK = 2048
+"""Segments whose pairs of bands are held at a time."""
+_FLAT = 1e-9
+"""Share of w1 in a band below which the band bounds w0 alone."""
+
+
+@dataclass(frozen=True)
+class Bands:
+    """Bands of every segment, shape (m, bands), and what bounds its ends, shape (m,).
+
+    `most` is the largest w0 that the bands leave, `fastest` the largest w within the velocities.
+    """
+
+    slope: Array
+    width: Array
+    most: Array
+    fastest: Array
+
+    def __len__(self) -> int:
+        return len(self.most)
+
+    def part(self, begin: int, end: int) -> Bands:
+        """Return the bands of the segments from `begin` up to, without, `end`."""
+        chosen = slice(begin, end)
+        return Bands(
+            self.slope[chosen], self.width[chosen], self.most[chosen], self.fastest[chosen]
+        )
+
+    def joined(self, other: Bands) -> Bands:
+        """Return the bands of these segments and of those behind them."""
+        count = max(self.slope.shape[1], other.slope.shape[1])
+        slope, width = (
+            np.concatenate(
+                [
+                    np.pad(rows, ((0, 0), (0, count - rows.shape[1])), constant_values=void)
+                    for rows in pair
+                ]
+            )
+            for pair, void in (
+                ((self.slope, other.slope), 0.0),
+                ((self.width, other.width), np.inf),
+            )
+        )
+        return Bands(
+            slope,
+            width,
+            np.concatenate([self.most, other.most]),
+            np.concatenate([self.fastest, other.fastest]),
+        )
+
+    def backward(self) -> tuple[Array, Array]:
+        """Return offset and gain of w0 <= offset + gain w1, which bands that fall with w0 set."""
+        falls = self.slope < 0.0
+        over = np.where(falls, -self.slope, 1.0)
+        return np.where(falls, self.width / over, np.inf), np.where(falls, 1.0 / over, 0.0)
+
+
+def node_minimum(segment: Array) -> Array:
+    """Return the smaller value of the segments on both sides of each node, shape (m + 1,)."""
+    return np.asarray(np.minimum(np.append(segment, np.inf), np.append(np.inf, segment)))
+
+
+def fastest_speed(geometry: PathGeometry, wanted: Array, limits: MotionLimits) -> Array:
+    """Return the fastest squared speeds at the nodes, shape (m + 1,) [m^2/s^2].
+
+    Parameters
+    ----------
+    geometry : PathGeometry
+        The path.
+    wanted : array, shape (m + 1,)
+        Squared desired speeds; those of the ends are the squared speeds there [m^2/s^2].
+    limits : MotionLimits
+        Limits of velocity and acceleration; those of jerk have no effect.
+    """
+    table = limits.table(geometry.axes)
+    found = np.array(wanted, dtype=float)
+    found[geometry.stop] = 0.0
+    fence = np.concatenate([[0], np.flatnonzero(geometry.stop), [len(found) - 1]])
+    begin = 0
+    while begin < len(fence) - 1:  # spans between stops know nothing of each other
+        end = int(np.searchsorted(fence, fence[begin] + _GROUP, 'right')) - 1
+        end = max(end, begin + 1)
+        first, last = int(fence[begin]), int(fence[end])
+        part = slice(first, last + 1)
+        found[part] = _fastest(geometry.part(first, last), found[part], table)
+        begin = end
+    return found
+
+
+def _fastest(geometry: PathGeometry, cap: Array, table: Array) -> Array:
+    """Return the fastest squared speeds of some spans."""
+    bands = acceleration_bands(geometry, table)
+    cap = np.minimum(cap, node_minimum(bands.fastest))
+    cap[:-1] = np.minimum(cap[:-1], bands.most)
+    sweep_spans(bands, cap, geometry.stop)
+    return cap
+
+
+def sweep_spans(bands: Bands, cap: Array, stop: NDArray[np.bool_]) -> None:
+    """Lower squared speeds at the nodes to the fastest ones; those at stops must be 0."""
+    brake_spans(bands, cap, stop)
+    rise_spans(bands, cap, stop)
+
+
+def brake_spans(bands: Bands, cap: Array, stop: NDArray[np.bool_]) -> None:
+    """Lower squared speeds at the nodes to those from which braking leads to the next.
+
+    Spans between stops, nodes of shape (m + 1,), are swept side by side.
+    """
+    offset, gain = bands.backward()
+    for k in reversed(_steps(stop)):
+        allowed = (offset[k] + gain[k] * cap[k + 1, np.newaxis]).min(axis=1)
+        cap[k] = np.minimum(cap[k], allowed)
+
+
+def rise_spans(bands: Bands, cap: Array, stop: NDArray[np.bool_]) -> None:
+    """Lower squared speeds at the nodes to those that can be had from the one before."""
+    for k in _steps(stop):
+        allowed = (bands.width[k] - bands.slope[k] * cap[k, np.newaxis]).min(axis=1)
+        cap[k + 1] = np.minimum(cap[k + 1], np.maximum(allowed, 0.0))
+
+
+def _steps(stop: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """Return the first segments of all spans, then the second ones, and so on."""
+    first = np.append(0, 1 + np.flatnonzero(stop[1:-1]))
+    size = np.diff(np.append(first, len(stop) - 1))
+    order = np.argsort(-size, kind='stable')
+    first, size = first[order], size[order]
+    return [first[: np.searchsorted(-size, -k, 'left')] + k for k in range(int(size[0]))]
+
+
+def acceleration_bands(geometry: PathGeometry, table: Array) -> Bands:
+    """Return the bands that the limits of acceleration leave, those of the path and the axes."""
+    own, side, _ = geometry.bounds()
+    velocity, bound = table[0], table[1]
+    fastest = (velocity / np.maximum(own, 1e-12)).min(axis=1) ** 2
+    half = 0.5 / np.diff(geometry.node)
+    before, after = [], []
+    if np.isfinite(bound[0]):
+        # Along the path: |p'| times the change of speed, and what its parameter strays from s.
+        rise, stray = own[:, 0] * half, side[:, 0]
+        for sign, share in ((1.0, 0.0), (1.0, 1.0), (-1.0, 0.0), (-1.0, 1.0)):
+            before.append((-sign * rise + (1.0 - share) * stray) / bound[0])
+            after.append((sign * rise + share * stray) / bound[0])
+    tangent, bend = geometry.derivative(1), geometry.derivative(2)
+    # Lines have one coefficient, all but for the rounding of positions in second differences.
+    largest = np.abs(geometry.coefficient).max(axis=(1, 2))
+    rounding = 64.0 * np.finfo(float).eps * largest * 80.0 * half**2
+    straight = (np.abs(bend) <= rounding[:, np.newaxis, np.newaxis]).all(axis=(1, 2))
+    tangent[straight] = tangent[straight, :1]
+    bend[straight] = 0.0
+    coefficients = 1 if straight.all() else 5
+    for axis in np.flatnonzero(np.isfinite(bound[1:])):
+        for k in range(coefficients):
+            rise = tangent[:, k, axis] * half
+            low = (4 - k) / 4.0 * bend[:, k, axis] if k < 4 else 0.0
+            high = k / 4.0 * bend[:, k - 1, axis] if k > 0 else 0.0
+            before.append((low - rise) / bound[1 + axis])
+            after.append((high + rise) / bound[1 + axis])
+    first, second = np.column_stack(before), np.column_stack(after)
+    flip = np.where(second < 0.0, -1.0, 1.0)
+    first, second = first * flip, second * flip
+    alone = second <= _FLAT * np.abs(first)
+    alone |= second <= 0.0
+    divisor = np.where(alone, 1.0, second)
+    slope = np.where(alone, 0.0, first / divisor)
+    width = np.where(alone, np.inf, 1.0 / divisor)
+    with np.errstate(divide='ignore'):
+        most = np.where(alone, 1.0 / np.abs(first), np.inf).min(axis=1)
+    return Bands(slope, width, np.minimum(most, _largest(slope, width)), fastest)
+
+
+def _largest(slope: Array, width: Array) -> Array:
+    """Return the largest w0 that leaves some w1 of at least half of it.
+
+    Without the half, a segment longer than the stopping distance would be entered so fast that
+    nothing but a stop at its end obeys the limits.
+    """
+    found = np.full(len(slope), np.inf)
+    for begin in range(0, len(slope), _CHUNK):
+        part = slice(begin, begin + _CHUNK)
+        g, c = slope[part], np.where(np.isfinite(width[part]), width[part], 1e150)
+        apart = g[:, :, np.newaxis] - g[:, np.newaxis, :]
+        sums = c[:, :, np.newaxis] + c[:, np.newaxis, :]
+        usable = apart > 0.0
+        pair = np.where(usable, sums / np.where(usable, apart, 1.0), np.inf).min(axis=(1, 2))
+        steep = g + 0.5
+        usable = steep > 0.0
+        single = np.where(usable, c / np.where(usable, steep, 1.0), np.inf).min(axis=1)
+        found[part] = np.minimum(pair, single)
+    return found

@@ -1,0 +1,3 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Geometry of paths: NURBS and sampled curves, curvature, windows, quintic pieces."""
