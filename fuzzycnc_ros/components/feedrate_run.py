@@ -23,6 +23,7 @@ from fuzzycnc_ros.core.feedrate.path.curves import trident
 from fuzzycnc_ros.core.feedrate.planner.planned_motion import PlannedSamples
 from fuzzycnc_ros.core.feedrate.planner.planner import Planner, PlannerSettings
 from fuzzycnc_ros.core.feedrate.program import LineSegment
+from fuzzycnc_ros.core.feedrate.reference.nodes import NodePlan, with_nodes
 from fuzzycnc_ros.core.feedrate.reference.reference_path import PathBuilder, ReferencePath
 from fuzzycnc_ros.core.feedrate.schedulers.plain import Scheduler
 
@@ -131,6 +132,7 @@ class PathRun:
         self._columns = list(segments.columns)
         self._planner = Planner(planner_settings(config), 3)
         self._builder = PathBuilder(blend=config.blend)
+        self._nodes = NodePlan.of(self._planner.settings.scheduler)
         self._start = start
         self._period = nanoseconds(config.period)
         self._fed = 0  # segments that the builder has
@@ -282,4 +284,4 @@ class PathRun:
 
     def _push(self, path: ReferencePath | None) -> None:
         if path is not None:
-            self._planner.push(path)
+            self._planner.push(with_nodes(path, self._nodes))

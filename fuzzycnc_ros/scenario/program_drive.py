@@ -17,7 +17,6 @@ from fuzzycnc_ros.components.feedrate_scheduler_config import (
     make_scheduler,
 )
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.job.program_path import own_curvature
 from fuzzycnc_ros.core.feedrate.job.program_schedule import (
     ProgramSettings,
     ScheduledPath,
@@ -26,6 +25,7 @@ from fuzzycnc_ros.core.feedrate.job.program_schedule import (
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.program import Program
+from fuzzycnc_ros.core.feedrate.reference.nodes import own_curvature
 from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringAxes, ContouringConfig
@@ -298,7 +298,4 @@ def _contour(geometry: PathGeometry) -> Contour:
     place = np.append(geometry.node[piece] + length[piece] * share, geometry.length)
     points = geometry.evaluate(place)
     points[first] = np.vstack([geometry.coefficient[:, 0], geometry.coefficient[-1:, 5]])
-    if np.array_equal(points[0], points[-1]):
-        # Between equal ends a polyline has no chord, which `Contour` begins with.
-        points[-1] += 1e-6 * (points[-2] - points[-1])
     return Contour.polyline(points, vertices=2)

@@ -17,6 +17,7 @@ from fuzzycnc_ros.components.tool_paths import program_tool_path, tool_path_segm
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 from fuzzycnc_ros.core.feedrate.planner.planner import Planner
 from fuzzycnc_ros.core.feedrate.program import LineSegment, read_program
+from fuzzycnc_ros.core.feedrate.reference.nodes import NodePlan, with_nodes
 from fuzzycnc_ros.core.feedrate.reference.reference_path import reference_path
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -92,7 +93,8 @@ def test_parts_are_the_whole_path_planned_at_once(flown):
     (segment,) = tool_path_segments(path_of(butterfly()))
     there = LineSegment(-1, (0.01, 0.02, 0.0), segment.start, None, True, False, -1)
     planner = Planner(planner_settings(CONFIG), 3)
-    planner.push(reference_path([there, segment], exact_stop=[True, True]))
+    path = reference_path([there, segment], exact_stop=[True, True])
+    planner.push(with_nodes(path, NodePlan.of(planner.settings.scheduler)))
     planner.finish()
     whole = planner.take(1_000_000)
     assert planner.exhausted

@@ -107,7 +107,8 @@ class Contour:
         """
         _check_vertices(vertices)
         corner = _checked(np.asarray(points, dtype=np.float64), len(np.asarray(points)))
-        corner = corner[np.append(True, np.any(np.diff(corner, axis=0) != 0.0, axis=1))]
+        # Points may differ by less than their place along the path can tell.
+        corner = corner[np.append(True, np.diff(_arc_length(corner)) > 0.0)]
         if len(corner) < 2:
             raise ValueError('points: expected two or more different points')
         arc = _arc_length(corner)

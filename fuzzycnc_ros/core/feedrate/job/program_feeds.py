@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.job.program_path import NodePlan, near_neighbours, own_curvature
+from fuzzycnc_ros.core.feedrate.reference.nodes import NodePlan, near_neighbours, own_curvature
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.reference.reference_path import ReferencePath

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.job.program_path import own_curvature, with_ramps
 from fuzzycnc_ros.core.feedrate.job.settings import AXES, ProgramSettings
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.stream import MotionPart, MotionStream
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
+from fuzzycnc_ros.core.feedrate.reference.nodes import own_curvature, with_ramps
 from fuzzycnc_ros.core.feedrate.reference.reference_path import ReferencePath
 
 _GATHERED = 4096

@@ -18,11 +18,11 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.job.program_feeds import BlockFeeds
-from fuzzycnc_ros.core.feedrate.job.program_path import NodePlan, with_nodes
 from fuzzycnc_ros.core.feedrate.job.settings import ProgramSettings
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.program.blocks import Block
 from fuzzycnc_ros.core.feedrate.program.segments import ArcSegment, LineSegment, Segment
+from fuzzycnc_ros.core.feedrate.reference.nodes import NodePlan, with_nodes
 from fuzzycnc_ros.core.feedrate.reference.reference_path import PathBuilder, ReferencePath
 from fuzzycnc_ros.core.feedrate.schedulers.streaming import stream_ratio
 
@@ -170,7 +170,10 @@ class ProgramRun:
                 arrived.append(path)
                 node = path.place + path.geometry.node[first:]
                 curvature = np.minimum(path.curvature[first:], self._settings.sharpest)
-                yield SampledPath(node, curvature)
+                bound = self._settings.bound(path.feed)
+                # At a node between two feeds the larger one: it may be come from there.
+                programmed = np.maximum(np.append(bound[0], bound), np.append(bound, bound[-1]))
+                yield SampledPath(node, curvature, programmed=programmed[first:])
                 first = 1  # the others begin with the last node of the one before
 
         scheduler = self._settings.scheduler
@@ -228,4 +231,5 @@ def _joined(parts: list[SampledPath]) -> SampledPath:
     return SampledPath(
         np.concatenate([part.arc_length for part in parts]),
         np.concatenate([part.curvature for part in parts]),
+        programmed=np.concatenate([part.programmed for part in parts]),
     )

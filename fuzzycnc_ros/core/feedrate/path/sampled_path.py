@@ -39,6 +39,9 @@ class SampledPath:
         Where the path turns back; nowhere if absent.
     place : array_like of int, shape (n,), optional
         Place among the m points of each of the n points that the path was made of.
+    programmed : array_like, shape (m,), optional
+        Feed that is not exceeded in any case [m/s]: what the machine sees of a point depends on
+        how fast it comes there.
 
     Raises
     ------
@@ -51,6 +54,7 @@ class SampledPath:
     lap: float | None = None
     reversal: Any = None
     place: Any = None
+    programmed: Any = None
 
     def __post_init__(self) -> None:
         arc_length = _vector('arc_length', self.arc_length)
@@ -76,6 +80,14 @@ class SampledPath:
         reversal = np.zeros(len(bend), dtype=bool)
         if self.reversal is not None:
             reversal |= np.asarray(self.reversal, dtype=bool)
+        if self.programmed is not None:
+            programmed = np.asarray(self.programmed, dtype=np.float64)
+            if programmed.shape != bend.shape or not (programmed > 0.0).all():
+                raise ValueError(
+                    f'programmed: expected {len(bend)} feeds above 0 m/s, but found shape '
+                    f'{programmed.shape} or a feed that is not'
+                )
+            object.__setattr__(self, 'programmed', programmed)
         object.__setattr__(self, 'arc_length', arc_length)
         object.__setattr__(self, 'curvature', bend)
         object.__setattr__(self, 'reversal', reversal)

@@ -195,6 +195,15 @@ class FeedPlan:
         if ready <= done:
             return
         first = self._needed(done)
-        path = SampledPath(self.place[first:], self.curvature[first:])
+        # At a node between two feeds the larger one: it may be come from there.
+        programmed = np.maximum(
+            np.append(self.programmed[:1], self.programmed),
+            np.append(self.programmed, self.programmed[-1:]),
+        )
+        path = SampledPath(
+            self.place[first:],
+            self.curvature[first:],
+            programmed=max(self._override, 1.0) * programmed[first:],
+        )
         ratio = self._scheduler.bounded_ratio(path)[done - first : ready - first]
         self._scheduled = np.append(self._scheduled, self._scheduler.feed_max * ratio)

@@ -381,6 +381,8 @@ class LogFuzzyScheduler(Scheduler):
             rise = window_maximum(excess, points, points, closed=path.closed) - excess
         if self._approach_time:
             speed = self.feed_max * 10.0 ** (-0.5 * np.maximum(self.excess(near), 0.0))
+            if path.programmed is not None:
+                speed = np.minimum(speed, path.programmed)
             reach = self._approach_time, self._approach_length
             excess += np.log10(approach_share(path, speed, *reach))
         worst = excess.max()

@@ -72,7 +72,10 @@ def _first_needed(arc_length: Array, ready: int, points: int, length: float) -> 
 def _from_point(path: SampledPath, first: int) -> SampledPath:
     """Return the path from a point on."""
     return SampledPath(
-        path.arc_length[first:], path.curvature[first:], reversal=path.reversal[first:]
+        path.arc_length[first:],
+        path.curvature[first:],
+        reversal=path.reversal[first:],
+        programmed=None if path.programmed is None else path.programmed[first:],
     )
 
 
@@ -82,4 +85,7 @@ def _joined(path: SampledPath, part: SampledPath) -> SampledPath:
         np.concatenate([path.arc_length, part.arc_length]),
         np.concatenate([path.curvature, part.curvature]),
         reversal=np.concatenate([path.reversal, part.reversal]),
+        programmed=None
+        if path.programmed is None or part.programmed is None
+        else np.concatenate([path.programmed, part.programmed]),
     )
