@@ -10,11 +10,9 @@ from types import MappingProxyType
 from fuzzycnc_ros.components.records import nanoseconds
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import (
-    RATIO_SETS,
-    FuzzyScheduler,
-    LogFuzzyScheduler,
-)
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy_rules import RATIO_SETS
+from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedulers.plain import (
     ChordErrorFeed,
     ConstantFeed,
@@ -169,6 +167,14 @@ class FeedrateSchedulerConfig(Config):
         low=0.0,
         high=1.0,
     )
+    log_fuzzy_approach_slope: float = param(
+        0.0,
+        '1/s',
+        'Largest fall of the speed along the path, for the axes to catch up before a tight bend; '
+        '0 takes 1 over root of machine_constant',
+        low=0.0,
+        high=1e6,
+    )
     log_fuzzy_guard_step: float = param(
         0.5,
         '-',
@@ -313,6 +319,7 @@ def _log_fuzzy(config: FeedrateSchedulerConfig) -> Scheduler:
         machine_constant=config.machine_constant,
         margin=config.log_fuzzy_margin,
         approach_time=config.log_fuzzy_approach_time or None,
+        approach_slope=config.log_fuzzy_approach_slope or None,
         guard_length=config.log_fuzzy_guard_length,
         guard_time=config.log_fuzzy_guard_time,
         guard_step=config.log_fuzzy_guard_step,

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.schedulers.approach import SHARE_MAX, SHARE_MIN, approach_share
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedulers.streaming import stream_ratio
 
 SCHEDULER = LogFuzzyScheduler(

@@ -19,7 +19,8 @@ from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.planner.feeds import FeedPlan, desired_feed
 from fuzzycnc_ros.core.feedrate.planner.planned_motion import PlannedSamples
 from fuzzycnc_ros.core.feedrate.planner.planner import Planner, PlannerSettings
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler, LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed, ConstantNormalAcceleration
 
 PLAIN = MotionLimits(path_velocity=0.2, path_acceleration=2.0)

@@ -12,12 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import (
-    RATIO_SETS,
-    FuzzyScheduler,
-    LogFuzzyScheduler,
-    published_rules,
-)
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy_rules import RATIO_SETS, published_rules
+from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedulers.plain import (
     ChordErrorFeed,
     ConstantFeed,

@@ -12,7 +12,8 @@ from scipy.optimize import brentq
 
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler, LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedulers.plain import (
     ChordErrorFeed,
     JerkLimitedFeed,

@@ -11,11 +11,9 @@ import pytest
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import (
-    FuzzyScheduler,
-    LogFuzzyScheduler,
-    published_rules,
-)
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy_rules import published_rules
+from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantNormalAcceleration, JerkLimitedFeed
 from fuzzycnc_ros.core.feedrate.schedulers.refinement import knob_at_error
 from fuzzycnc_ros.core.fuzzy.mamdani import MamdaniTable
@@ -211,6 +209,7 @@ def test_dimensionless_ratio_does_not_depend_on_the_scale():
             guard_length=scale * LOG_FUZZY.guard_length,
             guard_time=np.sqrt(scale) * LOG_FUZZY.guard_time,
             approach_time=np.sqrt(scale) * 0.028,
+            approach_slope=68.0 / np.sqrt(scale),
         )
         return scheduler.bounded_ratio(SampledPath.from_points(points))
 

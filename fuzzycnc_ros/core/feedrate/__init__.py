@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
     from fuzzycnc_ros.core.feedrate.program import ProgramError, read_program, write_program
     from fuzzycnc_ros.core.feedrate.reference.reference_path import PathBuilder, ReferencePath
-    from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler, LogFuzzyScheduler
+    from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
+    from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
     from fuzzycnc_ros.core.feedrate.schedulers.plain import (
         ChordErrorFeed,
         ConstantFeed,
@@ -51,7 +52,8 @@ __all__ = [
 ]
 
 _MODULES = {
-    'schedulers.fuzzy': ('FuzzyScheduler', 'LogFuzzyScheduler'),
+    'schedulers.fuzzy': ('FuzzyScheduler',),
+    'schedulers.log_fuzzy': ('LogFuzzyScheduler',),
     'motion.limits': ('MotionLimits',),
     'path.nurbs': ('NurbsCurve',),
     'path.path_curvature': ('curvature',),

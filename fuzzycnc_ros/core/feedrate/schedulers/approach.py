@@ -53,3 +53,31 @@ def approach_share(path: SampledPath, speed: Array, time: float, length: float) 
         np.maximum(behind, path.arc_length[first], out=behind)
     earlier = np.interp(behind, path.arc_length, speed, period=path.lap)
     return np.clip(0.5 * (earlier / speed + 1.0), SHARE_MIN, SHARE_MAX)
+
+
+def gentle(path: SampledPath, speed: Array, slope: float) -> Array:
+    """Return the speeds lowered so far that they fall by no more than a slope along the path.
+
+    What brakes at v dv/ds = -slope v comes to a slow place with the lag of that place, times a
+    constant, however fast it was before; steeper braking still lags by what it was.
+
+    Parameters
+    ----------
+    path : SampledPath
+        Path of m points.
+    speed : ndarray, shape (m,)
+        Speeds [m/s].
+    slope : float
+        Largest fall of the speed along the path [1/s], positive.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Speeds [m/s], not above those given.
+    """
+    arc, wanted = path.arc_length, speed
+    if path.lap is not None:  # the second round tells the first what comes behind its end
+        arc, wanted = np.append(arc, arc + path.lap), np.append(wanted, wanted)
+    drop = slope * (arc - arc[0])
+    least = np.minimum.accumulate((wanted + drop)[::-1])[::-1] - drop
+    return np.minimum(speed, least[: len(speed)])
