@@ -113,7 +113,7 @@ def schedule_table(figures: ScheduleFigures) -> Table:
         Column('time [s]'),
         Column('change'),
         Column('mean feed [mm/min]'),
-        Column('contour error at most [mm]'),
+        Column('contour error expected [mm]'),
     )
     rows: list[tuple[str, ...]] = []
     for name, duration, error in (

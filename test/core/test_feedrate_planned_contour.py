@@ -69,4 +69,4 @@ def test_axes_arrive_at_exact_stops(name):
     assert largest_error(reference) <= 1e-7
     rest = np.linalg.norm(np.diff(reference, axis=0), axis=1) == 0.0
     stops = read_program(PROGRAMS[name]).segments
-    assert rest.sum() >= 250 * (len(stops) - 1)
+    assert rest.sum() >= 248 * (len(stops) - 1)  # samples between two of the same place

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import isfinite
+from math import isfinite, sqrt
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from fuzzycnc_ros.core.feedrate.motion.stream import MotionPart, MotionStream
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.reference.nodes import own_curvature, with_ramps
 from fuzzycnc_ros.core.feedrate.reference.reference_path import ReferencePath
+from fuzzycnc_ros.core.feedrate.schedulers.approach import APPROACH
 
 _GATHERED = 4096
 """Pieces that are gathered before they are driven: a stream costs time for each push."""
@@ -39,7 +40,8 @@ class ProgramMotion:
     duration : float
         Time of what is over [s]; all of it after `finish`.
     acceleration : float
-        Largest acceleration across the path, curvature times squared speed [m/s^2].
+        Largest acceleration across the path, curvature times squared speed, with what braking
+        before a bend adds and speeding up out of it takes away [m/s^2].
     """
 
     def __init__(self, settings: ProgramSettings) -> None:
@@ -126,8 +128,16 @@ class ProgramMotion:
             moving = np.append(np.diff(part.arc_length) > 0.0, True)
             square = np.interp(node, part.arc_length[moving], part.speed[moving] ** 2)
             bend = np.minimum(own_curvature(part.geometry), self._settings.sharpest)
+            square = square * self._approach(node, np.sqrt(square))
             sharpest = max((bend[:, 0] * square[:-1]).max(), (bend[:, 1] * square[1:]).max())
             self.acceleration = max(self.acceleration, float(sharpest))
+
+    def _approach(self, node: Array, speed: Array) -> Array:
+        """Return what the approach to each node adds to its contour error, as a factor."""
+        behind = node - APPROACH * sqrt(self._settings.machine_constant) * speed
+        before = np.interp(behind, node, speed)
+        moving = speed > 0.0
+        return np.where(moving, 0.5 + 0.5 * before / np.where(moving, speed, 1.0), 1.0)
 
 
 def rest_to_rest(start: ArrayLike, end: ArrayLike, limits: MotionLimits) -> float:

@@ -37,7 +37,7 @@ class ProgramTimes:
     duration, programmed : float
         All that has a known time, with the chosen feeds and with those of the program [s].
     error, programmed_error : float
-        Contour error to expect at most where feeds are chosen [m]: machine constant times the
+        Largest contour error to expect where feeds are chosen [m]: machine constant times the
         largest acceleration across the path.  At exact stops the error depends on acceleration
         and rest, not on the feed, and is left out.
     length : float

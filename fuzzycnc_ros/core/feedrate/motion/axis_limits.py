@@ -25,8 +25,8 @@ from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 _GROUP = 16384
 """Segments swept at a time, unless one span is longer."""
-_CHUNK = 2048
-"""Segments whose pairs of bands are held at a time."""
+_NO_BAND = 1e150
+"""Width of a band that bounds nothing, so that sums of two stay finite."""
 _FLAT = 1e-9
 """Share of w1 in a band below which the band bounds w0 alone."""
 
@@ -203,16 +203,25 @@ def _largest(slope: Array, width: Array) -> Array:
     Without the half, a segment longer than the stopping distance would be entered so fast that
     nothing but a stop at its end obeys the limits.
     """
-    found = np.full(len(slope), np.inf)
-    for begin in range(0, len(slope), _CHUNK):
-        part = slice(begin, begin + _CHUNK)
-        g, c = slope[part], np.where(np.isfinite(width[part]), width[part], 1e150)
-        apart = g[:, :, np.newaxis] - g[:, np.newaxis, :]
-        sums = c[:, :, np.newaxis] + c[:, np.newaxis, :]
-        usable = apart > 0.0
-        pair = np.where(usable, sums / np.where(usable, apart, 1.0), np.inf).min(axis=(1, 2))
-        steep = g + 0.5
-        usable = steep > 0.0
-        single = np.where(usable, c / np.where(usable, steep, 1.0), np.inf).min(axis=1)
-        found[part] = np.minimum(pair, single)
-    return found
+    wide = np.where(np.isfinite(width), width, _NO_BAND)
+    steep = slope + 0.5
+    usable = steep > 0.0
+    found = np.where(usable, wide / np.where(usable, steep, 1.0), np.inf).min(axis=1)
+    # Where the lowest upper edge c - g w0 meets the highest lower edge -c - g w0.  Their distance
+    # is concave in w0, so that Newton's steps come down to it from any w0 beyond.
+    at: NDArray[np.intp] = np.arange(len(slope))
+    upper, lower = slope.argmax(axis=1), slope.argmin(axis=1)  # these two far beyond
+    first = True
+    while len(at):
+        g, c, row = slope[at], wide[at], np.arange(len(at))
+        apart = g[row, upper] - g[row, lower]
+        crossing = apart > 0.0
+        meet = (c[row, upper] + c[row, lower]) / np.where(crossing, apart, 1.0)
+        nearer = crossing & (meet < found[at])
+        found[at[nearer]] = meet[nearer]
+        if not first:
+            at, g, c = at[nearer], g[nearer], c[nearer]
+        first = False
+        falling = g * found[at, np.newaxis]
+        upper, lower = (c - falling).argmin(axis=1), (c + falling).argmin(axis=1)
+    return np.asarray(found)

@@ -7,6 +7,9 @@ import numpy as np
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.sampled_path import WINDOW_EDGE, SampledPath
 
+APPROACH = 1.9
+"""Time over which a machine sees how the speed changes, over the root of its constant C."""
+
 SHARE_MIN, SHARE_MAX = 0.5, 4.0
 """Bounds of the share.
 
@@ -80,4 +83,4 @@ def gentle(path: SampledPath, speed: Array, slope: float) -> Array:
         arc, wanted = np.append(arc, arc + path.lap), np.append(wanted, wanted)
     drop = slope * (arc - arc[0])
     least = np.minimum.accumulate((wanted + drop)[::-1])[::-1] - drop
-    return np.minimum(speed, least[: len(speed)])
+    return np.asarray(np.minimum(speed, least[: len(speed)]))

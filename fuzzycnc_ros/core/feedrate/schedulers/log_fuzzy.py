@@ -10,7 +10,7 @@ import numpy as np
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.path.windows import window_maximum
-from fuzzycnc_ros.core.feedrate.schedulers.approach import approach_share, gentle
+from fuzzycnc_ros.core.feedrate.schedulers.approach import APPROACH, approach_share, gentle
 from fuzzycnc_ros.core.feedrate.schedulers.fuzzy_rules import (
     CURVATURE_SETS,
     RATIO_SETS,
@@ -25,7 +25,6 @@ from fuzzycnc_ros.core.feedrate.schedulers.plain import (
 from fuzzycnc_ros.core.fuzzy.mamdani import Mamdani, memberships, tabulated
 
 GAP_MIN = 0.3  # least one between the centres of the logarithmic sets [decades]
-APPROACH = 1.9  # root of C over which the machine sees how the speed changes
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
