@@ -77,7 +77,7 @@ class ScheduleFigures:
         if times.stops:
             where = 'corners within a run' if settings.blend == 0.0 else 'what cannot be blended'
             lines.append(
-                f'{times.stops:,} exact stops, at the ends of runs and at {where}: what they '
+                f'exact stops: {times.stops:,}, at the ends of runs and at {where}; what they '
                 'leave as error depends on acceleration and rest, not on the feed'
             )
         lines.append(f'limits: {_limits(settings.limits)}')
