@@ -11,6 +11,7 @@ nodes = [
     'player',
     'recorder',
     'sensor_selector',
+    'servo_controller',
     'simulated_machine',
     'temperature_acquisition',
     'thermal_predictor',

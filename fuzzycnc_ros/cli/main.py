@@ -5,10 +5,12 @@
 import inspect
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.cli.compare import compare
@@ -19,9 +21,12 @@ from fuzzycnc_ros.cli.graph_processes import GraphError
 from fuzzycnc_ros.cli.import_csv import import_csv
 from fuzzycnc_ros.cli.info import info
 from fuzzycnc_ros.cli.pareto import pareto
+from fuzzycnc_ros.cli.position import position
 from fuzzycnc_ros.cli.record import record
 from fuzzycnc_ros.cli.replay import replay
 from fuzzycnc_ros.cli.schedule import schedule
+from fuzzycnc_ros.cli.servo import COMMANDS as SERVO_COMMANDS
+from fuzzycnc_ros.cli.servo import HELP as SERVO_HELP
 from fuzzycnc_ros.cli.simulate import simulate
 from fuzzycnc_ros.cli.train import train
 from fuzzycnc_ros.cli.up import up
@@ -50,6 +55,11 @@ Feeds of a part program that keep a contour tolerance, and methods side by side:
     fuzzycnc schedule part.ngc --tolerance 0.01mm --out scheduled.ngc
     fuzzycnc pareto butterfly
 
+How an axis gets to a position, and controllers side by side:
+
+    fuzzycnc position --axis lathe --to -50mm
+    fuzzycnc servo compare
+
 `fuzzycnc COMMAND --help` explains each command with examples.
 """
 
@@ -59,7 +69,16 @@ EPILOG = (
     'Not a safety function: e-stop, limit switches and drive limits stay in hardware.'
 )
 
-COMMANDS: dict[str, Callable[..., Any]] = {
+
+@dataclass(frozen=True)
+class CommandGroup:
+    """Subcommands that belong together, and the manual of all of them."""
+
+    help: str
+    commands: Mapping[str, Callable[..., Any]]
+
+
+COMMANDS: dict[str, Callable[..., Any] | CommandGroup] = {
     'demo': demo,
     'up': up,
     'simulate': simulate,
@@ -71,6 +90,8 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     'curve': curve,
     'schedule': schedule,
     'pareto': pareto,
+    'position': position,
+    'servo': CommandGroup(SERVO_HELP, SERVO_COMMANDS),
     'import-csv': import_csv,
     'info': info,
 }
@@ -93,20 +114,44 @@ def manual(text: str) -> str:
     )
 
 
+class _InOrder(TyperGroup):
+    """Lists groups of commands where they stand among the others, not ahead of them."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the commands."""
+        return list(COMMANDS)
+
+
+_SETTINGS = {'help_option_names': ['-h', '--help']}
+
 app = typer.Typer(
     name='fuzzycnc',
+    cls=_InOrder,
     help=manual(HELP),
     epilog=EPILOG,
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    context_settings={'help_option_names': ['-h', '--help']},
+    context_settings=_SETTINGS,
 )
-for _name, _command in COMMANDS.items():
-    _text = manual(_command.__doc__ or '')
-    # The whole first paragraph: typer would cut it at 45 characters.
-    app.command(_name, help=_text, short_help=' '.join(_text.split('\n\n')[0].split()))(_command)
+
+
+def _add(to: typer.Typer, commands: Mapping[str, Callable[..., Any] | CommandGroup]) -> None:
+    """Make commands and groups of them known."""
+    for name, command in commands.items():
+        text = manual(command.help if isinstance(command, CommandGroup) else command.__doc__ or '')
+        # The whole first paragraph: typer would cut it at 45 characters.
+        short = ' '.join(text.split('\n\n')[0].split())
+        if isinstance(command, CommandGroup):
+            group = typer.Typer(rich_markup_mode=None, context_settings=_SETTINGS)
+            _add(group, command.commands)
+            to.add_typer(group, name=name, help=text, short_help=short)
+        else:
+            to.command(name, help=text, short_help=short)(command)
+
+
+_add(app, COMMANDS)
 
 
 @app.callback()

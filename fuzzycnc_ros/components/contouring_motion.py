@@ -22,11 +22,12 @@ from fuzzycnc_ros.components.records import (
     TrajectoryStatus,
     nanoseconds,
 )
+from fuzzycnc_ros.components.servo_lead import trajectory_part
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringAxes, ContouringConfig
 from fuzzycnc_ros.core.machine.path_error import PathError
 from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInput
-from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryInputConfig, TrajectoryPart
+from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryInputConfig
 
 MOTION_AXES = ('X', 'Y', 'Z')
 """Axes of the machine that move along paths."""
@@ -71,6 +72,13 @@ class ContouringMotion:
     config : ContouringConfig
         Gains, limits and periods of the axes, which rest at 0 at the beginning.
     """
+
+    axes = MOTION_AXES
+    """Axes, in the order of all arrays."""
+    failure = ''
+    """Why a programme of the axes' own failed; they have none."""
+    periods = 0
+    """Periods of such a programme that are over."""
 
     def __init__(self, config: ContouringConfig) -> None:
         self._config = config
@@ -130,21 +138,7 @@ class ContouringMotion:
     def command(self, part: Trajectory) -> None:
         """Take a part of a trajectory; the trajectory input decides whether it is followed."""
         before = self._input.next_time
-        answer = self._input.command(
-            TrajectoryPart(
-                path_id=part.path_id,
-                epoch=part.epoch,
-                part=part.part,
-                last=part.last,
-                start=part.start,
-                period=part.period,
-                committed=part.committed,
-                axis=part.axis,
-                position=part.position,
-                velocity=part.velocity,
-                arc_length=part.arc_length,
-            )
-        )
+        answer = self._input.command(trajectory_part(part))
         if answer.accepted and before is None and part.part == 0:
             self._begins = self._input.next_time is not None
 

@@ -6,6 +6,7 @@ from fuzzycnc_ros.components.compensator import Compensator
 from fuzzycnc_ros.components.component import Component
 from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.sensor_selector import SensorSelector
+from fuzzycnc_ros.components.servo_controller import ServoController
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine
 from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
@@ -19,5 +20,6 @@ COMPONENTS: dict[str, type[Component]] = {
         ThermalPredictor,
         Compensator,
         FeedrateScheduler,
+        ServoController,
     )
 }

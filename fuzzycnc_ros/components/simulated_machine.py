@@ -21,12 +21,12 @@ from fuzzycnc_ros.components.component import (
     Output,
 )
 from fuzzycnc_ros.components.contouring_motion import (
-    MOTION_AXES,
     ContouringMotion,
     contouring_config,
 )
 from fuzzycnc_ros.components.path_programme import PathProgramme
 from fuzzycnc_ros.components.records import (
+    AxisCommand,
     AxisState,
     Compensation,
     CompensationApplied,
@@ -34,12 +34,14 @@ from fuzzycnc_ros.components.records import (
     Displacement,
     MachineMode,
     MachineState,
+    PositionCommand,
     Temperatures,
     ToolPath,
     Trajectory,
     TrajectoryState,
     nanoseconds,
 )
+from fuzzycnc_ros.components.servo_motion import ServoMotion, servo_motion
 from fuzzycnc_ros.components.simulated_machine_config import SimulatedMachineConfig
 from fuzzycnc_ros.core.machine.duties import DUTIES, Duty, DutyBlock
 from fuzzycnc_ros.core.machine.mill import DISPLACEMENT_NOISE, MILL_AXES, MILL_SENSORS, ThermalMill
@@ -62,15 +64,19 @@ _NO_DUTY = Duty('none', (DutyBlock(0.0, DAY),), base=20.0, amplitude=2.0, phase_
 
 
 class SimulatedMachine(Component):
-    """Run duties on the simulated mill, apply compensation and follow trajectories."""
+    """Run duties on the simulated mill, apply compensation, follow trajectories, drive axes."""
 
     NAME = 'simulated_machine'
     SUMMARY = (
         'The simulated mill: temperatures, displacement, state; applies compensation, follows '
-        'trajectories.'
+        'trajectories, drives axes.'
     )
     CONFIG = SimulatedMachineConfig
-    INPUTS = (Input('compensation', Compensation), Input('trajectory', Trajectory))
+    INPUTS = (
+        Input('compensation', Compensation),
+        Input('trajectory', Trajectory),
+        Input('axis_command', AxisCommand),
+    )
     OUTPUTS = (
         Output('machine_state', MachineState),
         Output('compensation_applied', CompensationApplied),
@@ -80,6 +86,7 @@ class SimulatedMachine(Component):
         Output('contour_error', ContourError),
         Output('trajectory_state', TrajectoryState),
         Output('tool_path', ToolPath, LATCHED),
+        Output('position_command', PositionCommand),
     )
     _config: SimulatedMachineConfig
 
@@ -87,7 +94,7 @@ class SimulatedMachine(Component):
         super().__init__(config)
         duties, paths = self._config.duties, self._config.paths
         unknown = [name for name in duties if name not in DUTIES]
-        if unknown or not (duties or paths):
+        if unknown or not (duties or paths or self._config.moves):
             raise ValueError(
                 f'duties: expected names among {", ".join(DUTIES)} but found '
                 f'{", ".join(unknown) or "none, and no paths either"}'
@@ -97,9 +104,13 @@ class SimulatedMachine(Component):
             MILL_AXES,
             OffsetInputConfig(offset_max=self._config.offset_max, slew_max=self._config.slew_max),
         )
-        self._motion = ContouringMotion(contouring_config(self._config))
         self._paths = PathProgramme(
             paths, feed=self._config.path_feed, timeout=self._config.path_timeout
+        )
+        self._motion: ContouringMotion | ServoMotion = (
+            servo_motion(self._config, lambda: bool(paths) and not self._paths.over)
+            if self._config.servo_axes or self._config.moves
+            else ContouringMotion(contouring_config(self._config))
         )
         self._tick_period = nanoseconds(self._config.tick_period)
         self._run = 0
@@ -124,7 +135,9 @@ class SimulatedMachine(Component):
     def total_ticks(self) -> int:
         """Number of ticks of the whole programme; where it has paths an estimate."""
         duties = sum(self._duty_ticks(name) for name in self._config.duties)
-        return duties + self._paths.ticks(self._config.axis_interpolation_period)
+        period = self._config.axis_interpolation_period
+        moves = round(len(self._config.moves) * self._config.move_time / period)
+        return duties + moves + self._paths.ticks(period)
 
     @property
     def ticks_done(self) -> int:
@@ -133,12 +146,13 @@ class SimulatedMachine(Component):
         if not self._duties_done:
             return done + self._ticks
         place = self._motion.place(self._paths.path_id)
+        done += self._motion.periods
         return done + self._paths.ticks_done(self._config.axis_interpolation_period, place)
 
     @property
     def failure(self) -> str:
         """Why the programme was given up; empty if it was not."""
-        return self._paths.failure
+        return self._paths.failure or self._motion.failure
 
     def on_compensation(self, command: Compensation) -> None:
         """Take an offset command; the offset input decides whether it is followed."""
@@ -155,6 +169,11 @@ class SimulatedMachine(Component):
     def on_trajectory(self, part: Trajectory) -> None:
         """Take a part of a trajectory; the trajectory input decides whether it is followed."""
         self._motion.command(part)
+
+    def on_axis_command(self, command: AxisCommand) -> None:
+        """Take a command of the drives; where the machine has its own loops it means nothing."""
+        if isinstance(self._motion, ServoMotion):
+            self._motion.drive(command)
 
     def set_mode(self, mode: MachineMode) -> None:
         """Switch the machine; only in ON it moves, applies offsets and turns its spindle.
@@ -313,7 +332,7 @@ class SimulatedMachine(Component):
             offsets_allowed=self._mode is MachineMode.ON,
             cold_since=self._start,
             spindle_speed=self._speed,
-            axis=MOTION_AXES,
+            axis=self._motion.axes,
             position=self._motion.reference,
         )
 

@@ -56,6 +56,30 @@ class SimulatedMachineConfig(Config):
     axis_velocity_max: float = axis_param('velocity_max')
     axis_acceleration_max: float = axis_param('acceleration_max')
     axis_run_out: float = axis_param('run_out')
+    servo_axes: tuple[str, ...] = param(
+        (),
+        '-',
+        'Axes that axis_command drives instead of the built-in loops, as X:lathe; models: lathe, '
+        'ballscrew',
+    )
+    servo_plant: tuple[str, ...] = param(
+        (),
+        '-',
+        'What differs from the defaults of their models, faults too, as X:gain_factor:1.5; fields '
+        'of LatheAxisConfig and BallscrewAxisConfig',
+    )
+    servo_travel_low: float = param(-0.3, 'm', 'Low end of their travel', low=-100.0, high=100.0)
+    servo_travel_high: float = param(0.3, 'm', 'High end of their travel', low=-100.0, high=100.0)
+    servo_silence: float = param(
+        0.0, 's', 'Time from which axis_state is missing; 0 for never', low=0.0, high=1e6
+    )
+    moves: tuple[str, ...] = param(
+        (), '-', 'Positions to command one after the other, in m, as X:-0.05 or X:-0.05,Y:0.01'
+    )
+    move_time: float = param(1.2, 's', 'Time that each gets', low=0.01, high=3600.0)
+    move_tolerance: float = param(
+        1e-5, 'm', 'Distance from its target that may be left then', low=1e-9, high=1.0
+    )
     lockstep_nodes: tuple[str, ...] = param(
         ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator'),
         '-',

@@ -297,7 +297,9 @@ class Sequencer:
                 readers[topic] += 1
         for item in self._participants:
             for topic in item.reads:
-                readers[topic] = readers.get(topic, 0) + 1
+                # What the machine would read too, nobody in the run writes unless it is known.
+                if topic in readers or topic not in self._received:
+                    readers[topic] = readers.get(topic, 0) + 1
         return readers
 
     def _routes_stand(self) -> bool:

@@ -11,9 +11,10 @@ from fuzzycnc_ros.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.fuzzy.c_means import FuzzyCMeans
+    from fuzzycnc_ros.core.fuzzy.gustafson_kessel import GustafsonKessel
 
-__all__ = ['FuzzyCMeans']
+__all__ = ['FuzzyCMeans', 'GustafsonKessel']
 
-_MODULES = {'c_means': ('FuzzyCMeans',)}
+_MODULES = {'c_means': ('FuzzyCMeans',), 'gustafson_kessel': ('GustafsonKessel',)}
 
 __getattr__ = lazy_names(__name__, _MODULES)

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
         record_runs,
         simulate_duty,
     )
+    from fuzzycnc_ros.core.machine.foam_samples import FoamSamples, true_compensation
+    from fuzzycnc_ros.core.machine.foam_sheet import FoamSheet, FoamStitching
+    from fuzzycnc_ros.core.machine.foam_tracks import FoamTrack, TrackQuality
     from fuzzycnc_ros.core.machine.grinder import GRINDER_AXES, AmbientCourse, Grinder
     from fuzzycnc_ros.core.machine.grinder_network import GRINDER_SENSORS
     from fuzzycnc_ros.core.machine.grinder_runs import (
@@ -56,6 +59,10 @@ __all__ = [
     'Duty',
     'DutyBlock',
     'FaultInjector',
+    'FoamSamples',
+    'FoamSheet',
+    'FoamStitching',
+    'FoamTrack',
     'Grinder',
     'GrinderCase',
     'LatheAxes',
@@ -69,6 +76,7 @@ __all__ = [
     'PositionSensorConfig',
     'SensorFault',
     'ThermalMill',
+    'TrackQuality',
     'parse_sensor_fault',
     'random_moves',
     'record_flux_case',
@@ -77,6 +85,7 @@ __all__ = [
     'record_runs',
     'simulate_duty',
     'simulate_grinder',
+    'true_compensation',
 ]
 
 __getattr__ = lazy_names(
@@ -102,6 +111,18 @@ __getattr__ = lazy_names(
             'record_run',
             'record_runs',
             'simulate_duty',
+        ),
+        'foam_samples': (
+            'FoamSamples',
+            'true_compensation',
+        ),
+        'foam_sheet': (
+            'FoamSheet',
+            'FoamStitching',
+        ),
+        'foam_tracks': (
+            'FoamTrack',
+            'TrackQuality',
         ),
         'grinder': (
             'GRINDER_AXES',

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.smoothing import limit_acceleration
+from fuzzycnc_ros.core.feedrate.schedulers.smoothing import limit_acceleration
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringAxes, ContouringConfig
 

@@ -17,7 +17,11 @@ _INCREMENTS = 32
 """Changes of the reading after which their common divisor is judged."""
 
 _KINDS = 8
-"""Different sizes among them: a steady speed alone may have a divisor."""
+"""Different sizes among them: a steady speed alone may have a divisor.
+
+So may a steady acceleration, size after size; only a change that is not what its forerunners
+lead to counts.
+"""
 
 _SPEED_SHARE = 0.3
 """Share of a new reading in the smoothed speed of the run-away test."""
@@ -158,7 +162,7 @@ class FeedbackWatch:
         self._restart_divisor()
 
     def _restart_divisor(self) -> None:
-        self._divisor = self._changes = self._odd = 0
+        self._divisor = self._changes = self._odd = self._bend = 0
         self._kinds: set[int] = set()
 
     def accepts(self, reference: float, position: float) -> bool:
@@ -184,8 +188,8 @@ class FeedbackWatch:
             return self._refuse('reading has jumped: counts were lost')
         self._last, self._slope, self._off = position, change, None
         self.bad = self._gap = 0
-        if change and self._per_count:
-            self._count(change * self._per_count)
+        if self._per_count and (change or surprise):
+            self._count(change * self._per_count, round(surprise * self._per_count))
         self._follow(change)
         return not self.fault
 
@@ -226,8 +230,11 @@ class FeedbackWatch:
         if self._against >= self.limits.runaway_periods:
             self.fault = 'axis runs away against its duty: wrong sign or load'
 
-    def _count(self, counts: float) -> None:
-        """Judge whether the reading still moves in single counts."""
+    def _count(self, counts: float, bend: int) -> None:
+        """Judge whether the reading still moves in single counts.
+
+        `bend` is what its change has changed by [counts].
+        """
         whole = round(counts)
         if abs(counts - whole) > 0.25:
             self._odd += 1
@@ -237,6 +244,10 @@ class FeedbackWatch:
         self._divisor = gcd(self._divisor, whole)
         if self._divisor == 1:
             self._restart_divisor()
+            return
+        steady = bend == self._bend
+        self._bend = bend
+        if steady or not whole:
             return
         self._changes += 1
         self._kinds.add(whole)

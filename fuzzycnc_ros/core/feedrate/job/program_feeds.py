@@ -106,9 +106,10 @@ class BlockFeeds:
         """Return the feed of each block, shape (k,) [m/s]."""
         feed, length, bend, top = sums
         plain = np.minimum(feed[_CORE], feed[_EDGE])
-        # A line that is all near its neighbours does not bend by itself: the least of them counts.
-        line = np.array([self._own(at) == 0.0 for at in index.tolist()], dtype=bool)
-        found = np.where(line & (length[_EDGE] > 0.0), top[_EDGE], plain)
+        # A block that is all near its neighbours, and bends alike all along: what is lower
+        # somewhere is so because of them.
+        alike = np.array([self._own(at) < inf for at in index.tolist()], dtype=bool)
+        found = np.where(alike & (length[_EDGE] > 0.0), top[_EDGE], plain)
         found = np.where(length[_CORE] > 0.0, feed[_CORE], found)
         for row in np.flatnonzero(bend[_EDGE] > 1.001 * bend[_CORE]).tolist():
             if self._own(int(index[row])) == inf:  # sharpest at its ends, by itself

@@ -44,11 +44,15 @@ class NodePlan:
     Parameters
     ----------
     edge : float
-        Up to this distance from a block's ends its neighbours count for the feed [m]; infinite
+        Up to this distance from a block's ends its neighbours' curvature counts [m]; infinite
         for rules that count points or link the whole path.
+    near : float
+        Up to this distance from a block's ends the feed may be lower because of its neighbours,
+        to which it has to slow down [m].
     """
 
     edge: float
+    near: float
 
     @classmethod
     def of(cls, scheduler: Scheduler) -> NodePlan:
@@ -58,8 +62,9 @@ class NodePlan:
         most = max(reach.length_behind, reach.length_ahead)
         length = getattr(scheduler, 'guard_length', most)
         if max(reach.points_behind, reach.points_ahead) > _POINTS_FEW or not np.isfinite(length):
-            return cls(np.inf)
-        return cls(max(EDGE_LEAST, 1.01 * length))
+            return cls(np.inf, np.inf)
+        edge = max(EDGE_LEAST, 1.01 * length)
+        return cls(edge, max(2.0 * edge, 1.01 * reach.length_ahead))
 
     @property
     def even(self) -> bool:
@@ -202,7 +207,7 @@ def near_neighbours(path: ReferencePath, own: Array, bend: Array, plan: NodePlan
     first = np.flatnonzero(np.append(True, change))
     count = np.diff(np.append(first, len(path.owner)))
     start, end = node[first], node[first + count]
-    reach = 0.25 * (end - start) if plan.even else np.full(len(first), 2.0 * plan.edge)
+    reach = 0.25 * (end - start) if plan.even else np.full(len(first), plan.near)
     reach *= 1.0 - 1e-9
     near = foreign | (np.repeat(start + reach, count) > node[:-1])
     return np.asarray(near | (np.repeat(end - reach, count) < node[1:]))

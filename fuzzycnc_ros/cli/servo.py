@@ -1,0 +1,382 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc servo`: position controllers compared, learnt, tuned and judged."""
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Optional
+
+import typer
+
+from fuzzycnc_ros.cli.console import (
+    JsonFile,
+    check_at_least,
+    check_folder,
+    check_new,
+    progress_bar,
+    say,
+    show,
+    words,
+    write_json,
+    write_text,
+)
+from fuzzycnc_ros.cli.options import ALL, Report, names_of
+from fuzzycnc_ros.cli.quantities import LENGTHS
+from fuzzycnc_ros.cli.servo_axis import (
+    AXES,
+    TUNABLE,
+    Axis,
+    check_axis,
+    make_axis,
+    make_controller,
+    warnings_said,
+)
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
+    from fuzzycnc_ros.core.servo import RuleTable
+
+HELP = """Compare, learn, tune and judge controllers that position an axis.
+
+    fuzzycnc servo compare --report controllers.html
+    fuzzycnc servo learn run --out rules.yaml
+    fuzzycnc servo tune --generations 30 --out settings.yaml
+    fuzzycnc servo stability --params settings.yaml
+
+`fuzzycnc position` moves an axis with what they find.
+"""
+
+Out = Annotated[
+    Path, typer.Option(metavar='FILE', help='Where to write it: YAML, or JSON if it ends so.')
+]
+
+Params = Annotated[
+    Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
+    typer.Option(
+        metavar='FILE', show_default=False, help='Settings as `servo tune` and `learn` write them.'
+    ),
+]
+
+
+def compare(
+    controllers: Annotated[
+        list[str],
+        typer.Option(
+            metavar='NAME,...',
+            help=f'Controllers to compare, or {ALL}: paper_literal, static, fixed_paper, pid, '
+            'model_free, production, fixed, cascade.',
+        ),
+    ] = [ALL],  # noqa: B006 - typer copies it
+    moves: Annotated[
+        int, typer.Option(help='Random moves with moderate and as many with hard friction.')
+    ] = 200,
+    seed: Annotated[int, typer.Option(help='Seed of noise and random moves.')] = 0,
+    report: Report = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Put all position controllers on the same cases of the lathe axis.
+
+    Steps and profiles with and without friction, the gain halved and one and a half times, a step
+    of load, a sine, a circle of two axes, and random moves whose gain, load, noise and friction
+    are drawn. Ten seconds with --moves 0, about a minute and a half with 200.
+
+        fuzzycnc servo compare --moves 0
+        fuzzycnc servo compare --controllers pid,production --json figures.json
+        fuzzycnc servo compare --report controllers.html
+    """
+    from fuzzycnc_ros.report import positioning_compare as shown
+    from fuzzycnc_ros.scenario.servo_cases import CONTROLLERS, compare_controllers
+
+    names = names_of('--controllers', controllers, tuple(CONTROLLERS))
+    check_at_least('--moves', moves, 0)
+    check_at_least('--seed', seed, 0)
+    for path in (report, json_file):
+        check_folder(path)
+    with progress_bar('driving') as tell:
+        found = compare_controllers(names, moves=moves, seed=seed, progress=tell)
+    tables, lines = (
+        (shown.moves_table(found), shown.others_table(found)),
+        shown.comparison_remarks(found),
+    )
+    for table in tables:
+        show(table)
+        say('')
+    for line in lines:
+        say(line)
+    if report is not None:
+        from fuzzycnc_ros.report.sections import render_page
+
+        facts = {
+            'Axis': 'lathe, simulated: 286 mm/s at full duty, grating of 0.625 um, noise 0.1 um',
+            'Control period': '1 ms',
+            'Profile': '200 mm/s, 1.5 m/s², 30 m/s³',
+            'Random moves': f'{moves} with moderate and {moves} with hard friction',
+            'Seed': str(seed),
+        }
+        write_text(report, render_page(shown.comparison_page(found, tables, lines, facts)))
+        say(f'{report}: the report; open it in a browser')
+    write_json(json_file, shown.comparison_document(found))
+
+
+def learn(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar='BAG|CSV',
+            help='Bag of a run with servo_controller, or .csv with the columns t [s], reference, '
+            'position, duty [-1 to 1].',
+        ),
+    ],
+    out: Out,
+    axis: Axis = 'lathe',
+    name: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            metavar='AXIS', show_default=False, help='Axis of the bag, if it drives several.'
+        ),
+    ] = None,
+    unit: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            metavar='|'.join(LENGTHS), show_default=False, help='Unit of the lengths of a .csv.'
+        ),
+    ] = None,
+    method: Annotated[
+        str, typer.Option(metavar='lsq|wm', help='Least squares, or Wang-Mendel as published.')
+    ] = 'lsq',
+    reversed_axis: Annotated[
+        bool,
+        typer.Option('--reversed', help='Positive duty drives to negative positions.'),
+    ] = False,
+    json_file: JsonFile = None,
+) -> None:
+    """Learn the rules of the controller from recorded moves of any controller.
+
+    Shown is where every cell is from: records, the opposite cell, or its neighbours. The file is
+    for `fuzzycnc position --params` and `fuzzycnc servo stability --params`.
+
+        fuzzycnc servo learn run --out rules.yaml
+        fuzzycnc servo learn moves.csv --unit mm --method wm --out rules.json
+    """
+    from fuzzycnc_ros.cli.servo_records import read_bag, read_csv, records_of
+    from fuzzycnc_ros.cli.servo_settings import write_settings
+    from fuzzycnc_ros.core.servo import learn_rules
+    from fuzzycnc_ros.core.servo.rule_table import SETS
+    from fuzzycnc_ros.report.positioning_rules import rules_document, rules_table
+
+    check_axis(axis)
+    if method not in ('lsq', 'wm'):
+        raise ValueError(f'--method: expected lsq or wm but found {method!r}')
+    table_file = source.suffix.lower() == '.csv'
+    if table_file != (unit is not None):
+        raise ValueError(
+            f'--unit: expected the unit of the lengths of a .csv, one of {", ".join(LENGTHS)}, '
+            f'and none for a bag, but found {unit!r} for {source}'
+        )
+    if unit is not None and unit not in LENGTHS:
+        raise ValueError(f'--unit: expected one of {", ".join(LENGTHS)} but found {unit!r}')
+    check_new(out)
+    check_folder(json_file)
+    if not source.exists():
+        raise ValueError(f'{source}: expected a bag or a .csv but nothing is there')
+    direction = -1.0 if reversed_axis else 1.0
+    plant = make_axis(axis, {'direction': ('--reversed', direction)})
+    controller: Any = make_controller('production', axis, plant)
+    moves = read_csv(source, LENGTHS[unit]) if unit is not None else read_bag(source, name)
+    size = controller.watch.limits.error_max
+    if abs(moves.position).max() > size:
+        raise ValueError(
+            f'{source}: expected positions within {1e3 * size:g} mm but found '
+            f'{1e3 * abs(moves.position).max():g} mm; is the unit right?'
+        )
+    learned = learn_rules(records_of(moves, controller, source), method).complete()
+    show(rules_table(learned, SETS))
+    with warnings_said():
+        rules = learned.table()
+    cells = learned.values.size
+    say(
+        f'{learned.used:,} records; data in {round(learned.coverage * cells)} of {cells} cells, '
+        f'{int(learned.conflicts.sum()):,} records of another set than their cell'
+    )
+    for line in _unsettled(axis, plant, out, rules):
+        say(line)
+    write_settings(
+        out, axis, rules=rules, about=f'rules learnt from {source.name}, method {method}'
+    )
+    say(f'{out}: the rules; move with them by `fuzzycnc position --params {out}`')
+    write_json(json_file, rules_document(learned))
+
+
+def _unsettled(axis: str, plant: 'AxisPlant', out: Path, rules: 'RuleTable') -> list[str]:
+    """Return what is to be said of rules with which the axis does not settle."""
+    from fuzzycnc_ros.cli.servo_settings import ServoSettings
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')
+            make_controller('production', axis, plant, ServoSettings(out, axis, rules=rules))
+    except ValueError as error:
+        return [f'note: {error}']
+    return []
+
+
+def tune(
+    out: Out,
+    axis: Axis = 'lathe',
+    generations: Annotated[
+        int, typer.Option(help='Generations of the search after the first population.')
+    ] = 30,
+    population: Annotated[int, typer.Option(help='Candidates per setting.')] = 6,
+    search: Annotated[
+        list[str],
+        typer.Option(
+            metavar='NAME,...',
+            help=f'Settings to search, or {ALL}: error_exponent, rate_exponent, error_floor, '
+            'rate_floor, output_gain, rate_range, disturbance.',
+        ),
+    ] = [ALL],  # noqa: B006
+    seed: Annotated[int, typer.Option(help='Seed of the search.')] = 0,
+    json_file: JsonFile = None,
+) -> None:
+    """Search for settings of the production controller of the lathe axis.
+
+    Differential evolution on eight moves: 20 um to 170 mm, the gain from half to one and a half
+    times nominal, friction, load. A generation of the default size takes about four seconds of
+    one core; the progress shows the best cost so far.
+
+        fuzzycnc servo tune --out settings.yaml
+        fuzzycnc servo tune --search output_gain,disturbance --generations 10 --out few.json
+    """
+    from fuzzycnc_ros.cli.servo_search import default_cost, swinging
+    from fuzzycnc_ros.cli.servo_settings import write_settings
+    from fuzzycnc_ros.core.servo.tuning import BOUNDS
+    from fuzzycnc_ros.core.servo.tuning import tune as searched
+    from fuzzycnc_ros.report.positioning_rules import tuning_table
+
+    check_axis(axis)
+    if axis != AXES[0]:
+        raise ValueError(
+            f'--axis: expected {AXES[0]}, on which settings are searched, but found {axis}; the '
+            'controller of the ballscrew follows from its nominal model'
+        )
+    names = names_of('--search', search, tuple(BOUNDS))
+    check_at_least('--generations', generations, 1)
+    check_at_least('--population', population, 1)
+    if population * len(names) < 5:
+        raise ValueError(
+            f'--population: expected five candidates or more in all but found {population} for '
+            f'each of {len(names)} settings'
+        )
+    check_at_least('--seed', seed, 0)
+    check_new(out)
+    check_folder(json_file)
+    with progress_bar('searching') as tell:
+        found = searched(
+            bounds={name: BOUNDS[name] for name in names},
+            seed=seed,
+            generations=generations,
+            population=population,
+            progress=lambda done, total, cost: tell(f'best cost {cost:.3f}', done, total),
+        )
+    before = default_cost()
+    show(tuning_table(found, before))
+    if found.cost >= before:
+        say('note: no better than the defaults; more generations or candidates may be')
+    for line in swinging(found.settings):
+        say(line)
+    about = f'tuned on the simulated lathe axis, seed {seed}, {generations} generations'
+    write_settings(out, axis, numbers=found.settings, about=about)
+    say(f'{out}: the settings; move with them by `fuzzycnc position --params {out}`')
+    write_json(
+        json_file,
+        {
+            'settings': found.settings,
+            'cost': found.cost,
+            'history': found.history,
+            'evaluations': found.evaluations,
+            'seed': seed,
+        },
+    )
+
+
+def stability(
+    axis: Axis = 'lathe',
+    controller: Annotated[
+        str, typer.Option(metavar='|'.join(TUNABLE), help='Controller of the lathe axis.')
+    ] = 'production',
+    params: Params = None,
+    gains: Annotated[
+        list[str],
+        typer.Option(metavar='FACTOR,...', help="Factors on the axis' gain to look at."),
+    ] = ['0.5,0.75,1,1.25,1.5,1.75'],  # noqa: B006
+    report: Report = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Show what a position loop has to spare before it swings.
+
+    Gains near the target, gain and phase margin, the spectral radius of the sampled loop with its
+    observer over the gain of the axis, and the amplitude of a lasting oscillation that the
+    describing function of the contracted surface predicts.
+
+        fuzzycnc servo stability
+        fuzzycnc servo stability --params settings.yaml --gains 0.5,1,1.5,2 --report margins.html
+    """
+    from fuzzycnc_ros.cli.servo_settings import read_settings
+    from fuzzycnc_ros.core.servo import stability_report
+    from fuzzycnc_ros.report.positioning_rules import (
+        stability_document,
+        stability_page,
+        stability_table,
+    )
+
+    check_axis(axis)
+    if controller not in TUNABLE:
+        raise ValueError(
+            f'--controller: expected one of {", ".join(TUNABLE)} but found {controller!r}'
+        )
+    factors = _factors(gains)
+    for path in (report, json_file):
+        check_folder(path)
+    plant = make_axis(axis, {})
+    with warnings_said():
+        settings = read_settings(params) if params is not None else None
+        chosen: Any = make_controller(controller, axis, plant, settings, unstable=True)
+    found = stability_report(chosen, gains=factors)
+    table = stability_table(found, f'{controller} on the {axis} axis')
+    show(table)
+    if report is not None:
+        from fuzzycnc_ros.report.sections import render_page
+
+        fine = sorted({*(0.05 * k for k in range(2, 51)), *factors})
+        course = stability_report(chosen, gains=fine).spectral_radius
+        facts = {'Axis': axis, 'Settings': str(params) if params else 'built-in defaults'}
+        page = stability_page(found, course, table, facts)
+        write_text(report, render_page(page))
+        say(f'{report}: the report; open it in a browser')
+    write_json(json_file, stability_document(found))
+
+
+def _factors(texts: list[str]) -> tuple[float, ...]:
+    """Return factors on the gain, from the smallest."""
+    found = []
+    for text in words(texts):
+        try:
+            factor = float(text)
+        except ValueError:
+            factor = 0.0
+        if not 0.0 < factor < 100.0:
+            raise ValueError(f'--gains: expected factors above 0, below 100 but found {text!r}')
+        found.append(factor)
+    if not found:
+        raise ValueError('--gains: expected factors such as 0.5,1,1.5 but found none')
+    return tuple(sorted(set(found)))
+
+
+COMMANDS: dict[str, Callable[..., Any]] = {
+    'compare': compare,
+    'learn': learn,
+    'tune': tune,
+    'stability': stability,
+}
+"""The subcommands in the order of the help."""

@@ -1,0 +1,228 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded moves of one axis, from a bag or a CSV file, for `fuzzycnc servo learn`."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from itertools import pairwise
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.arrays import Array
+    from fuzzycnc_ros.core.servo import VariableUniverseController
+
+COLUMNS = ('t', 'reference', 'position', 'duty')
+"""Columns of a CSV file; time in s, lengths in the unit that is told, duty from -1 to 1."""
+
+ROWS_MIN = 50
+"""Rows without a gap that are of use: fewer do not get the observer going."""
+
+BLOCK = 20
+"""Periods over which speed and duty are averaged to see whether they belong together."""
+
+_RATIO = (0.05, 20.0)
+"""What the axis' gain may be against the nominal one."""
+
+_LATE = 0.1
+"""What a stamp may be off a period, as share of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moves:
+    """Recorded moves of an axis, n rows a period apart but for gaps.
+
+    Attributes
+    ----------
+    time : ndarray, shape (n,)
+        Time [s].
+    reference, position, duty : ndarray, shape (n,)
+        Where the axis was to be and was read [m], and the duty held from then on [-].
+    """
+
+    time: Array
+    reference: Array
+    position: Array
+    duty: Array
+
+    def stretches(self, period: float) -> list[slice]:
+        """Return the stretches without a gap that are long enough."""
+        apart = np.abs(np.diff(self.time) - period) > _LATE * period
+        edges = [0, *(np.flatnonzero(apart) + 1).tolist(), len(self.time)]
+        return [slice(first, last) for first, last in pairwise(edges) if last - first >= ROWS_MIN]
+
+
+def records_of(moves: Moves, controller: VariableUniverseController, source: Path) -> Array:
+    """Return what rules are learnt from.
+
+    Raises
+    ------
+    ValueError
+        If there is no stretch of the controller's period, or the axis does not move as its duty
+        and the nominal model say.
+    """
+    from fuzzycnc_ros.core.servo.rule_learning import records_of_run
+
+    period = controller.period
+    found = []
+    for part in moves.stretches(period):
+        target = moves.reference[part]
+        speed = np.gradient(target, period)
+        # a step is no motion
+        speed[np.abs(speed) > 2.0 * abs(controller.axis.gain)] = 0.0
+        found.append(
+            records_of_run(
+                target, moves.position[part], moves.duty[part], controller, velocity=speed
+            )
+        )
+    if not found:
+        raise ValueError(
+            f'{source}: expected {ROWS_MIN} rows or more, {1e3 * period:g} ms apart without a '
+            f'gap, but found none among {len(moves.time)} rows'
+        )
+    _check_gain(moves, controller, source)
+    return np.concatenate(found)
+
+
+def _check_gain(moves: Moves, controller: VariableUniverseController, source: Path) -> None:
+    """Refuse lengths in a wrong unit and an axis that is driven the other way."""
+    period, gain = controller.period, controller.axis.gain
+    driven = moved = 0.0
+    for part in moves.stretches(period):
+        position, duty = moves.position[part], moves.duty[part]
+        speed = (position[BLOCK:] - position[:-BLOCK]) / (BLOCK * period)
+        mean = np.convolve(duty, np.full(BLOCK, 1.0 / BLOCK), 'valid')[: len(speed)]
+        driven += float(mean @ mean)
+        moved += float(mean @ speed)
+    ratio = moved / (driven * gain) if driven else 0.0
+    if -_RATIO[1] < ratio < -_RATIO[0]:
+        raise ValueError(
+            f'{source}: expected positive duty to drive to '
+            f'{"positive" if gain > 0.0 else "negative"} positions but found the opposite; '
+            f'{"give" if gain > 0.0 else "leave out"} --reversed'
+        )
+    if not _RATIO[0] <= ratio <= _RATIO[1]:
+        raise ValueError(
+            f'{source}: expected an axis of about {1e3 * abs(gain):g} mm/s at full duty but found '
+            f'{1e3 * abs(ratio * gain):.3g} mm/s; is it this axis, and the unit right?'
+        )
+
+
+def read_csv(path: Path, metres: float) -> Moves:
+    """Read moves from a CSV file whose lengths are multiples of so many metres.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing or a cell is no finite number; the message names the line.
+    """
+    try:
+        text = path.read_text(encoding='utf-8')
+    except UnicodeDecodeError as error:
+        raise ValueError(f'{path}: expected a CSV file as text: {error}') from error
+    lines = csv.reader(text.splitlines())
+    header = [name.strip() for name in next(lines, [])]
+    missing = [name for name in COLUMNS if name not in header]
+    if missing:
+        raise ValueError(
+            f'{path}: line 1: expected the columns {",".join(COLUMNS)} but found no '
+            f'{", ".join(missing)}'
+        )
+    places = [header.index(name) for name in COLUMNS]
+    rows = []
+    for number, cells in enumerate(lines, start=2):
+        if not cells:
+            continue
+        try:
+            row = [float(cells[place]) for place in places]
+        except (IndexError, ValueError):
+            row = []
+        if not row or not all(map(isfinite, row)):
+            raise ValueError(
+                f'{path}: line {number}: expected {len(COLUMNS)} finite numbers but found '
+                f'{",".join(cells)!r}'
+            )
+        rows.append(row)
+    if not rows:
+        raise ValueError(f'{path}: expected rows below the header but found none')
+    time, reference, position, duty = np.array(rows).T
+    if np.abs(duty).max() > 1.0:
+        raise ValueError(
+            f'{path}: duty: expected shares of the drive from -1 to 1 but found '
+            f'{duty[np.abs(duty).argmax()]:g}'
+        )
+    return Moves(time, metres * reference, metres * position, duty)
+
+
+def read_bag(path: Path, axis: str | None) -> Moves:
+    """Read the moves of an axis from a bag of a run with `servo_controller`.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read or lacks a topic.
+    ValueError
+        If it has no such axis, or several and none is named, or no move of it.
+    """
+    from fuzzycnc_ros.bags.reader import BagReader
+    from fuzzycnc_ros.bags.runs import find_topic
+    from fuzzycnc_ros.components.records import AxisCommand, AxisState, Record, ServoState
+    from fuzzycnc_ros.convert import decode
+
+    kinds: dict[str, type[Record]] = {
+        'axis_state': AxisState,
+        'axis_command': AxisCommand,
+        'servo_state': ServoState,
+    }
+    seen: dict[str, dict[int, Any]] = {name: {} for name in kinds}
+    with BagReader(path) as reader:
+        space = find_topic(reader, 'servo_state', ServoState.TYPE).removesuffix('servo_state')
+        reader.require({f'{space}{name}': kind.TYPE for name, kind in kinds.items()})
+        names = {f'{space}{name}': name for name in kinds}
+        for message in reader.messages(list(names)):
+            name = names[message.topic]
+            record = decode(kinds[name], message.message)
+            seen[name][record.stamp] = record
+    states, commands, servos = seen.values()
+    chosen = _axis(path, axis, {name for one in commands.values() for name in one.axis})
+    rows = []
+    for stamp in sorted(states.keys() & commands.keys() & servos.keys()):
+        values = (
+            _of(servos[stamp], 'reference', chosen),
+            _of(states[stamp], 'position', chosen),
+            _of(commands[stamp], 'duty', chosen),
+        )
+        if not servos[stamp].reason and all(map(isfinite, values)):
+            rows.append((1e-9 * stamp, *values))
+    if not rows:
+        raise ValueError(
+            f'{path}: expected moves of the axis {chosen} with reference, position and duty of '
+            'one stamp but found none'
+        )
+    return Moves(*np.array(rows).T)
+
+
+def _axis(path: Path, axis: str | None, known: set[str]) -> str:
+    """Return the axis that is meant."""
+    if axis is not None and axis not in known:
+        raise ValueError(
+            f'--name: expected one of the driven axes {", ".join(sorted(known)) or "(none)"} of '
+            f'{path} but found {axis!r}'
+        )
+    if axis is None and len(known) != 1:
+        raise ValueError(
+            f'--name: expected one of the driven axes {", ".join(sorted(known)) or "(none)"} of '
+            f'{path} but found none named'
+        )
+    return axis if axis is not None else next(iter(known))
+
+
+def _of(record: Any, field: str, axis: str) -> float:
+    """Return a value of an axis; NaN where it has none."""
+    names = list(record.axis)
+    return float(getattr(record, field)[names.index(axis)]) if axis in names else float('nan')

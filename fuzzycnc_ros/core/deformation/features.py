@@ -1,0 +1,164 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Process values of a primitive, and what the network is fed with in their place.
+
+Rows x of process values are in the units of method sheet 000: direction [deg], feed depth [mm],
+type (1 arc, 2 line), stitch step [mm], thickness [mm].  Compensations s are in mm of offset per
+50 mm of feed, X then Y.
+"""
+
+from collections.abc import Callable, Sequence
+from math import cos, log, radians, sin
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.estimator import check_matrix
+
+PROCESS_VALUES = ('direction', 'depth', 'kind', 'step', 'thickness')
+"""Columns of x."""
+
+DEPTH_RATIO_MAX = 0.8
+"""Largest depth over thickness [-]; beyond it the foot goes through the sheet."""
+
+RADIANS_BELOW = 7.0
+"""A set whose directions all lie below this was given in radians, most likely [deg]."""
+
+
+Quantity = TypeVar('Quantity', float, Array)
+
+
+class FeatureSet(NamedTuple):
+    """Inputs of a network, computed from process values.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Inputs by columns.
+    rows : callable
+        Process values (k, 5) to inputs (k, n).
+    one : callable
+        The same for one row, by plain arithmetic: arrays of six numbers cost ten times as much.
+    loaded : bool
+        Whether the network's output is the compensation per `load`.
+    """
+
+    names: tuple[str, ...]
+    rows: Callable[[Array], Array]
+    one: Callable[[Sequence[float]], Sequence[float]]
+    loaded: bool
+
+
+def load(depth: Quantity, thickness: Quantity) -> Quantity:
+    """Return depth / (h (h - depth)) in 1/mm, to which the drag of a pressed sheet is about equal.
+
+    The foot's force goes as depth over the thickness that remains, the compliance as 1/h.
+    """
+    return depth / (thickness * (thickness - depth))
+
+
+def _physical(x: Array) -> Array:
+    turn = np.radians(x[:, 0])
+    depth, kind, step, thickness = x[:, 1], x[:, 2], x[:, 3], x[:, 4]
+    return np.column_stack(
+        [np.cos(turn), np.sin(turn), depth / thickness, 1.0 / thickness, kind, 1.0 / step]
+    )
+
+
+def _physical_one(x: Sequence[float]) -> Sequence[float]:
+    turn = radians(x[0])
+    return cos(turn), sin(turn), x[1] / x[4], 1.0 / x[4], x[2], 1.0 / x[3]
+
+
+def _logarithmic(x: Array) -> Array:
+    inputs = _physical(x)
+    inputs[:, 3] = np.log(x[:, 4])
+    return inputs
+
+
+def _logarithmic_one(x: Sequence[float]) -> Sequence[float]:
+    turn = radians(x[0])
+    return cos(turn), sin(turn), x[1] / x[4], log(x[4]), x[2], 1.0 / x[3]
+
+
+FEATURE_SETS = {
+    'load': FeatureSet(
+        ('cos', 'sin', 'depth_ratio', 'log_thickness', 'kind', 'inverse_step'),
+        _logarithmic,
+        _logarithmic_one,
+        True,
+    ),
+    'physical': FeatureSet(
+        ('cos', 'sin', 'depth_ratio', 'inverse_thickness', 'kind', 'inverse_step'),
+        _physical,
+        _physical_one,
+        False,
+    ),
+    'thickness': FeatureSet(PROCESS_VALUES, lambda x: x, lambda x: x, False),
+    'paper': FeatureSet(PROCESS_VALUES[:4], lambda x: x[:, :4], lambda x: x[:4], False),
+}
+"""Feature sets: 'paper' has the four published inputs, 'thickness' adds the thickness."""
+
+
+def feature_set(name: str) -> FeatureSet:
+    """Return a feature set by its name.
+
+    Raises
+    ------
+    ValueError
+        If there is none of that name.
+    """
+    if name not in FEATURE_SETS:
+        raise ValueError(
+            f'features: expected one of {", ".join(FEATURE_SETS)}, but found {name!r}'
+        )
+    return FEATURE_SETS[name]
+
+
+def check_process_values(x: ArrayLike) -> Array:
+    """Return rows of process values as a matrix.
+
+    Parameters
+    ----------
+    x : array_like, shape (k, 5)
+        Process values, see the module's docstring for the units.
+
+    Raises
+    ------
+    ValueError
+        If it has another shape or holds a value that no primitive can have; the message names
+        the first such row.
+    """
+    rows = check_matrix(x, 'x')
+    if rows.shape[1] != len(PROCESS_VALUES):
+        raise ValueError(
+            f'x: expected {len(PROCESS_VALUES)} columns ({", ".join(PROCESS_VALUES)}), '
+            f'but found {rows.shape[1]}'
+        )
+    _, depth, kind, step, thickness = rows.T
+    _refuse('thickness', thickness <= 0.0, thickness, 'more than 0 mm')
+    _refuse('depth', depth <= 0.0, depth, 'more than 0 mm')
+    _refuse('step', step <= 0.0, step, 'more than 0 mm')
+    _refuse('kind', (kind != 1.0) & (kind != 2.0), kind, '1 (arc) or 2 (line)')
+    ratio = depth / thickness
+    _refuse(
+        'depth / thickness',
+        ratio > DEPTH_RATIO_MAX,
+        ratio,
+        f'at most {DEPTH_RATIO_MAX:g} (the foot goes through the sheet)',
+    )
+    return rows
+
+
+def looks_like_radians(x: Array) -> bool:
+    """Return whether the directions of process values look like radians."""
+    direction = np.abs(x[:, 0])
+    return bool(direction.any() and direction.max() < RADIANS_BELOW)
+
+
+def _refuse(name: str, wrong: Array, values: Array, expected: str) -> None:
+    if np.any(wrong):
+        at = int(np.argmax(wrong))
+        raise ValueError(f'x, row {at}: expected {name} {expected}, but found {values[at]:g}')

@@ -1,0 +1,211 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Training of the consequents with a hidden layer; method sheet 000 sections 3.5 and 6.1.
+
+The default, 'hybrid', is variable projection: for given w_ij the best w_jk follow from one ridge
+regression, so only w_ij are searched.  'steepest_descent' is the published method with the sign
+of the w_ij line put right, 'levenberg_marquardt' the usual one for networks of this size.
+"""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.deformation.consequents import (
+    HiddenWeights,
+    Samples,
+    cost_and_gradient,
+    gradient,
+    hidden_regressor,
+    jacobian,
+    ridge_solution,
+)
+
+Method = Literal['hybrid', 'steepest_descent', 'levenberg_marquardt']
+
+METHODS = ('hybrid', 'steepest_descent', 'levenberg_marquardt')
+
+RATE = 0.4
+"""Step u of steepest descent as published."""
+
+EPOCHS = 600
+"""Epochs of steepest descent as published."""
+
+ITERATIONS = 60
+"""Iterations of the hybrid method and of Levenberg-Marquardt."""
+
+DAMPING_MAX = 1e10
+"""Damping at which Levenberg-Marquardt gives up: no step lowers the cost any more."""
+
+
+class DivergedError(ArithmeticError):
+    """A training left the numbers."""
+
+
+def initial_weights(
+    hidden: int, inputs: int, rules: int, rng: np.random.Generator
+) -> HiddenWeights:
+    """Return random weights, w_ij ~ N(0, 1) and w_jk ~ N(0, 0.3^2)."""
+    inner = rng.normal(0.0, 1.0, (hidden, inputs + 1))
+    return HiddenWeights(inner, rng.normal(0.0, 0.3, (hidden, rules)))
+
+
+def train_hidden(
+    samples: Samples,
+    start: HiddenWeights,
+    *,
+    method: Method,
+    ridge: float,
+    rng: np.random.Generator,
+) -> HiddenWeights:
+    """Return trained weights.
+
+    Parameters
+    ----------
+    samples : Samples
+        Scaled training samples.
+    start : HiddenWeights
+        Weights to start from.
+    method : {'hybrid', 'steepest_descent', 'levenberg_marquardt'}
+        Method.
+    ridge : float
+        Penalty on all weights, in 1/2 sum e^2 + ridge/2 |w|^2; positive.  Steepest descent has
+        none, as published.
+    rng : numpy.random.Generator
+        Order of the samples in steepest descent.
+
+    Raises
+    ------
+    DivergedError
+        If steepest descent runs away.
+    """
+    if method == 'steepest_descent':
+        return descend(samples, start, rng)
+    if method == 'levenberg_marquardt':
+        return levenberg_marquardt(samples, start, ridge)
+    return project(samples, start, ridge)
+
+
+def project(
+    samples: Samples, start: HiddenWeights, ridge: float, iterations: int = ITERATIONS
+) -> HiddenWeights:
+    """Return the weights of variable projection, w_ij by L-BFGS."""
+    shape = start.inner.shape
+
+    def outer_of(hidden: Array) -> Array:
+        regressor = hidden_regressor(hidden, samples.fitness)
+        return ridge_solution(regressor, samples.target, ridge).reshape(start.outer.shape)
+
+    def cost(flat: Array) -> tuple[float, Array]:
+        inner = flat.reshape(shape)
+        hidden = expit(samples.extended @ inner.T)
+        outer = outer_of(hidden)
+        pull = samples.fitness @ outer.T
+        error = (hidden * pull).sum(axis=1) - samples.target
+        # At the best w_jk the cost does not change with them: this is the whole gradient.
+        slope, _ = gradient(hidden, pull, error, samples)
+        penalty = float(flat @ flat) + float((outer**2).sum())
+        total = 0.5 * float(error @ error) + 0.5 * ridge * penalty
+        return total, (slope + ridge * inner).ravel()
+
+    found = minimize(
+        cost,
+        start.inner.ravel(),
+        jac=True,
+        method='L-BFGS-B',
+        options={'maxiter': iterations, 'maxcor': 20},
+    )
+    inner = np.asarray(found.x).reshape(shape)
+    return HiddenWeights(inner, outer_of(expit(samples.extended @ inner.T)))
+
+
+def descend(
+    samples: Samples,
+    start: HiddenWeights,
+    rng: np.random.Generator,
+    *,
+    rate: float = RATE,
+    epochs: int = EPOCHS,
+) -> HiddenWeights:
+    """Return the weights of online steepest descent, sample by sample in random order."""
+    inner, outer = start.inner.copy(), start.outer.copy()
+    with np.errstate(over='ignore', invalid='ignore'):
+        for _ in range(epochs):
+            for at in rng.permutation(len(samples.target)):
+                extended, fitness = samples.extended[at], samples.fitness[at]
+                hidden = expit(inner @ extended)
+                pull = outer @ fitness
+                step = rate * (hidden @ pull - samples.target[at])
+                outer -= step * hidden[:, np.newaxis] * fitness
+                inner -= (step * pull * hidden * (1.0 - hidden))[:, np.newaxis] * extended
+            if not (np.isfinite(inner).all() and np.isfinite(outer).all()):
+                raise DivergedError(
+                    f'steepest_descent: expected a falling cost, but found weights that are no '
+                    f"numbers at the step {rate:g}; take a smaller one or 'hybrid'"
+                )
+    return HiddenWeights(inner, outer)
+
+
+def levenberg_marquardt(
+    samples: Samples, start: HiddenWeights, ridge: float, iterations: int = ITERATIONS
+) -> HiddenWeights:
+    """Return the weights of Levenberg-Marquardt on the penalised cost."""
+    weights, damping = start, 1e-2
+    cost, _ = cost_and_gradient(weights, samples, ridge)
+    for _ in range(iterations):
+        error, derivative = jacobian(weights, samples)
+        flat = weights.flat()
+        normal = derivative.T @ derivative + ridge * np.eye(flat.size)
+        slope = derivative.T @ error + ridge * flat
+        while damping <= DAMPING_MAX:
+            step = np.linalg.solve(normal + damping * np.eye(flat.size), slope)
+            tried = weights.like(flat - step)
+            tried_cost, _ = cost_and_gradient(tried, samples, ridge)
+            if tried_cost < cost:
+                break
+            damping *= 4.0
+        else:
+            return weights
+        weights, cost, damping = tried, tried_cost, max(damping / 4.0, 1e-12)
+    return weights
+
+
+def equal_rows(inputs: Array) -> NDArray[np.int64]:
+    """Return a group number for each row, (k,); equal rows have the same."""
+    _, group = np.unique(inputs, axis=0, return_inverse=True)
+    return np.asarray(group.ravel(), dtype=np.int64)
+
+
+def grouped_folds(
+    groups: NDArray[np.int64], count: int, rng: np.random.Generator
+) -> list[NDArray[np.bool_]]:
+    """Return masks of the held-out rows of each fold; no group is split between folds.
+
+    Parameters
+    ----------
+    groups : ndarray of int, shape (k,)
+        Sheet, or other unit, of each row.
+    count : int
+        Number of folds; fewer where there are fewer groups.
+    rng : numpy.random.Generator
+        Order of the groups.
+    """
+    names, group = np.unique(groups, return_inverse=True)
+    fold = np.empty(len(names), dtype=np.int64)
+    fold[rng.permutation(len(names))] = np.arange(len(names)) % min(count, len(names))
+    return [fold[group.ravel()] == number for number in range(min(count, len(names)))]
+
+
+def grouped_split(
+    groups: NDArray[np.int64], held_out: int, rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """Return the mask of about `held_out` rows in whole groups, drawn at random."""
+    names, group = np.unique(groups, return_inverse=True)
+    size = np.bincount(group.ravel())
+    order = rng.permutation(len(names))
+    taken = order[np.cumsum(size[order]) <= held_out]
+    return np.asarray(np.isin(group.ravel(), taken))

@@ -1,0 +1,153 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A move controlled live at 1 kHz: the same as in one process, and what goes wrong on a graph."""
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.bags.canonical import topic_hashes
+from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.components.component import Level
+from fuzzycnc_ros.components.records import AxisCommand, AxisState, ServoState, ServoStatus
+from fuzzycnc_ros.scenario.positioning import run_positioning
+from fuzzycnc_ros.scenario.positioning_log import PositioningLog
+from fuzzycnc_ros.scenario.published_bag import PublishedBag
+
+pytestmark = pytest.mark.ros
+
+OUTPUTS = ('position_command', 'axis_state', 'axis_command', 'servo_state', 'machine_state')
+TARGET = -0.05
+
+
+def start(graph, *, bag=None, lockstep=True, **machine):
+    """Start the controller, a recorder and the machine, which asks for a move of 1.2 s."""
+    clock = {'use_sim_time': not lockstep}
+    servo = graph.start('servo_controller', {'lockstep': lockstep, 'autostart': True, **clock})
+    if bag is not None:
+        graph.start('recorder', {'lockstep': lockstep, 'output': str(bag), **clock})
+    machine = graph.start(
+        'simulated_machine',
+        {
+            'duties': [''],
+            'servo_axes': ['X:lathe'],
+            'moves': [f'X:{TARGET}'],
+            'lockstep': lockstep,
+            'lockstep_nodes': ['servo_controller'],
+            'lockstep_recorder': bag is not None,
+            **machine,
+        },
+    )
+    return servo, machine
+
+
+@pytest.mark.slow
+def test_live_and_replayed_equal_in_process(graph, tmp_path):
+    """Controller and machine in processes of their own: every message is that of one process."""
+    _, machine = start(graph, bag=tmp_path / 'live')
+    assert machine.wait() == 0
+    assert machine.outcome['degraded'] is False
+    graph.stop()
+    with PublishedBag(tmp_path / 'alone') as bag:
+        (alone,) = run_positioning((f'X:{TARGET}',), sink=bag)
+    live, expected = (topic_hashes(tmp_path / name) for name in ('live', 'alone'))
+    for topic in OUTPUTS:
+        assert live[f'/mill/{topic}'] == expected[f'/mill/{topic}'], topic
+    (move,) = PositioningLog.from_bag(tmp_path / 'live').moves()
+    assert move.settle(2e-6) == alone.settle(2e-6) <= 0.7
+    assert len(move.time) == 1201
+    report = replay(tmp_path / 'live')
+    assert report.identical, report.topics
+
+
+@pytest.mark.slow
+def test_arrives_in_real_time_and_counts_what_was_missed(graph, observer):
+    """Where the clock does not wait; at a quarter of real time, which a busy host can keep up."""
+    states = observer.records('servo_state', ServoState)
+    axes = observer.records('axis_state', AxisState)
+    commands = observer.records('axis_command', AxisCommand)
+    _, machine = start(graph, lockstep=False, rate=0.25)
+    assert observer.until_ended(machine) == 0
+    assert len(axes) == 1201
+    assert axes[-1].position[0] == pytest.approx(TARGET, abs=5e-6)
+    assert all(item.status != ServoStatus.FAULT for item in states)
+    answered = {item.stamp for item in commands}
+    unanswered = sum(states[0].stamp < item.stamp < states[-1].stamp for item in axes) - sum(
+        states[0].stamp < stamp < states[-1].stamp for stamp in answered
+    )
+    assert states[-1].missed == unanswered
+
+
+@pytest.mark.slow
+def test_drives_go_to_zero_when_the_controller_dies(graph, observer):
+    """Killed in mid-move: the last command runs out of date, and the axis stands."""
+    observer.watch_diagnostics()
+    axes = observer.records('axis_state', AxisState)
+    commands = observer.records('axis_command', AxisCommand)
+    servo, machine = start(graph, answer_timeout=0.3, move_time=10.0)
+    observer.until(
+        lambda: bool(axes) and axes[-1].position[0] < 0.3 * TARGET, 'the middle of the move', 60.0
+    )
+    graph.kill(servo)
+    observer.until(
+        lambda: any(
+            level >= Level.WARN and 'out of date' in text
+            for level, text in observer.statuses.get('mill/simulated_machine: axes', [])
+        ),
+        f'word of the dead controller, found {observer.statuses}',
+        60.0,
+    )
+    assert observer.until_ended(machine) == 1
+    assert machine.outcome['degraded'] is True
+    assert 'is servo_controller active?' in machine.outcome['failure']
+    last = commands[-1]
+    stopped = [item for item in axes if item.stamp > last.valid_until + 200_000_000]
+    place = np.array([item.position[0] for item in stopped])
+    assert np.ptp(place) < 3e-6
+    # valid for 10 ms, then coasting, from no more than full speed
+    then = next(item for item in axes if item.stamp >= last.stamp)
+    assert abs(place[-1] - then.position[0]) < 0.286 * (0.01 + 0.0203)
+    assert min(item.position[0] for item in axes) > TARGET - 5e-3
+
+
+FAULTS = {
+    'feedback stops': ({'servo_silence': 0.2}, 'no axis_state'),
+    'counts are lost': (
+        {'servo_plant': ['X:counts_lost:160', 'X:count_loss_time:0.2']},
+        'counts were lost',
+    ),
+    'readings are missing': (
+        {'servo_plant': ['X:dropout_time:0.2', 'X:dropout_duration:9.0']},
+        'not finite',
+    ),
+    'sign is wrong': ({'servo_plant': ['X:direction:-1']}, 'runs away'),
+    'count changes': (
+        {'servo_plant': ['X:count_factor:8', 'X:count_change_time:0.2']},
+        'steps of 8 counts',
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', FAULTS)
+def test_fault_takes_the_axis_to_zero(graph, observer, name):
+    """The command is zero, diagnostics say why, and the axis stays within its travel."""
+    parameters, reason = FAULTS[name]
+    observer.watch_diagnostics()
+    commands = observer.records('axis_command', AxisCommand)
+    states = observer.records('servo_state', ServoState)
+    axes = observer.records('axis_state', AxisState)
+    _, machine = start(graph, move_time=3.0, **parameters)
+
+    def told():
+        found = observer.statuses.get('mill/servo_controller: state', [])
+        return any(level == Level.ERROR and reason in text for level, text in found)
+
+    observer.until(told, f'diagnostics of the fault, found {observer.statuses}', 60.0)
+    assert observer.until_ended(machine) == 1
+    fault = next(item for item in states if item.status == ServoStatus.FAULT)
+    assert reason in fault.reason
+    assert all(item.duty[0] == 0.0 for item in commands if item.stamp >= fault.stamp)
+    readings = np.array([item.position[0] for item in axes])
+    readings = readings[np.isfinite(readings)]
+    assert readings.min() > TARGET - 1e-5
+    assert readings.max() < 2e-3
