@@ -23,6 +23,9 @@ START_POLL = 0.05
 """Wall time [s] between two looks at the graph before a run without lock-step starts."""
 CATCH_UP = 0.02
 """Wall time [s] for which late ticks are caught up before messages get their turn again."""
+SLIP = 0.1
+"""Wall time [s] from which on what is late is no longer caught up: a machine whose process stood
+still does not rush through what it missed."""
 LATE = 0.01
 """Wall time [s] from which on a tick counts as late."""
 SETTLING = 1.0
@@ -54,14 +57,18 @@ class Pace:
         return self._now + 1e-9 * (stamp - self._stamp) / self._rate
 
     def count(self, stamp: int, now: float) -> None:
-        """Note that a tick is made at wall time `now` [s]."""
-        self.late += now - self.due(stamp) > LATE
+        """Note that a tick is made at wall time `now` [s]; far behind, machine time slips."""
+        behind = now - self.due(stamp)
+        self.late += behind > LATE
+        if behind > SLIP:
+            self.resume(stamp, now)
 
     def resume(self, stamp: int, now: float) -> None:
         """Go on from machine time `stamp` [ns] at wall time `now` [s].
 
         Machine time moves in ticks alone.  What arrives in the midst of a long one and asks for
         a short one continues from its beginning, rather than have hundreds of ticks be late.
+        So does a machine that is far behind.
         """
         self._stamp, self._now = stamp, now
 

@@ -29,10 +29,18 @@ def test_machine_time_passes_at_its_rate(pace_of, rate):
 
 def test_late_ticks_are_counted_and_caught_up(pace_of):
     pace = pace_of(1.0, 0, 100.0)
-    for tick, wall in ((1, 101.0), (2, 102.005), (3, 103.5), (4, 104.0)):
+    for tick, wall in ((1, 101.0), (2, 102.005), (3, 103.05), (4, 104.0)):
         pace.count(tick * SECOND, wall)
     assert pace.late == 1
     assert pace.due(5 * SECOND) == 105.0  # the late one moves no other
+
+
+def test_time_slips_where_the_machine_stood_still(pace_of):
+    """It does not rush through what it missed."""
+    pace = pace_of(1.0, 0, 100.0)
+    pace.count(1 * SECOND, 104.0)
+    assert pace.late == 1
+    assert pace.due(2 * SECOND) == 105.0
 
 
 def test_time_goes_on_from_the_last_tick_where_a_long_one_is_broken_off(pace_of):

@@ -83,7 +83,7 @@ def test_drives_go_to_zero_when_the_controller_dies(graph, observer):
     observer.watch_diagnostics()
     axes = observer.records('axis_state', AxisState)
     commands = observer.records('axis_command', AxisCommand)
-    servo, machine = start(graph, answer_timeout=0.3, move_time=10.0)
+    servo, machine = start(graph, answer_timeout=0.3, move_time=40.0)
     observer.until(
         lambda: bool(axes) and axes[-1].position[0] < 0.3 * TARGET, 'the middle of the move', 60.0
     )
