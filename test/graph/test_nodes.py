@@ -93,7 +93,9 @@ def check_description(observer: Any, node: str) -> None:
         assert f'[{item.metadata["unit"]}]' in descriptor.description
         assert descriptor.read_only is not item.metadata['live']
         ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
-        bounded = isinstance(item.default, (int, float)) and not isinstance(item.default, bool)
+        several = isinstance(item.default, tuple) and item.default
+        sample = item.default[0] if several else item.default
+        bounded = isinstance(sample, (int, float)) and not isinstance(sample, bool)
         assert len(ranges) == bounded, f'{node}: {item.name}'
         for found in ranges:
             bounds = (item.metadata['low'], item.metadata['high'])
