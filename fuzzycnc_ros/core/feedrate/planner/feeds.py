@@ -187,11 +187,14 @@ class FeedPlan:
         reach, done = self._scheduler.reach, len(self._scheduled)
         ready = len(self.place)
         if not self._finished:
-            if reach.length_ahead:
-                low = self.place[-1] - reach.length_ahead * WINDOW_EDGE
-                ready = int(np.searchsorted(self.place, low))
+            length = reach.length_ahead * WINDOW_EDGE
+            if length:
+                ready = int(np.searchsorted(self.place, self.place[-1] - length))
             # The last node belongs to the next piece too, which may bend more.
             ready = min(ready - reach.points_ahead, len(self.place) - 1)
+            if length and ready > 0:
+                # What lies within the length ahead depends on nodes ahead of it in its turn.
+                ready = int(np.searchsorted(self.place, self.place[ready - 1] - length))
         if ready <= done:
             return
         first = self._needed(done)

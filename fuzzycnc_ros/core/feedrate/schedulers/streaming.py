@@ -59,7 +59,11 @@ def _ready(arc_length: Array, points: int, length: float) -> int:
     """Return how many points have all that is ahead of them."""
     if not length:
         return max(len(arc_length) - points, 0)
-    return int(np.searchsorted(arc_length, arc_length[-1] - length * WINDOW_EDGE)) - points
+    known = int(np.searchsorted(arc_length, arc_length[-1] - length * WINDOW_EDGE)) - points
+    if known <= 0:
+        return 0
+    # What lies within the length ahead depends on points ahead of it in its turn.
+    return int(np.searchsorted(arc_length, arc_length[known - 1] - length * WINDOW_EDGE))
 
 
 def _first_needed(arc_length: Array, ready: int, points: int, length: float) -> int:
