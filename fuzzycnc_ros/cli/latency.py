@@ -15,12 +15,11 @@ from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
 from fuzzycnc_ros.cli.operator import DISCOVERY_TIMEOUT, Operator
+from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
 from fuzzycnc_ros.components.component import LATCHED, STREAM, Durability
 from fuzzycnc_ros.components.records import (
-    AppliedStatus,
     Compensation,
     CompensationApplied,
-    MachineMode,
     MachineState,
     Record,
     Temperatures,

@@ -171,7 +171,12 @@ def read_bag(path: Path, axis: str | None) -> Moves:
     """
     from fuzzycnc_ros.bags.reader import BagReader
     from fuzzycnc_ros.bags.runs import find_topic
-    from fuzzycnc_ros.components.records import AxisCommand, AxisState, Record, ServoState
+    from fuzzycnc_ros.components.records import (
+        AxisCommand,
+        AxisState,
+        Record,
+        ServoState,
+    )
     from fuzzycnc_ros.convert import decode
 
     kinds: dict[str, type[Record]] = {

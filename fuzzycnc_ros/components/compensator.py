@@ -13,6 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import (
+    AppliedStatus,
+    CompensationState,
+    Reason,
+)
 from fuzzycnc_ros.components.component import (
     Answer,
     Component,
@@ -24,13 +29,10 @@ from fuzzycnc_ros.components.component import (
 )
 from fuzzycnc_ros.components.records import (
     SECOND,
-    AppliedStatus,
     Compensation,
     CompensationApplied,
-    CompensationState,
     Floats,
     MachineState,
-    Reason,
     ThermalError,
     nanoseconds,
 )

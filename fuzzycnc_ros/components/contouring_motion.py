@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import TrajectoryStatus
 from fuzzycnc_ros.components.component import Emission, Health, Level
 from fuzzycnc_ros.components.records import (
     AxisState,
@@ -19,7 +20,6 @@ from fuzzycnc_ros.components.records import (
     Floats,
     Trajectory,
     TrajectoryState,
-    TrajectoryStatus,
     nanoseconds,
 )
 from fuzzycnc_ros.components.servo_lead import trajectory_part

@@ -13,7 +13,12 @@ from fuzzycnc_ros.components.feedrate_scheduler_config import (
     make_limits,
     make_scheduler,
 )
-from fuzzycnc_ros.components.records import FeedSchedule, Floats, Trajectory, nanoseconds
+from fuzzycnc_ros.components.records import (
+    FeedSchedule,
+    Floats,
+    Trajectory,
+    nanoseconds,
+)
 from fuzzycnc_ros.components.tool_paths import (
     ToolPathSegments,
     curve_tool_path,

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import MachineMode, TrajectoryStatus
 from fuzzycnc_ros.components.component import (
     LATCHED,
     Answer,
@@ -31,13 +32,11 @@ from fuzzycnc_ros.components.records import (
     AxisState,
     FeedSchedule,
     Floats,
-    MachineMode,
     MachineState,
     Record,
     ToolPath,
     Trajectory,
     TrajectoryState,
-    TrajectoryStatus,
     nanoseconds,
 )
 from fuzzycnc_ros.components.tool_path_checks import PATH_AXES

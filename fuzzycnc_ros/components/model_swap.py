@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import Reason
 from fuzzycnc_ros.components.component import Health, Level
 from fuzzycnc_ros.components.records import (
     SECOND,
     Floats,
     Names,
     PredictorState,
-    Reason,
     Stamp,
     ThermalReference,
 )

@@ -13,7 +13,11 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.components.component import Health, Level
 from fuzzycnc_ros.components.probes import Probe
-from fuzzycnc_ros.components.records import SECOND, Floats, Stamp
+from fuzzycnc_ros.components.records import (
+    SECOND,
+    Floats,
+    Stamp,
+)
 from fuzzycnc_ros.components.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.core.thermal.adaptation import GainAdaptation

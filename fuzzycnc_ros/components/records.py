@@ -9,7 +9,6 @@ holds both sides together.
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
@@ -32,93 +31,6 @@ SECOND = 1_000_000_000
 def nanoseconds(duration: float) -> int:
     """Return a duration [s] in whole nanoseconds."""
     return round(duration * SECOND)
-
-
-class Status(IntEnum):
-    """Verdict on one temperature reading, `Temperatures.STATUS_*`."""
-
-    OK = 0
-    MISSING = 1
-    OUT_OF_RANGE = 2
-    RATE = 3
-    STUCK = 4
-    DRIFT = 5
-
-
-class Reason(IntEnum):
-    """Why a prediction is invalid, `ThermalError.REASON_*`."""
-
-    NONE = 0
-    NO_REFERENCE = 1
-    NO_MODEL = 2
-    SENSOR_LOST = 3
-    STATE_LOST = 4
-    GAP = 5
-
-
-class CompensationState(IntEnum):
-    """What the compensator is doing, `Compensation.STATE_*`."""
-
-    INACTIVE = 0
-    ACTIVE = 1
-    HOLDING = 2
-    RAMPING = 3
-    EXPIRED = 4
-
-
-class AppliedStatus(IntEnum):
-    """What the machine side does, `CompensationApplied.STATUS_*`."""
-
-    IDLE = 0
-    FOLLOWING = 1
-    EXPIRED = 2
-    REFUSED = 3
-
-
-class TrajectoryStatus(IntEnum):
-    """What the machine side makes of its trajectory, `TrajectoryState.STATUS_*`."""
-
-    IDLE = 0
-    FOLLOWING = 1
-    FINISHED = 2
-    STARVED = 3
-    REFUSED = 4
-
-
-class ServoStatus(IntEnum):
-    """What the position controllers do, `ServoState.STATUS_*`."""
-
-    INACTIVE = 0
-    RESTING = 1
-    MOVING = 2
-    FOLLOWING = 3
-    FAULT = 4
-
-
-class SegmentKind(IntEnum):
-    """Kind of a segment of a tool path, `ToolPath.KIND_*`."""
-
-    LINE = 0
-    ARC = 1
-    NURBS = 2
-    DWELL = 3
-
-
-class Junction(IntEnum):
-    """What happens at the end of a segment of a tool path, `ToolPath.JUNCTION_*`."""
-
-    CONTINUOUS = 0
-    EXACT_STOP = 1
-
-
-class MachineMode(IntEnum):
-    """Operating state of the machine, `MachineState.STATE_*`."""
-
-    OFF = 0
-    ESTOP = 1
-    ON = 2
-    RUNNING = 3
-    FAULT = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -292,6 +204,70 @@ class ToolPath(Record):
     feedrate: Floats
     offset: Offsets
     data: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Material(Record):
+    """A sheet of soft material as it lies clamped in the machine."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/Material'
+
+    name: str
+    thickness: float
+    size: Floats
+    young_modulus: float = np.nan
+    poisson_ratio: float = np.nan
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StitchPattern(Record):
+    """A pattern to be stitched."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/StitchPattern'
+
+    path_id: str
+    start: Floats
+    kind: Bytes
+    end: Floats
+    centre: Floats
+    turn: Floats
+    depth: Floats
+    step: Floats
+    feedrate: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CompensatedPath(Record):
+    """The stitches of a pattern and the offsets that were added to them."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/CompensatedPath'
+
+    path_id: str
+    material: str
+    thickness: float
+    model: str
+    nominal: Floats
+    offset: Floats
+    primitive: Offsets
+    kind: Bytes
+    turn: Floats
+    depth: Floats
+    step: Floats
+    compensation: Floats
+    support: Floats
+    flag: Bytes
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StitchedPath(Record):
+    """Where the stitches of a pattern lie once the sheet has relaxed."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/StitchedPath'
+
+    path_id: str
+    time: Floats
+    tool: Floats
+    stitched: Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,7 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuzzycnc_ros.components.probes import Probe
-from fuzzycnc_ros.components.records import Stamp, Temperatures, nanoseconds
+from fuzzycnc_ros.components.records import (
+    Stamp,
+    Temperatures,
+    nanoseconds,
+)
 
 SAMPLES_MAX = 20000
 """Most samples that are kept, whatever `settle_time` says: it bounds the memory."""

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import Status
 from fuzzycnc_ros.components.component import (
     LATCHED,
     Answer,
@@ -28,7 +29,6 @@ from fuzzycnc_ros.components.records import (
     Record,
     SensorCluster,
     SensorSelection,
-    Status,
     Temperatures,
 )
 from fuzzycnc_ros.core.config import Config, param

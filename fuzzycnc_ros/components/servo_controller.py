@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import MachineMode, ServoStatus
 from fuzzycnc_ros.components.component import (
     Answer,
     Component,
@@ -26,11 +27,9 @@ from fuzzycnc_ros.components.component import (
 from fuzzycnc_ros.components.records import (
     AxisCommand,
     AxisState,
-    MachineMode,
     MachineState,
     PositionCommand,
     ServoState,
-    ServoStatus,
     Trajectory,
     nanoseconds,
 )

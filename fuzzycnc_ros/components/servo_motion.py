@@ -12,6 +12,7 @@ from math import isfinite
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import TrajectoryStatus
 from fuzzycnc_ros.components.component import Emission, Health, Level
 from fuzzycnc_ros.components.records import (
     AxisCommand,
@@ -19,7 +20,6 @@ from fuzzycnc_ros.components.records import (
     Floats,
     Trajectory,
     TrajectoryState,
-    TrajectoryStatus,
     nanoseconds,
 )
 from fuzzycnc_ros.components.servo_axes import parse_axes, parse_plants

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import MachineMode
 from fuzzycnc_ros.components.component import (
     LATCHED,
     Component,
@@ -32,7 +33,6 @@ from fuzzycnc_ros.components.records import (
     CompensationApplied,
     ContourError,
     Displacement,
-    MachineMode,
     MachineState,
     PositionCommand,
     Temperatures,

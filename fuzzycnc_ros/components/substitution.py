@@ -10,7 +10,13 @@ taking the dead sensor for zero costs up to 42 um.
 
 import numpy as np
 
-from fuzzycnc_ros.components.records import Bools, Floats, Names, SensorSelection, ThermalReference
+from fuzzycnc_ros.components.records import (
+    Bools,
+    Floats,
+    Names,
+    SensorSelection,
+    ThermalReference,
+)
 from fuzzycnc_ros.core.thermal import ModelMismatchError, ThermalModel
 from fuzzycnc_ros.core.thermal.sensor_watch import Estimate, MateEstimate, SensorWatch
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import Status
 from fuzzycnc_ros.components.component import (
     LATCHED,
     Answer,
@@ -30,7 +31,6 @@ from fuzzycnc_ros.components.records import (
     Floats,
     MachineState,
     Record,
-    Status,
     Temperatures,
     ThermalReference,
     nanoseconds,

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import Reason, Status
 from fuzzycnc_ros.components.predictor_checkpoint import read_blocks, write_blocks
 from fuzzycnc_ros.components.probe_correction import ProbeCorrection
 from fuzzycnc_ros.components.records import (
@@ -18,10 +19,8 @@ from fuzzycnc_ros.components.records import (
     Floats,
     Names,
     PredictorState,
-    Reason,
     SensorSelection,
     Stamp,
-    Status,
     Temperatures,
     ThermalReference,
     nanoseconds,

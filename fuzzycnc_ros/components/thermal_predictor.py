@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import Reason
 from fuzzycnc_ros.components.component import (
     LATCHED,
     Answer,
@@ -29,7 +30,6 @@ from fuzzycnc_ros.components.records import (
     Displacement,
     MachineState,
     PredictorState,
-    Reason,
     Record,
     SensorSelection,
     Stamp,

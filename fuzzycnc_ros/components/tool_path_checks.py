@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.records import Floats, Junction, SegmentKind, ToolPath
+from fuzzycnc_ros.components.codes import Junction, SegmentKind
+from fuzzycnc_ros.components.records import Floats, ToolPath
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.program.arcs import ABSOLUTE_MISFIT, RELATIVE_MISFIT, SAME_POINT
 

@@ -9,7 +9,8 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.records import Floats, Junction, SegmentKind, ToolPath
+from fuzzycnc_ros.components.codes import Junction, SegmentKind
+from fuzzycnc_ros.components.records import Floats, ToolPath
 from fuzzycnc_ros.components.tool_path_checks import (
     PATH_AXES,
     arc_frames,

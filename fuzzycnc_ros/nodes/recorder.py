@@ -22,7 +22,11 @@ from fuzzycnc_ros.bags.recorder import Progress, RecordingThread
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.components.component import STREAM, Health, Level
 from fuzzycnc_ros.components.host_config import RecorderConfig
-from fuzzycnc_ros.components.records import SECOND, NodeConfiguration, RecorderProgress
+from fuzzycnc_ros.components.records import (
+    SECOND,
+    NodeConfiguration,
+    RecorderProgress,
+)
 from fuzzycnc_ros.convert import encode
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.nodes import run

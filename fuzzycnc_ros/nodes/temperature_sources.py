@@ -18,8 +18,13 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Temperature
 
 from fuzzycnc_ros.bags.errors import BagError
+from fuzzycnc_ros.components.codes import Status
 from fuzzycnc_ros.components.component import STREAM
-from fuzzycnc_ros.components.records import SECOND, Floats, Status, Temperatures
+from fuzzycnc_ros.components.records import (
+    SECOND,
+    Floats,
+    Temperatures,
+)
 from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisitionConfig
 from fuzzycnc_ros.convert import encode, stamp_of
 from fuzzycnc_ros.nodes.messages import RCLPY, message_class

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import find_topic
+from fuzzycnc_ros.components.codes import TrajectoryStatus
 from fuzzycnc_ros.components.records import (
     SECOND,
     AxisState,
@@ -21,7 +22,6 @@ from fuzzycnc_ros.components.records import (
     Record,
     Trajectory,
     TrajectoryState,
-    TrajectoryStatus,
     nanoseconds,
 )
 from fuzzycnc_ros.convert import decode

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import find_topic
+from fuzzycnc_ros.components.codes import ServoStatus
 from fuzzycnc_ros.components.records import (
     SECOND,
     AxisCommand,
@@ -19,7 +20,6 @@ from fuzzycnc_ros.components.records import (
     PositionCommand,
     Record,
     ServoState,
-    ServoStatus,
 )
 from fuzzycnc_ros.convert import decode
 from fuzzycnc_ros.core.servo.positioning import settle_times

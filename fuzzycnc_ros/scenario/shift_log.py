@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import find_topic
+from fuzzycnc_ros.components.codes import Status
 from fuzzycnc_ros.components.records import (
     SECOND,
     Compensation,
@@ -20,7 +21,6 @@ from fuzzycnc_ros.components.records import (
     MachineState,
     Record,
     SensorSelection,
-    Status,
     Temperatures,
     ThermalError,
     ThermalReference,

@@ -10,7 +10,12 @@ import yaml
 
 from fuzzycnc_ros.cli.servo import COMMANDS
 from fuzzycnc_ros.cli.servo_search import swinging
-from fuzzycnc_ros.components.records import AxisCommand, AxisState, ServoState, ServoStatus
+from fuzzycnc_ros.components.codes import ServoStatus
+from fuzzycnc_ros.components.records import (
+    AxisCommand,
+    AxisState,
+    ServoState,
+)
 from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
 from fuzzycnc_ros.core.servo import PidController, position
 from fuzzycnc_ros.scenario.published_bag import PublishedBag

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import interfaces
 from interfaces import FILES, FOLDER, Field
 
-UNITS = {'-', 'm', '1/m', 'm/s', 'rad/s', 's', 'degC', 'K'}
+UNITS = {'-', 'm', '1/m', 'm/s', 'rad', 'rad/s', 's', 'degC', 'K', 'Pa'}
 NODES = {*COMPONENTS, 'recorder', 'player'}
 PLANNED = {'deformation_compensator', 'feedrate_scheduler', 'servo_controller', 'linuxcnc_bridge'}
 """Nodes whose messages are fixed before they are there."""
@@ -33,7 +33,7 @@ EVERY_FIELD = [
 ]
 NUMBERS = [p for p in EVERY_FIELD if p.values[1].is_number]
 FLOATS = [p for p in EVERY_FIELD if p.values[1].is_float]
-ENUMS = [p for p in EVERY_FIELD if (p.values[1].tag or '').startswith('enum')]
+ENUMS = [p for p in EVERY_FIELD if (p.values[1].tag or '').startswith(('enum ', 'flags '))]
 
 
 def users(path: Path, role: str) -> str:
@@ -64,7 +64,7 @@ def test_every_field_is_explained(path):
 @pytest.mark.parametrize(('path', 'item'), NUMBERS)
 def test_number_has_its_unit(path, item: Field):
     assert item.tag, f'expected "# [unit] ..." but found {item.comment!r}'
-    if not item.tag.startswith('enum '):
+    if not item.tag.startswith(('enum ', 'flags ')):
         assert item.tag in UNITS
 
 
@@ -76,18 +76,20 @@ def test_float_says_what_an_invalid_value_is(path, item: Field):
 
 @pytest.mark.parametrize(('path', 'item'), ENUMS)
 def test_enum_has_constants(path, item: Field):
-    prefix = item.tag.removeprefix('enum ')
+    kind, prefix = item.tag.split()
     named = [i for part in interfaces.parts(path) for i in part if i.value is not None]
     own = [i for i in named if i.name.startswith(f'{prefix}_')]
     assert own
     assert all(i.tag == item.tag for i in own)
-    assert [int(i.value) for i in own] == list(range(len(own)))
+    bits = kind == 'flags'
+    assert [int(i.value) for i in own] == [1 << n if bits else n for n in range(len(own))]
 
 
 @pytest.mark.parametrize('path', MESSAGES)
 def test_every_constant_belongs_to_an_enum(path):
     part = interfaces.parts(path)[0]
-    used = {i.tag for i in part if i.value is None and (i.tag or '').startswith('enum ')}
+    named = ('enum ', 'flags ')
+    used = {i.tag for i in part if i.value is None and (i.tag or '').startswith(named)}
     declared = {i.tag for i in part if i.value is not None}
     # The geometry of a path is described under its kinds.
     assert declared == used

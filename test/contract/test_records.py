@@ -10,9 +10,10 @@ from typing import Any, get_type_hints
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components import records
+from fuzzycnc_ros.components import codes, records
 from fuzzycnc_ros.components.records import Record, SensorCluster
 from fuzzycnc_ros.convert import Target, decode, encode
+from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.core.machine.offset_input import OffsetStatus
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -42,16 +43,18 @@ ANNOTATIONS = {
     'SensorCluster[]': tuple[SensorCluster, ...],
 }
 ENUMS = [
-    ('Temperatures', 'STATUS', records.Status),
-    ('ThermalError', 'REASON', records.Reason),
-    ('Compensation', 'STATE', records.CompensationState),
-    ('CompensationApplied', 'STATUS', records.AppliedStatus),
+    ('Temperatures', 'STATUS', codes.Status),
+    ('ThermalError', 'REASON', codes.Reason),
+    ('Compensation', 'STATE', codes.CompensationState),
+    ('CompensationApplied', 'STATUS', codes.AppliedStatus),
     ('CompensationApplied', 'STATUS', OffsetStatus),
-    ('MachineState', 'STATE', records.MachineMode),
-    ('ToolPath', 'KIND', records.SegmentKind),
-    ('ToolPath', 'JUNCTION', records.Junction),
-    ('TrajectoryState', 'STATUS', records.TrajectoryStatus),
-    ('ServoState', 'STATUS', records.ServoStatus),
+    ('MachineState', 'STATE', codes.MachineMode),
+    ('ToolPath', 'KIND', codes.SegmentKind),
+    ('ToolPath', 'JUNCTION', codes.Junction),
+    ('TrajectoryState', 'STATUS', codes.TrajectoryStatus),
+    ('ServoState', 'STATUS', codes.ServoStatus),
+    ('StitchPattern', 'KIND', codes.PrimitiveKind),
+    ('CompensatedPath', 'FLAG', StepFlag),
 ]
 CASES = ('ordinary', 'empty', 'extreme')
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import MachineMode
 from fuzzycnc_ros.components.component import Component, Emission
 from fuzzycnc_ros.components.merge import Merger
 from fuzzycnc_ros.components.records import (
     CompensationApplied,
-    MachineMode,
     MachineState,
     Record,
     Temperatures,

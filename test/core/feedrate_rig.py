@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import MachineMode, TrajectoryStatus
 from fuzzycnc_ros.components.component import Emission
 from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
@@ -18,13 +19,11 @@ from fuzzycnc_ros.components.provenance import configuration_record, event_recor
 from fuzzycnc_ros.components.records import (
     SECOND,
     AxisState,
-    MachineMode,
     MachineTick,
     Record,
     ToolPath,
     Trajectory,
     TrajectoryState,
-    TrajectoryStatus,
     nanoseconds,
 )
 from fuzzycnc_ros.components.tool_paths import (

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.codes import MachineMode
 from fuzzycnc_ros.components.records import (
     Displacement,
-    MachineMode,
     MachineState,
     Temperatures,
     ThermalError,

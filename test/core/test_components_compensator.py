@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fuzzycnc_ros.components.codes import CompensationState, Reason
 from fuzzycnc_ros.components.compensator import Compensator, CompensatorConfig
-from fuzzycnc_ros.components.records import Compensation, CompensationState, Reason, nanoseconds
+from fuzzycnc_ros.components.records import Compensation, nanoseconds
 
 sys.path.insert(0, str(Path(__file__).parent))
 from component_bench import Bench, applied, machine_state, thermal_error

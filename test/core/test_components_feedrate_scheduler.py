@@ -12,7 +12,11 @@ import pytest
 
 from fuzzycnc_ros.components.feedrate_run import planner_settings
 from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.records import SECOND, ToolPath, nanoseconds
+from fuzzycnc_ros.components.records import (
+    SECOND,
+    ToolPath,
+    nanoseconds,
+)
 from fuzzycnc_ros.components.tool_paths import program_tool_path, tool_path_segments
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 from fuzzycnc_ros.core.feedrate.planner.planner import Planner

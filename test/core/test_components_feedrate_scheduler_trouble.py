@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components.records import SECOND, MachineMode, TrajectoryStatus, nanoseconds
+from fuzzycnc_ros.components.codes import MachineMode, TrajectoryStatus
+from fuzzycnc_ros.components.records import SECOND, nanoseconds
 from fuzzycnc_ros.components.tool_paths import program_tool_path
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 from fuzzycnc_ros.core.feedrate.program import read_program

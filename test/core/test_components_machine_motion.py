@@ -9,13 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.components.codes import MachineMode, TrajectoryStatus
 from fuzzycnc_ros.components.contouring_motion import MOTION_AXES, contouring_config
-from fuzzycnc_ros.components.records import (
-    SECOND,
-    MachineMode,
-    TrajectoryStatus,
-    nanoseconds,
-)
+from fuzzycnc_ros.components.records import SECOND, nanoseconds
 from fuzzycnc_ros.components.simulated_machine import (
     DAY,
     DAY_START,

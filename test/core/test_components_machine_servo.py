@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.components.codes import MachineMode, TrajectoryStatus
 from fuzzycnc_ros.components.records import (
     SECOND,
     AxisCommand,
-    MachineMode,
-    TrajectoryStatus,
     nanoseconds,
 )
 from fuzzycnc_ros.components.simulated_machine import (

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components.records import Reason
+from fuzzycnc_ros.components.codes import Reason
 from fuzzycnc_ros.core.machine.duties import DUTIES
 from fuzzycnc_ros.core.thermal import ThermalRun, train_model
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components.records import Reason, nanoseconds
+from fuzzycnc_ros.components.codes import Reason
+from fuzzycnc_ros.components.records import nanoseconds
 from fuzzycnc_ros.components.sample_memory import Heard, SampleMemory
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal import ThermalRun, train_model

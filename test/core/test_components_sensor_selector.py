@@ -9,7 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components.records import Displacement, Temperatures, nanoseconds
+from fuzzycnc_ros.components.records import (
+    Displacement,
+    Temperatures,
+    nanoseconds,
+)
 from fuzzycnc_ros.components.sensor_selector import SensorSelector, SensorSelectorConfig
 from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalRun, select_sensors

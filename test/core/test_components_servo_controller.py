@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.components.codes import MachineMode, ServoStatus
 from fuzzycnc_ros.components.records import (
     SECOND,
     AxisState,
-    MachineMode,
     PositionCommand,
-    ServoStatus,
 )
 from fuzzycnc_ros.components.servo_controller import ServoController, ServoControllerConfig
 from fuzzycnc_ros.components.servo_controller_config import CONTROLLERS, make_controllers

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
 from fuzzycnc_ros.components.component import Emission
 from fuzzycnc_ros.components.records import (
     SECOND,
-    AppliedStatus,
     Compensation,
-    MachineMode,
     nanoseconds,
 )
 from fuzzycnc_ros.components.simulated_machine import (

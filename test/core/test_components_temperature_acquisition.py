@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.components.records import SECOND, Status, nanoseconds
+from fuzzycnc_ros.components.codes import Status
+from fuzzycnc_ros.components.records import SECOND, nanoseconds
 from fuzzycnc_ros.components.temperature_acquisition import (
     TemperatureAcquisition,
     TemperatureAcquisitionConfig,

@@ -9,7 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components.records import Reason, SensorCluster, SensorSelection, nanoseconds
+from fuzzycnc_ros.components.codes import Reason
+from fuzzycnc_ros.components.records import (
+    SensorCluster,
+    SensorSelection,
+    nanoseconds,
+)
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.core.thermal import ThermalRun
 

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.components.records import SegmentKind, ToolPath
+from fuzzycnc_ros.components.codes import SegmentKind
+from fuzzycnc_ros.components.records import ToolPath
 from fuzzycnc_ros.components.tool_paths import (
     curve_tool_path,
     program_tool_path,

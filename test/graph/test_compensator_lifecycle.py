@@ -10,12 +10,12 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rosgraph_msgs.msg import Clock
 
+from fuzzycnc_ros.components.codes import CompensationState
 from fuzzycnc_ros.components.component import Durability
 from fuzzycnc_ros.components.records import (
     SECOND,
     Compensation,
     CompensationApplied,
-    CompensationState,
     MachineState,
     NodeConfiguration,
     ThermalError,

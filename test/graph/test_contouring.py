@@ -7,12 +7,12 @@ import pytest
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.components.codes import TrajectoryStatus
 from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.records import (
     AxisState,
     ContourError,
     TrajectoryState,
-    TrajectoryStatus,
 )
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.scenario import ContouringLog, PublishedBag, run_contouring

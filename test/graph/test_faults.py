@@ -8,13 +8,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState
 from fuzzycnc_ros.components.compensator import CompensatorConfig
 from fuzzycnc_ros.components.records import (
     SECOND,
-    AppliedStatus,
     Compensation,
     CompensationApplied,
-    CompensationState,
     MachineState,
     Temperatures,
     ThermalError,

@@ -14,6 +14,7 @@ from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_msgs.srv import ScheduleProgram
 from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.components.codes import TrajectoryStatus
 from fuzzycnc_ros.components.component import Durability
 from fuzzycnc_ros.components.records import (
     SECOND,
@@ -24,7 +25,6 @@ from fuzzycnc_ros.components.records import (
     ToolPath,
     Trajectory,
     TrajectoryState,
-    TrajectoryStatus,
     nanoseconds,
 )
 from fuzzycnc_ros.components.tool_paths import curve_tool_path

@@ -7,8 +7,13 @@ import pytest
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.components.codes import ServoStatus
 from fuzzycnc_ros.components.component import Level
-from fuzzycnc_ros.components.records import AxisCommand, AxisState, ServoState, ServoStatus
+from fuzzycnc_ros.components.records import (
+    AxisCommand,
+    AxisState,
+    ServoState,
+)
 from fuzzycnc_ros.scenario.positioning import run_positioning
 from fuzzycnc_ros.scenario.positioning_log import PositioningLog
 from fuzzycnc_ros.scenario.published_bag import PublishedBag

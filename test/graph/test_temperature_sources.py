@@ -7,7 +7,8 @@ import pytest
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
 
-from fuzzycnc_ros.components.records import SECOND, Status, Temperatures
+from fuzzycnc_ros.components.codes import Status
+from fuzzycnc_ros.components.records import SECOND, Temperatures
 from fuzzycnc_ros.nodes.messages import RCLPY
 
 pytestmark = pytest.mark.ros

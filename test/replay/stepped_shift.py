@@ -10,9 +10,7 @@ import numpy as np
 from fuzzycnc_ros.components.compensator import Compensator
 from fuzzycnc_ros.components.component import Emission
 from fuzzycnc_ros.components.graph import InProcessGraph
-from fuzzycnc_ros.components.records import (
-    Record,
-)
+from fuzzycnc_ros.components.records import Record
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
 from fuzzycnc_ros.components.temperature_acquisition import (
     TemperatureAcquisition,

@@ -13,7 +13,12 @@ import pytest
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.replay import ROSBAGS, ReplayError, relative_difference, replay
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.components.records import Compensation, Status, Temperatures, ThermalError
+from fuzzycnc_ros.components.codes import Status
+from fuzzycnc_ros.components.records import (
+    Compensation,
+    Temperatures,
+    ThermalError,
+)
 from fuzzycnc_ros.convert import decode, encode
 
 BAGS = Path(__file__).parents[2] / 'bags'

@@ -17,13 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.components.codes import CompensationState, Reason
 from fuzzycnc_ros.components.component import Emission
-from fuzzycnc_ros.components.records import (
-    CompensationState,
-    Displacement,
-    MachineState,
-    Reason,
-)
+from fuzzycnc_ros.components.records import Displacement, MachineState
 from fuzzycnc_ros.core.machine.duties import DUTIES
 from fuzzycnc_ros.core.thermal import load_model, train_model
 from fuzzycnc_ros.scenario import run_shift

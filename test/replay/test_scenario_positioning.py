@@ -7,10 +7,10 @@ import pytest
 
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.components.codes import ServoStatus, TrajectoryStatus
 from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.graph import InProcessGraph
-from fuzzycnc_ros.components.records import ServoStatus, TrajectoryStatus
 from fuzzycnc_ros.components.servo_controller import ServoController
 from fuzzycnc_ros.components.servo_controller_config import (
     ServoControllerConfig,

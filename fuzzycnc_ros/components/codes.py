@@ -1,0 +1,99 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Codes in the fields of records: one enumeration per group of constants of a message."""
+
+from enum import IntEnum
+
+
+class Status(IntEnum):
+    """Verdict on one temperature reading, `Temperatures.STATUS_*`."""
+
+    OK = 0
+    MISSING = 1
+    OUT_OF_RANGE = 2
+    RATE = 3
+    STUCK = 4
+    DRIFT = 5
+
+
+class Reason(IntEnum):
+    """Why a prediction is invalid, `ThermalError.REASON_*`."""
+
+    NONE = 0
+    NO_REFERENCE = 1
+    NO_MODEL = 2
+    SENSOR_LOST = 3
+    STATE_LOST = 4
+    GAP = 5
+
+
+class CompensationState(IntEnum):
+    """What the compensator is doing, `Compensation.STATE_*`."""
+
+    INACTIVE = 0
+    ACTIVE = 1
+    HOLDING = 2
+    RAMPING = 3
+    EXPIRED = 4
+
+
+class AppliedStatus(IntEnum):
+    """What the machine side does, `CompensationApplied.STATUS_*`."""
+
+    IDLE = 0
+    FOLLOWING = 1
+    EXPIRED = 2
+    REFUSED = 3
+
+
+class TrajectoryStatus(IntEnum):
+    """What the machine side makes of its trajectory, `TrajectoryState.STATUS_*`."""
+
+    IDLE = 0
+    FOLLOWING = 1
+    FINISHED = 2
+    STARVED = 3
+    REFUSED = 4
+
+
+class ServoStatus(IntEnum):
+    """What the position controllers do, `ServoState.STATUS_*`."""
+
+    INACTIVE = 0
+    RESTING = 1
+    MOVING = 2
+    FOLLOWING = 3
+    FAULT = 4
+
+
+class SegmentKind(IntEnum):
+    """Kind of a segment of a tool path, `ToolPath.KIND_*`."""
+
+    LINE = 0
+    ARC = 1
+    NURBS = 2
+    DWELL = 3
+
+
+class Junction(IntEnum):
+    """What happens at the end of a segment of a tool path, `ToolPath.JUNCTION_*`."""
+
+    CONTINUOUS = 0
+    EXACT_STOP = 1
+
+
+class PrimitiveKind(IntEnum):
+    """Kind of a primitive of a pattern, `StitchPattern.KIND_*`."""
+
+    LINE = 0
+    ARC = 1
+
+
+class MachineMode(IntEnum):
+    """Operating state of the machine, `MachineState.STATE_*`."""
+
+    OFF = 0
+    ESTOP = 1
+    ON = 2
+    RUNNING = 3
+    FAULT = 4
