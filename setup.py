@@ -7,6 +7,7 @@ from setuptools import find_packages, setup
 package_name = 'fuzzycnc_ros'
 nodes = [
     'compensator',
+    'deformation_compensator',
     'feedrate_scheduler',
     'player',
     'recorder',
@@ -20,6 +21,8 @@ bags = ['mcap', 'rosbags', 'zstandard']
 command_line = ['typer', 'rich', 'pyyaml', *bags]
 report = ['jinja2', 'matplotlib']
 ml = ['scikit-learn', 'threadpoolctl']
+modbus = ['pymodbus>=3.10']
+opcua = ['asyncua>=1.1.5', 'cryptography']
 
 setup(
     name=package_name,
@@ -38,9 +41,11 @@ setup(
         'bags': bags,
         'cli': command_line,
         'ml': ml,
+        'modbus': modbus,
+        'opcua': opcua,
         'report': report,
-        'all': command_line + report + ml,
-        'test': [*command_line, *report, *ml, 'hypothesis', 'pytest'],
+        'all': command_line + report + ml + modbus + opcua,
+        'test': [*command_line, *report, *ml, *modbus, *opcua, 'hypothesis', 'pytest'],
     },
     zip_safe=False,
     author='The fuzzycnc authors',

@@ -75,7 +75,7 @@ def mlp(solver: str, hidden: tuple[int, ...], alpha: float) -> Trainer:
         rows = FEATURE_SETS['load'].rows
 
         def weight(x: np.ndarray) -> np.ndarray:
-            return load(x[:, 1], x[:, 4])[:, np.newaxis]
+            return load(*x[:, [1, 3, 4]].T)[:, np.newaxis]
 
         target = StandardScaler().fit(s / weight(x))
         model = make_pipeline(

@@ -106,6 +106,13 @@ def generate_launch_description() -> LaunchDescription:
                 choices=['true', 'false'],
                 description='Start the feedrate scheduler too, which runs tool paths',
             ),
+            DeclareLaunchArgument(
+                'deformation',
+                default_value='false',
+                choices=['true', 'false'],
+                description='Start the deformation compensator too, which shifts patterns on soft '
+                'material for the feedrate scheduler',
+            ),
             LogInfo(
                 msg='fuzzycnc is not a safety function (ISO 13849): emergency stop, limit '
                 'switches and drive limits stay in hardware.'
@@ -118,5 +125,6 @@ def generate_launch_description() -> LaunchDescription:
             *[Node(**common(name), parameters=[params_file(name), sim_time]) for name in NODES],
             *managed('compensator'),
             *managed('feedrate_scheduler', 'feedrate'),
+            *managed('deformation_compensator', 'deformation'),
         ]
     )

@@ -1,11 +1,16 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fields and compression of MCAP records, read without trust in any length they state."""
+"""Kinds, fields and compression of MCAP records, read without trust in any length they state."""
 
 import struct
 
 from fuzzycnc_ros.bags.errors import BagFormatError
 from fuzzycnc_ros.bags.libraries import load
+
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 2, 3, 4, 5, 6, 7
+ATTACHMENT, STATISTICS, METADATA, DATA_END = 9, 11, 12, 15
+MESSAGE_HEAD = struct.Struct('<HIQQ')
+"""Channel, sequence number, log time and publish time of a message."""
 
 
 class Cursor:

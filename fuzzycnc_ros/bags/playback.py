@@ -8,14 +8,16 @@ the stamps.  A message without a header belongs to the newest stamp before it.
 
 import heapq
 import struct
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from fuzzycnc_ros.bags.errors import BagTopicError, BagTypeError
+from fuzzycnc_ros.bags.connections import Connection
+from fuzzycnc_ros.bags.errors import BagError, BagTopicError, BagTypeError
 from fuzzycnc_ros.bags.metadata import Profiles
-from fuzzycnc_ros.bags.reader import BagReader, Connection
+from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.typestore import type_hash
+from fuzzycnc_ros.components.records import SECOND
 
 HELD = 20_000
 """Messages held back to be put in the order of their stamps: a recorder is read out every 500
@@ -159,6 +161,122 @@ def restamped(payload: bytes, shift: int) -> bytes:
     seconds, rest = divmod(stamp_of(payload) + shift, 10**9)
     struct.pack_into(_time_layout(payload), moved, 4, seconds, rest)
     return bytes(moved)
+
+
+class Playback:
+    """A bag as it is sent, message by message, once or again and again.
+
+    Parameters
+    ----------
+    reader : BagReader
+        The bag.
+    topics : mapping of str to PlayedTopic
+        What is played.
+    start, stop : int or None
+        Log times between which it is played [ns]; from the beginning and to the end if None.
+    ordered : bool
+        Whether messages come in the order of their stamps, not in that of their log times.
+    loop : bool
+        Whether the bag begins anew when it is over.
+    restamp : bool
+        Whether the stamps of a repetition go on where those before ended.
+    told : callable
+        Told of each repetition.
+
+    Attributes
+    ----------
+    next : PlayedMessage or None
+        The message to be sent next, as it is sent; None at the end.
+    timing : set of str
+        Topics whose stamps make time.
+    first, last : int
+        Log times between which it is played [ns].
+    repetition : int
+        How often it began anew.
+    error : str
+        Why the rest cannot be read; empty if it can.
+    """
+
+    def __init__(
+        self,
+        reader: BagReader,
+        topics: Mapping[str, PlayedTopic],
+        start: int | None = None,
+        stop: int | None = None,
+        *,
+        ordered: bool = False,
+        loop: bool = False,
+        restamp: bool = False,
+        told: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._reader, self._topics = reader, topics
+        self._start, self._stop = start, stop
+        self._ordered, self._loop, self._restamp, self._told = ordered, loop, restamp, told
+        self.first = reader.start if start is None else start
+        self.last = reader.stop if stop is None else stop
+        # A latched message may be an old fact told again: it makes no time if others do.
+        self.timing = {name for name, topic in topics.items() if not topic.latched} or set(topics)
+        self.repetition = 0
+        self.error = ''
+        self._log_shift = self._stamp_shift = 0
+        self._first_stamp: int | None = None
+        self._last_stamp = self._last_log_time = 0
+        self._step = SECOND
+        self._source = self._open()
+        self.next = self._take()
+
+    @property
+    def position(self) -> int:
+        """Log time in the bag of the next message [ns], the end if there is none."""
+        return self.last if self.next is None else self.next.log_time - self._log_shift
+
+    def advance(self) -> None:
+        """Go on to the message after the next."""
+        self.next = self._take()
+
+    def _open(self) -> Iterator[PlayedMessage]:
+        """Return the messages of one repetition."""
+        source = messages(self._reader, self._topics, self._start, self._stop)
+        return by_stamp(source) if self._ordered else source
+
+    def _take(self) -> PlayedMessage | None:
+        """Return the next message as it is sent, from the next repetition if need be."""
+        try:
+            message = next(self._source, None)
+            if message is None and self._loop and self._last_log_time:
+                self._repeat()
+                message = next(self._source, None)
+        except BagError as error:
+            # What was played stands; the rest cannot be read.
+            self.error = str(error)
+            return None
+        if message is None:
+            return None
+        topic = self._topics[message.topic]
+        message = message._replace(
+            log_time=message.log_time + self._log_shift, stamp=message.stamp + self._stamp_shift
+        )
+        if self._stamp_shift and topic.stamped:
+            message = message._replace(payload=restamped(message.payload, self._stamp_shift))
+        self._last_log_time = max(self._last_log_time, message.log_time)
+        if message.topic in self.timing:
+            if self._first_stamp is None:
+                self._first_stamp = message.stamp
+            elif message.stamp > self._last_stamp:
+                self._step = message.stamp - self._last_stamp
+            self._last_stamp = max(self._last_stamp, message.stamp)
+        return message
+
+    def _repeat(self) -> None:
+        self.repetition += 1
+        self._log_shift = self._last_log_time + self._step - self.first
+        if self._restamp and self._first_stamp is not None:
+            self._stamp_shift = self._last_stamp + self._step - self._first_stamp
+            how = f'stamps moved on by {self._stamp_shift / SECOND:.3f} s'
+        else:
+            how = 'with the recorded stamps, which readers drop as not newer'
+        self._told(f'repetition {self.repetition}, {how}')
+        self._source = self._open()
 
 
 def _time_layout(payload: bytes) -> str:

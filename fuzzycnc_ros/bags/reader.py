@@ -5,11 +5,11 @@
 import os
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
+from fuzzycnc_ros.bags.connections import connect
 from fuzzycnc_ros.bags.decoder import Decoder
 from fuzzycnc_ros.bags.errors import (
     BagCountError,
@@ -18,49 +18,19 @@ from fuzzycnc_ros.bags.errors import (
     BagTruncatedError,
 )
 from fuzzycnc_ros.bags.files import bag_files, storage_files
+from fuzzycnc_ros.bags.log_order import in_log_order
 from fuzzycnc_ros.bags.mcapfile import McapFile
 from fuzzycnc_ros.bags.metadata import (
     MESSAGE_SET_KEY,
     STATE_KEY,
     STATE_RECORDING,
     Metadata,
-    Profiles,
-    parse_qos,
     read_metadata,
 )
 from fuzzycnc_ros.bags.sqlitefile import SqliteFile
-from fuzzycnc_ros.bags.storage import Attachment, Block, Contents, RawMessage
+from fuzzycnc_ros.bags.storage import Attachment, Contents
 from fuzzycnc_ros.bags.upgrade import UPGRADERS, Upgraders
 from fuzzycnc_ros.components.provenance import MESSAGE_SET
-
-OVERLAP_MAX = 1024 * 1024 * 1024
-"""Most bytes of chunks overlapping in time that are sorted together; more is no recording."""
-
-
-@dataclass(frozen=True)
-class Connection:
-    """A topic of a bag.
-
-    Parameters
-    ----------
-    topic, type : str
-        Topic and message type.
-    message_count : int
-        Messages that the bag promises.
-    profiles : list of dict
-        QoS profiles that its publishers offered.
-    type_hash : str
-        Hash of the type, empty if the bag does not say.
-    definition : str
-        Definition that the bag embeds, empty if there is none.
-    """
-
-    topic: str
-    type: str
-    message_count: int
-    profiles: Profiles
-    type_hash: str
-    definition: str
 
 
 class BagMessage(NamedTuple):
@@ -228,7 +198,9 @@ class BagReader:
         decodes = {} if raw else {t: self.decoder.decode(self.connections[t].type) for t in wanted}
         whole = start is None and stop is None
         yielded: Counter[str] = Counter()
-        for log_time, _, _, channel, payload in self._ordered(start, stop):
+        every = (block for contents in self._contents for block in contents.blocks)
+        ordered = in_log_order(self.path, every, start, stop, self._report)
+        for log_time, _, _, channel, payload in ordered:
             topic = channel.topic
             if topic not in wanted:
                 continue
@@ -254,7 +226,7 @@ class BagReader:
         self.message_set = self._message_set()
         upgraders.check_version(self.message_set, self.path)
         self.decoder = Decoder(channels, self.message_set, upgraders)
-        self.connections = self._connect()
+        self.connections = connect(self.path, self._contents)
         self.message_count = sum(c.message_count for c in self.connections.values())
         blocks = [block for contents in self._contents for block in contents.blocks]
         self.start = min((block.start for block in blocks), default=0)
@@ -327,30 +299,6 @@ class BagReader:
                 f'{self.path}: expected a message-set version but found {stated}'
             ) from error
 
-    def _connect(self) -> dict[str, Connection]:
-        found: dict[str, Connection] = {}
-        promised: Counter[str] = Counter()
-        for contents in self._contents:
-            promised.update(contents.promised or {})
-        for channel in (c for contents in self._contents for c in contents.channels):
-            known = found.get(channel.topic)
-            if known and known.type != channel.type:
-                raise BagFormatError(
-                    f'{self.path}: expected one type on {channel.topic} but found {known.type} '
-                    f'and {channel.type}'
-                )
-            profiles = list(known.profiles) if known else []
-            profiles += [p for p in parse_qos(channel.qos) if p not in profiles]
-            found[channel.topic] = Connection(
-                channel.topic,
-                channel.type,
-                promised[channel.topic],
-                profiles,
-                channel.type_hash,
-                channel.definition,
-            )
-        return found
-
     def _check_metadata(self, metadata: Metadata) -> None:
         """Compare `metadata.yaml` with the files: neither may promise what the other lacks."""
         if metadata.custom.get(STATE_KEY) == STATE_RECORDING:
@@ -376,41 +324,6 @@ class BagReader:
         self.problems.append(str(error))
 
     # Reading
-
-    def _ordered(self, start: int | None, stop: int | None) -> Iterator[RawMessage]:
-        """Yield the messages of all blocks that touch a span, in the order of their log time."""
-        every = (block for contents in self._contents for block in contents.blocks)
-        blocks = [
-            (place, block)
-            for place, block in enumerate(every)
-            if (start is None or block.stop >= start) and (stop is None or block.start < stop)
-        ]
-        blocks.sort(key=lambda entry: entry[1].start)
-        group: dict[int, Block] = {}
-        group_stop = 0
-        for place, block in blocks:
-            if group and block.start > group_stop:
-                yield from self._merged(group)
-                group = {}
-            group_stop = max(group_stop, block.stop) if group else block.stop
-            group[place] = block
-        yield from self._merged(group)
-
-    def _merged(self, group: dict[int, Block]) -> list[RawMessage]:
-        """Return the messages of blocks, by their place, that overlap in time, sorted together."""
-        if sum(block.size for block in group.values()) > OVERLAP_MAX:
-            raise BagFormatError(
-                f'{self.path}: expected chunks one after the other in time but {len(group)} of '
-                f'them, more than {OVERLAP_MAX} bytes, overlap'
-            )
-        messages: list[RawMessage] = []
-        for _, block in sorted(group.items()):
-            try:
-                messages += block.read()
-            except BagFormatError as error:
-                self._report(error)
-        messages.sort(key=lambda message: message.log_time)  # stable: ties stay in file order
-        return messages
 
     def _check_yielded(self, wanted: set[str], yielded: Counter[str]) -> None:
         counted = all(contents.promised is not None for contents in self._contents)

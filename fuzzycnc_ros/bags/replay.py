@@ -36,6 +36,7 @@ from fuzzycnc_ros.components.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.convert import Target, decode, encode, stamp_of
+from fuzzycnc_ros.core.config import Config
 
 ROSBAGS = Target(message_type, numpy_arrays=True)
 """Builds rosbags' messages."""
@@ -202,7 +203,7 @@ class _ComponentReplay:
         configurations = recording.nodes[name]
         self.notes: list[str] = []
         kind = COMPONENTS[node]
-        self._component: Component = kind(kind.CONFIG(**json.loads(configurations[0].parameters)))
+        self._component: Component = kind(_config(kind, configurations[0]))
         self._component.machine = configurations[0].frame_id.split('/')[0]
         if isinstance(self._component, SensorSelector):
             self._component.run_reader = read_run
@@ -253,8 +254,15 @@ class _ComponentReplay:
         return [_Point(stamp) for stamp in sorted(stamps)]
 
     def _request(self, event: NodeEvent) -> None:
-        arguments = json.loads(event.request)
-        answer = self._component.on_request(event.name, arguments, event.stamp)
+        arguments = _object(event.request, f'{event.node}: request {event.name}')
+        try:
+            answer = self._component.on_request(event.name, arguments, event.stamp)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            # Live, the types of the service hold what the text of an event need not.
+            raise ReplayError(
+                f'{event.node}: request {event.name}: expected its arguments but found '
+                f'{event.request[:60]!r}: {error}'
+            ) from error
         if answer.success:
             self._keep(answer.emissions)
             return
@@ -264,7 +272,7 @@ class _ComponentReplay:
             self.outputs.pop(f'{self._space}/{item.name}', None)
 
     def _reconfigure(self, record: NodeConfiguration) -> None:
-        config = self._component.CONFIG(**json.loads(record.parameters))
+        config = _config(type(self._component), record)
         if config != self._component.configuration:
             self._component.reconfigure(config)
 
@@ -275,6 +283,38 @@ class _ComponentReplay:
                 record: Record = emission.record
                 message = encode(record, ROSBAGS)
                 self.outputs[topic].append((topic, record.TYPE, record.stamp, message))
+
+
+def _config(kind: type[Component], record: NodeConfiguration) -> Config:
+    """Return the configuration that a node had.
+
+    Raises
+    ------
+    ReplayError
+        If it is none of this component.
+    """
+    values = _object(record.parameters, f'{record.node}: parameters')
+    try:
+        return kind.CONFIG(**values)
+    except (TypeError, ValueError) as error:
+        raise ReplayError(f'{record.node}: parameters: {error}') from error
+
+
+def _object(text: str, where: str) -> dict[str, Any]:
+    """Return the JSON object that a message holds as text.
+
+    Raises
+    ------
+    ReplayError
+        If it holds none.
+    """
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ReplayError(f'{where}: expected JSON but: {error}') from error
+    if not isinstance(found, dict):
+        raise ReplayError(f'{where}: expected a JSON object but found {text[:60]!r}')
+    return found
 
 
 def _compare(

@@ -18,6 +18,17 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_text,
 )
+from fuzzycnc_ros.cli.many_bags import (
+    BadBag,
+    Jobs,
+    NamedBag,
+    Sorted,
+    check_some_left,
+    find_bags,
+    jobs_of,
+    say_bad,
+    with_each,
+)
 from fuzzycnc_ros.cli.options import (
     ALL,
     Clusters,
@@ -40,6 +51,9 @@ if TYPE_CHECKING:
 MACHINES = ('grinder',)
 """Simulated machines that a comparison may be made on."""
 
+SHOWN_EACH = 5
+"""Most held-out runs of which each gets a table with all models; report and figures have all."""
+
 NOT_WITH_MACHINE = ('bags', 'interval', 'sensors', 'clusters', 'speed', 'hold_out')
 """Parameters that say how recorded runs are treated."""
 
@@ -49,7 +63,9 @@ def compare(
     bags: Annotated[
         Optional[list[Path]],  # noqa: UP045 - typer 0.9 does not read the newer form
         typer.Argument(
-            metavar='[BAG...]', show_default=False, help='Bags of runs, each from a cold start.'
+            metavar='[BAG...]',
+            show_default=False,
+            help='Bags of runs, each from a cold start; folders of bags; patterns in quotes.',
         ),
     ] = None,
     machine: Annotated[
@@ -80,7 +96,7 @@ def compare(
             help='Stretch of a single bag to hold out [s]; repeat for more.',
         ),
     ] = None,
-    jobs: Annotated[int, typer.Option(help='Processes that work side by side.')] = 2,
+    jobs: Jobs = None,
     seed: Annotated[
         int, typer.Option(help="Seed of the clustering, and of a simulated machine's noise.")
     ] = 0,
@@ -94,31 +110,36 @@ def compare(
     later part is predicted from what came before. The row `default` is what `fuzzycnc train`
     would have chosen by itself, without the held-out run. What is not to be trusted is marked.
 
+    A bag that cannot be used is named and left out of everything; the command then ends with 1.
+    The figures do not depend on --jobs.
+
         fuzzycnc compare monday tuesday wednesday
+        fuzzycnc compare recordings 'archive/2026-*' --json figures.json
         fuzzycnc compare shift --models static_ridge,lag_ridge,stable_grey --json figures.json
         fuzzycnc compare shift --hold-out 57600:86400 --report comparison.html
         fuzzycnc compare --machine grinder --report grinder.html
     """
-    check_at_least('--jobs', jobs, 1)
+    processes = jobs_of(jobs)
     check_at_least('--seed', seed, 0)
     for path in (report, json_file):
         check_folder(path)
     if machine is not None:
         _check_machine(context, machine)
-        _compare_on_grinder(models, jobs, seed, report, json_file)
+        _compare_on_grinder(models, processes, seed, report, json_file)
         return
     if not bags:
         raise ValueError(f'expected bags or --machine {"|".join(MACHINES)} but found neither')
     names = names_of('--models', models, CANDIDATES)
     windows = [_window(text) for text in hold_out or []]
-    runs = read_runs(bags)
+    read = _read_each(bags, processes)
+    runs = read.results
     no_speed = '--no-speed' if not speed else speed_missing(runs, interval)
     if no_speed:
         names = _without_speed(names, no_speed)
-    comparison = _compared(
+    comparison, failed = _compared(
         runs,
         windows,
-        jobs,
+        processes,
         candidates=names,
         interval=interval,
         sensors=sensors,
@@ -131,6 +152,8 @@ def compare(
         lines.append(f'spindle speed: not used, {no_speed}')
     for line in lines:
         say(line)
+    bad = (*read.bad, *failed)
+    say_bad(bad)
     if report is not None:
         from fuzzycnc_ros.report.comparison_page import comparison_page
         from fuzzycnc_ros.report.sections import render_page
@@ -144,8 +167,18 @@ def compare(
         write_text(report, render_page(comparison_page(comparison, facts)))
         say(f'{report}: the report; open it in a browser')
     from fuzzycnc_ros.report.comparison import comparison_document
+    from fuzzycnc_ros.report.many_runs import overall_document
 
-    write_json(json_file, comparison_document(comparison))
+    write_json(
+        json_file,
+        {
+            **comparison_document(comparison),
+            'overall': overall_document([item.evaluation for item in comparison.held_out]),
+            'left_out': {item.bag.name: item.reason for item in bad},
+        },
+    )
+    if bad:
+        raise typer.Exit(1)
 
 
 def read_runs(bags: 'Sequence[Path]') -> 'list[ThermalRun]':
@@ -154,22 +187,29 @@ def read_runs(bags: 'Sequence[Path]') -> 'list[ThermalRun]':
     Raises
     ------
     ValueError
-        If two bags have the same name.
+        If a bag is named twice, or one cannot be used.
     """
+    runs = []
+    with progress_bar('reading') as tell:
+        for done, bag in enumerate(named := find_bags(bags)):
+            tell(f'reading {bag.name}', done, len(named))
+            runs.append(read_named(bag))
+    return runs
+
+
+def read_named(bag: NamedBag, progress: 'Progress | None' = None) -> 'ThermalRun':
+    """Read the run of a bag under the name that tells it from the others."""
     from fuzzycnc_ros.bags.runs import read_run
 
-    runs: list[ThermalRun] = []
+    if progress is not None:
+        progress('reading', bag.name, 0, 1)
+    return read_run(bag.path, name=bag.name)
+
+
+def _read_each(bags: 'Sequence[Path]', jobs: int) -> 'Sorted[ThermalRun]':
+    """Read runs; bags that cannot be used are told apart."""
     with progress_bar('reading') as tell:
-        for done, bag in enumerate(bags):
-            tell(f'reading {bag.name}', done, len(bags))
-            run = read_run(bag)
-            if any(run.name == other.name for other in runs):
-                raise ValueError(
-                    f'{bag}: expected bags of different names but found {run.name!r} twice; '
-                    'give each once, or rename one'
-                )
-            runs.append(run)
-    return runs
+        return with_each(read_named, find_bags(bags), jobs, tell)
 
 
 def speed_missing(runs: 'Sequence[ThermalRun]', interval: float) -> str:
@@ -184,21 +224,16 @@ def speed_missing(runs: 'Sequence[ThermalRun]', interval: float) -> str:
     return '' if drivers_of(even) else 'since it has gaps or never changes'
 
 
-def judge_split(split: 'Split', progress: 'Progress', **options: Any) -> 'HeldOut':
-    """Judge one held-out run; what is wrong names it.
-
-    Raises
-    ------
-    ThermalDataError
-        If the runs cannot be used.
-    """
+def judge_split(split: 'Split', progress: 'Progress', **options: Any) -> 'HeldOut | BadBag':
+    """Judge one held-out run; what is wrong names it."""
     from fuzzycnc_ros.core.thermal import ThermalDataError
     from fuzzycnc_ros.core.thermal.comparison import judge
 
     try:
         return judge(split, progress=progress, **options)
     except ThermalDataError as error:
-        raise ThermalDataError(f'{split.name} held out: {error}') from error
+        held_out = NamedBag(Path(split.held_out.name), split.name)
+        return BadBag(held_out, f'{split.name} held out: {error}')
 
 
 def judge_trial(
@@ -221,29 +256,39 @@ def _compared(
     windows: list[tuple[float, float]],
     jobs: int,
     **options: Any,
-) -> 'Comparison':
-    """Hold everything out in turn."""
+) -> 'tuple[Comparison, tuple[BadBag, ...]]':
+    """Hold everything out in turn; return also what could not be judged."""
     from fuzzycnc_ros.cli.workers import in_workers
-    from fuzzycnc_ros.core.thermal.comparison import Comparison, splits
+    from fuzzycnc_ros.core.thermal.comparison import Comparison, HeldOut, splits
 
     held_out = splits(runs, windows, options['interval'])
     names = [split.name for split in held_out]
     with progress_bar('comparing') as tell:
-        return Comparison(
-            tuple(in_workers(partial(judge_split, **options), held_out, names, jobs, tell))
-        )
+        found = in_workers(partial(judge_split, **options), held_out, names, jobs, tell)
+    bad = tuple(item for item in found if isinstance(item, BadBag))
+    judged = tuple(item for item in found if isinstance(item, HeldOut))
+    check_some_left(len(judged), bad)
+    return Comparison(judged), bad
 
 
 def _show(comparison: 'Comparison') -> list[str]:
     """Print all tables; return the lines that close the comparison."""
     from fuzzycnc_ros.report import comparison as shown
+    from fuzzycnc_ros.report.many_runs import overall_table, runs_table
 
-    for item in comparison.held_out:
-        show(shown.held_out_table(item))
-        chosen = f'default: {shown.choice_text(item)}'
-        for line in (chosen, *shown.refusal_lines(item), ''):
-            say(line)
-    if len(comparison.held_out) > 1:
+    held_out = comparison.held_out
+    if len(held_out) <= SHOWN_EACH:
+        for item in held_out:
+            show(shown.held_out_table(item))
+            chosen = f'default: {shown.choice_text(item)}'
+            for line in (chosen, *shown.refusal_lines(item), ''):
+                say(line)
+    if len(held_out) > 1:
+        judged = [item.evaluation for item in held_out]
+        show(runs_table(judged))
+        say('')
+        show(overall_table(judged, shown.refused_anywhere(comparison)))
+        say('')
         show(shown.pooled_table(comparison))
         for line in shown.pooled_refusal_lines(comparison):
             say(line)

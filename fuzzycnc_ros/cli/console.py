@@ -151,14 +151,18 @@ def check_new(path: Path | None, remedy: str = 'remove it') -> None:
 
 
 def check_folder(path: Path | None) -> None:
-    """Refuse an output whose folder does not exist.
+    """Refuse an output whose folder does not exist, or that is a folder itself.
 
     Raises
     ------
     ValueError
-        If there is no such folder.
+        If there is no such folder, or the path is one.
     """
-    if path is not None and not path.absolute().parent.is_dir():
+    if path is None:
+        return
+    if path.is_dir():
+        raise ValueError(f'{path}: expected a file to write but found a folder')
+    if not path.absolute().parent.is_dir():
         raise ValueError(f'{path}: expected an existing folder but found no {path.parent}')
 
 

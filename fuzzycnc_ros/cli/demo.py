@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from fuzzycnc_ros.cli.demo_contour import contour_demo
+from fuzzycnc_ros.cli.demo_pattern import pattern_demo
 from fuzzycnc_ros.cli.demo_steps import renew
 from fuzzycnc_ros.cli.demo_thermal import thermal_demo
 from fuzzycnc_ros.cli.up import BANNER
@@ -21,11 +22,13 @@ class Scenario(str, Enum):
 
     thermal = 'thermal'
     contour = 'contour'
+    pattern = 'pattern'
 
 
 _RUN: dict[Scenario, Callable[[Console, Path, int], None]] = {
     Scenario.thermal: thermal_demo,
     Scenario.contour: contour_demo,
+    Scenario.pattern: pattern_demo,
 }
 
 
@@ -49,6 +52,11 @@ def demo(
     as a trajectory, and followed every millisecond:
 
         fuzzycnc demo --scenario contour --out build/contour
+
+    Or watch it stitch a parallelogram on a sheet of foam, without compensation and with that of a
+    trained T-S fuzzy neural network:
+
+        fuzzycnc demo --scenario pattern --out build/pattern
     """
     console = Console()
     console.print(BANNER, style='yellow')

@@ -33,7 +33,16 @@ def renew(out: Path) -> None:
     GraphError
         If something else lies there.
     """
-    known = {'summary.json', 'report.html', 'model.json', 'bag', 'calibration', 'log', 'latency'}
+    known = {
+        'summary.json',
+        'report.html',
+        'model.json',
+        'bag',
+        'before',
+        'calibration',
+        'log',
+        'latency',
+    }
     if out.exists():
         strange = sorted(item.name for item in out.iterdir() if item.name not in known)
         if strange:

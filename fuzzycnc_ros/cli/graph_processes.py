@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from fuzzycnc_ros.nodes.environment import limit_to_this_host, prepare_environment
+from fuzzycnc_ros.nodes.environment import prepare_environment
 
 STOP_TIMEOUT = 10.0
 """Wall time [s] that a node gets to end by itself before it is killed."""
@@ -68,6 +68,11 @@ def ros_arguments(namespace: str, files: Sequence[Path]) -> list[str]:
     return arguments
 
 
+def process_name(specs: Sequence[NodeSpec]) -> str:
+    """Return the name of the process that holds some nodes."""
+    return specs[0].name if len(specs) == 1 else COMPOSED
+
+
 class GraphProcesses:
     """The nodes of a graph, each in a process of its own.
 
@@ -81,6 +86,8 @@ class GraphProcesses:
         Parameter files that every node reads first.
     environment : mapping, optional
         Environment variables on top of the present ones.
+    remap : sequence of str
+        Remappings of all nodes, `from:=to`.
     """
 
     def __init__(
@@ -90,10 +97,12 @@ class GraphProcesses:
         folder: Path | None = None,
         params: Sequence[Path] = (),
         environment: Mapping[str, str] | None = None,
+        remap: Sequence[str] = (),
     ) -> None:
         prepare_environment()
-        limit_to_this_host()
-        self._namespace = f'/{machine.strip("/")}'
+        self.machine = machine.strip('/')
+        self._namespace = f'/{self.machine}'
+        self._remap = [word for rule in remap for word in ('-r', rule)]
         self._temporary = None if folder else tempfile.TemporaryDirectory(prefix='fuzzycnc-')
         self.folder = folder or Path(self._temporary.name)  # type: ignore[union-attr]
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -119,17 +128,18 @@ class GraphProcesses:
     def start(self, *specs: NodeSpec) -> None:
         """Start one node, or several composed in one process.
 
-        Output goes to `<folder>/<node>.log`, or `<folder>/composed.log`.
+        Output goes to `<folder>/<node>.log`, or `<folder>/composed.log`; a node that is started
+        again adds to it.
         """
-        name = specs[0].name if len(specs) == 1 else COMPOSED
+        name = process_name(specs)
         folder = self.folder / name
         folder.mkdir(exist_ok=True)
         own = parameter_file(folder, self._namespace, specs)
         command = [sys.executable, '-m', f'fuzzycnc_ros.nodes.{name}']
         if name == COMPOSED:
             command += [spec.name for spec in specs]
-        command += ros_arguments(self._namespace, [*self._params, own])
-        with self.log(name).open('wb') as log:
+        command += ros_arguments(self._namespace, [*self._params, own]) + self._remap
+        with self.log(name).open('ab' if name in self._processes else 'wb') as log:
             self._processes[name] = subprocess.Popen(
                 command,
                 stdout=log,
@@ -140,6 +150,15 @@ class GraphProcesses:
                 start_new_session=True,
                 preexec_fn=_end_with_parent,
             )
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all processes that were ever started."""
+        return list(self._processes)
+
+    def pid(self, name: str) -> int:
+        """Return the process id of a node."""
+        return self._processes[name].pid
 
     def log(self, name: str) -> Path:
         """Return the file with a node's output."""
@@ -163,7 +182,7 @@ class GraphProcesses:
         """
         for name, code in self.poll().items():
             if code != 0:
-                raise GraphError(f'{name} ended with code {code}: {self._last_words(name)}')
+                raise GraphError(f'{name} ended with code {code}: {self.last_words(name)}')
 
     def wait(self, name: str, timeout: float) -> None:
         """Wait until a node ends by itself while the others live.
@@ -178,7 +197,7 @@ class GraphProcesses:
             self.check()
             if time.monotonic() > until:
                 raise GraphError(
-                    f'{name} did not end within {timeout:g} s: {self._last_words(name)}'
+                    f'{name} did not end within {timeout:g} s: {self.last_words(name)}'
                 )
             try:
                 self._processes[name].wait(0.1)
@@ -186,14 +205,22 @@ class GraphProcesses:
                 continue
         self.check()
 
-    def stop(self, *names: str) -> None:
-        """Ask nodes to end, all if none is named; kill those that do not."""
+    def interrupt(self, *names: str) -> list[str]:
+        """Ask nodes to end, all if none is named; return which."""
         wanted = [n for n in self._processes if not names or n in names]
         for name in wanted:
             if self._processes[name].poll() is None:
                 self._processes[name].send_signal(signal.SIGINT)
+        return wanted
+
+    def stop(self, *names: str) -> None:
+        """Ask nodes to end, all if none is named; kill those that do not."""
+        self.wait_ended(self.interrupt(*names))
+
+    def wait_ended(self, names: Sequence[str]) -> None:
+        """Wait for nodes that were asked to end; kill those that do not in time."""
         until = time.monotonic() + STOP_TIMEOUT
-        for name in wanted:
+        for name in names:
             process = self._processes[name]
             try:
                 process.wait(max(0.0, until - time.monotonic()))
@@ -202,18 +229,24 @@ class GraphProcesses:
                 process.wait()
 
     def outcome(self, name: str) -> dict[str, Any]:
-        """Return what a node said of its run in its last line, empty if it said nothing."""
+        """Return what a node said of its run in its last line of JSON, empty if it did not."""
         if name not in self._processes:
             return {}
-        try:
-            said = json.loads(self._last_words(name))
-        except ValueError:
-            return {}
-        return said if isinstance(said, dict) else {}
+        for line in reversed(self._lines(name)):
+            if line.startswith('{'):
+                try:
+                    said = json.loads(line)
+                except ValueError:
+                    continue
+                return said if isinstance(said, dict) else {}
+        return {}
 
-    def _last_words(self, name: str) -> str:
-        lines = self.log(name).read_text(errors='replace').strip().splitlines()
-        return lines[-1] if lines else 'it wrote nothing'
+    def last_words(self, name: str) -> str:
+        """Return the last line that a node wrote."""
+        return (self._lines(name) or ['it wrote nothing'])[-1]
+
+    def _lines(self, name: str) -> list[str]:
+        return self.log(name).read_text(errors='replace').strip().splitlines()
 
 
 def _end_with_parent() -> None:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc import-csv`: a table of a real machine becomes a bag."""
 
+import re
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Optional
@@ -188,12 +189,9 @@ def _read_mapping(path: Path, known: list[str]) -> dict[str, Any]:
     ValueError
         If it is no mapping of the known settings.
     """
-    import yaml
+    from fuzzycnc_ros.cli.yaml_file import compose, construct
 
-    try:
-        settings = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f'{path}: expected YAML but: {error}') from error
+    settings = construct(path, compose(path, 'a mapping of columns'))
     if not isinstance(settings, dict):
         raise ValueError(f'{path}: expected settings such as `time: t` but found {settings!r}')
     unknown = [str(key) for key in settings if key not in known]
@@ -212,11 +210,11 @@ def _setting(path: Path, key: str, value: Any) -> Any:
             value = [value]
         return [str(item) for item in value]
     if key == 'rows':
-        if isinstance(value, str):
+        if isinstance(value, str) and re.fullmatch(r'\d{1,9}:\d{1,9}', value):
             return _row_range(value)
         if isinstance(value, list) and [type(item) for item in value] == [int, int]:
             return tuple(value)
-        raise ValueError(f'{path}: rows: expected [first, last] but found {value!r}')
+        raise ValueError(f'{path}: rows: expected [first, last] or FIRST:LAST but found {value!r}')
     if key == 'rename':
         if not isinstance(value, dict):
             raise ValueError(f'{path}: rename: expected column: name but found {value!r}')
@@ -224,6 +222,8 @@ def _setting(path: Path, key: str, value: Any) -> Any:
     if key in ('resample', 'epoch'):
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise ValueError(f'{path}: {key}: expected a number but found {value!r}')
+        if not abs(value) < 1e300:
+            raise ValueError(f'{path}: {key}: expected a finite number but found {value!r:.40}')
         return float(value)
     if key == 'zero':
         if not isinstance(value, bool):

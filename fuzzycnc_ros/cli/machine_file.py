@@ -87,16 +87,9 @@ def _names(config: type[Config]) -> set[str]:
 
 def _sections(path: Path) -> dict[str, _Section]:
     """Return the parameters of both nodes."""
-    import yaml
+    from fuzzycnc_ros.cli.yaml_file import compose
 
-    try:
-        root = yaml.compose(path.read_text(encoding='utf-8'), Loader=yaml.SafeLoader)
-    except FileNotFoundError as error:
-        raise ValueError(
-            f'{path}: expected a ROS parameter file of the machine but nothing is there'
-        ) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f'{path}: expected a ROS parameter file (YAML) but: {error}') from error
+    root = compose(path, 'a ROS parameter file of the machine')
     found: dict[str, _Section] = {}
     for name, _, section in _items(path, root, 'sections such as feedrate_scheduler'):
         node = name.rpartition('/')[2]
@@ -110,7 +103,7 @@ def _sections(path: Path) -> dict[str, _Section]:
                 )
             target = found.setdefault(node, _Section())
             for parameter, place, value in _items(path, parameters, 'parameters'):
-                target.value[parameter] = _value(value)
+                target.value[parameter] = _value(path, value)
                 target.line[parameter] = place
     if not found:
         raise ValueError(
@@ -130,13 +123,15 @@ def _items(path: Path, node: Any, wanted: str) -> list[tuple[str, int, Any]]:
     return [(str(key.value), key.start_mark.line + 1, value) for key, value in node.value]
 
 
-def _value(node: Any) -> Any:
+def _value(path: Path, node: Any) -> Any:
     """Return a value; 20e-6 is a number here as in ROS, though not in YAML 1.1."""
     import yaml
 
+    from fuzzycnc_ros.cli.yaml_file import construct
+
     if isinstance(node, yaml.SequenceNode):
-        return [_value(item) for item in node.value]
-    value = yaml.SafeLoader('').construct_object(node, deep=True)
+        return [_value(path, item) for item in node.value]
+    value = construct(path, node)
     if isinstance(value, str) and node.style is None:
         try:
             return float(value)

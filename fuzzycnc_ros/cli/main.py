@@ -17,6 +17,8 @@ from fuzzycnc_ros.cli.compare import compare
 from fuzzycnc_ros.cli.curve import curve
 from fuzzycnc_ros.cli.demo import demo
 from fuzzycnc_ros.cli.evaluate import evaluate
+from fuzzycnc_ros.cli.foam import COMMANDS as FOAM_COMMANDS
+from fuzzycnc_ros.cli.foam import HELP as FOAM_HELP
 from fuzzycnc_ros.cli.graph_processes import GraphError
 from fuzzycnc_ros.cli.import_csv import import_csv
 from fuzzycnc_ros.cli.info import info
@@ -60,6 +62,10 @@ How an axis gets to a position, and controllers side by side:
     fuzzycnc position --axis lathe --to -50mm
     fuzzycnc servo compare
 
+Patterns on soft material, straightened beforehand:
+
+    fuzzycnc foam demo
+
 `fuzzycnc COMMAND --help` explains each command with examples.
 """
 
@@ -92,6 +98,7 @@ COMMANDS: dict[str, Callable[..., Any] | CommandGroup] = {
     'pareto': pareto,
     'position': position,
     'servo': CommandGroup(SERVO_HELP, SERVO_COMMANDS),
+    'foam': CommandGroup(FOAM_HELP, FOAM_COMMANDS),
     'import-csv': import_csv,
     'info': info,
 }

@@ -20,6 +20,7 @@ from fuzzycnc_ros.cli.options import Report
 from fuzzycnc_ros.cli.quantities import LENGTHS, SHARES, quantity
 from fuzzycnc_ros.cli.servo_axis import (
     CHOICES,
+    DEFAULT,
     TIMES,
     TRAVEL,
     Axis,
@@ -52,9 +53,10 @@ def position(
     controller: Annotated[
         str,
         typer.Option(
-            metavar='NAME', help=f'One of {", ".join(CHOICES)}; the ballscrew has production.'
+            metavar='NAME',
+            help=f'One of {", ".join(CHOICES)}; the ballscrew has {DEFAULT} alone.',
         ),
-    ] = 'production',
+    ] = DEFAULT,
     params: Annotated[
         Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
         typer.Option(

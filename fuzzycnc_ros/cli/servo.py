@@ -5,7 +5,7 @@
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import Annotated, Any, Optional
 
 import typer
 
@@ -22,20 +22,19 @@ from fuzzycnc_ros.cli.console import (
     write_text,
 )
 from fuzzycnc_ros.cli.options import ALL, Report, names_of
-from fuzzycnc_ros.cli.quantities import LENGTHS
 from fuzzycnc_ros.cli.servo_axis import (
     AXES,
+    CHOICES,
+    DEFAULT,
     TUNABLE,
     Axis,
+    Out,
     check_axis,
     make_axis,
     make_controller,
     warnings_said,
 )
-
-if TYPE_CHECKING:
-    from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
-    from fuzzycnc_ros.core.servo import RuleTable
+from fuzzycnc_ros.cli.servo_learn import learn
 
 HELP = """Compare, learn, tune and judge controllers that position an axis.
 
@@ -46,10 +45,6 @@ HELP = """Compare, learn, tune and judge controllers that position an axis.
 
 `fuzzycnc position` moves an axis with what they find.
 """
-
-Out = Annotated[
-    Path, typer.Option(metavar='FILE', help='Where to write it: YAML, or JSON if it ends so.')
-]
 
 Params = Annotated[
     Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
@@ -64,8 +59,7 @@ def compare(
         list[str],
         typer.Option(
             metavar='NAME,...',
-            help=f'Controllers to compare, or {ALL}: paper_literal, static, fixed_paper, pid, '
-            'model_free, production, fixed, cascade.',
+            help=f'Controllers to compare, or {ALL}: {", ".join(CHOICES)}.',
         ),
     ] = [ALL],  # noqa: B006 - typer copies it
     moves: Annotated[
@@ -82,13 +76,14 @@ def compare(
     are drawn. Ten seconds with --moves 0, about a minute and a half with 200.
 
         fuzzycnc servo compare --moves 0
-        fuzzycnc servo compare --controllers pid,production --json figures.json
+        fuzzycnc servo compare --controllers pid,variable_universe --json figures.json
         fuzzycnc servo compare --report controllers.html
     """
     from fuzzycnc_ros.report import positioning_compare as shown
-    from fuzzycnc_ros.scenario.servo_cases import CONTROLLERS, compare_controllers
+    from fuzzycnc_ros.report.positioning_model import LABELS
+    from fuzzycnc_ros.scenario.servo_cases import compare_controllers
 
-    names = names_of('--controllers', controllers, tuple(CONTROLLERS))
+    names = names_of('--controllers', controllers, tuple(LABELS))
     check_at_least('--moves', moves, 0)
     check_at_least('--seed', seed, 0)
     for path in (report, json_file):
@@ -119,108 +114,6 @@ def compare(
     write_json(json_file, shown.comparison_document(found))
 
 
-def learn(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar='BAG|CSV',
-            help='Bag of a run with servo_controller, or .csv with the columns t [s], reference, '
-            'position, duty [-1 to 1].',
-        ),
-    ],
-    out: Out,
-    axis: Axis = 'lathe',
-    name: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='AXIS', show_default=False, help='Axis of the bag, if it drives several.'
-        ),
-    ] = None,
-    unit: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='|'.join(LENGTHS), show_default=False, help='Unit of the lengths of a .csv.'
-        ),
-    ] = None,
-    method: Annotated[
-        str, typer.Option(metavar='lsq|wm', help='Least squares, or Wang-Mendel as published.')
-    ] = 'lsq',
-    reversed_axis: Annotated[
-        bool,
-        typer.Option('--reversed', help='Positive duty drives to negative positions.'),
-    ] = False,
-    json_file: JsonFile = None,
-) -> None:
-    """Learn the rules of the controller from recorded moves of any controller.
-
-    Shown is where every cell is from: records, the opposite cell, or its neighbours. The file is
-    for `fuzzycnc position --params` and `fuzzycnc servo stability --params`.
-
-        fuzzycnc servo learn run --out rules.yaml
-        fuzzycnc servo learn moves.csv --unit mm --method wm --out rules.json
-    """
-    from fuzzycnc_ros.cli.servo_records import read_bag, read_csv, records_of
-    from fuzzycnc_ros.cli.servo_settings import write_settings
-    from fuzzycnc_ros.core.servo import learn_rules
-    from fuzzycnc_ros.core.servo.rule_table import SETS
-    from fuzzycnc_ros.report.positioning_rules import rules_document, rules_table
-
-    check_axis(axis)
-    if method not in ('lsq', 'wm'):
-        raise ValueError(f'--method: expected lsq or wm but found {method!r}')
-    table_file = source.suffix.lower() == '.csv'
-    if table_file != (unit is not None):
-        raise ValueError(
-            f'--unit: expected the unit of the lengths of a .csv, one of {", ".join(LENGTHS)}, '
-            f'and none for a bag, but found {unit!r} for {source}'
-        )
-    if unit is not None and unit not in LENGTHS:
-        raise ValueError(f'--unit: expected one of {", ".join(LENGTHS)} but found {unit!r}')
-    check_new(out)
-    check_folder(json_file)
-    if not source.exists():
-        raise ValueError(f'{source}: expected a bag or a .csv but nothing is there')
-    direction = -1.0 if reversed_axis else 1.0
-    plant = make_axis(axis, {'direction': ('--reversed', direction)})
-    controller: Any = make_controller('production', axis, plant)
-    moves = read_csv(source, LENGTHS[unit]) if unit is not None else read_bag(source, name)
-    size = controller.watch.limits.error_max
-    if abs(moves.position).max() > size:
-        raise ValueError(
-            f'{source}: expected positions within {1e3 * size:g} mm but found '
-            f'{1e3 * abs(moves.position).max():g} mm; is the unit right?'
-        )
-    learned = learn_rules(records_of(moves, controller, source), method).complete()
-    show(rules_table(learned, SETS))
-    with warnings_said():
-        rules = learned.table()
-    cells = learned.values.size
-    say(
-        f'{learned.used:,} records; data in {round(learned.coverage * cells)} of {cells} cells, '
-        f'{int(learned.conflicts.sum()):,} records of another set than their cell'
-    )
-    for line in _unsettled(axis, plant, out, rules):
-        say(line)
-    write_settings(
-        out, axis, rules=rules, about=f'rules learnt from {source.name}, method {method}'
-    )
-    say(f'{out}: the rules; move with them by `fuzzycnc position --params {out}`')
-    write_json(json_file, rules_document(learned))
-
-
-def _unsettled(axis: str, plant: 'AxisPlant', out: Path, rules: 'RuleTable') -> list[str]:
-    """Return what is to be said of rules with which the axis does not settle."""
-    from fuzzycnc_ros.cli.servo_settings import ServoSettings
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter('ignore')
-            make_controller('production', axis, plant, ServoSettings(out, axis, rules=rules))
-    except ValueError as error:
-        return [f'note: {error}']
-    return []
-
-
 def tune(
     out: Out,
     axis: Axis = 'lathe',
@@ -239,7 +132,7 @@ def tune(
     seed: Annotated[int, typer.Option(help='Seed of the search.')] = 0,
     json_file: JsonFile = None,
 ) -> None:
-    """Search for settings of the production controller of the lathe axis.
+    """Search for settings of the default controller of the lathe axis.
 
     Differential evolution on eight moves: 20 um to 170 mm, the gain from half to one and a half
     times nominal, friction, load. A generation of the default size takes about four seconds of
@@ -250,7 +143,7 @@ def tune(
     """
     from fuzzycnc_ros.cli.servo_search import default_cost, swinging
     from fuzzycnc_ros.cli.servo_settings import write_settings
-    from fuzzycnc_ros.core.servo.tuning import BOUNDS
+    from fuzzycnc_ros.core.servo.tuning import BOUNDS, production
     from fuzzycnc_ros.core.servo.tuning import tune as searched
     from fuzzycnc_ros.report.positioning_rules import tuning_table
 
@@ -283,7 +176,10 @@ def tune(
     show(tuning_table(found, before))
     if found.cost >= before:
         say('note: no better than the defaults; more generations or candidates may be')
-    for line in swinging(found.settings):
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        best = production(make_axis(axis, {}).linear(), found.settings)
+    for line in swinging(best):
         say(line)
     about = f'tuned on the simulated lathe axis, seed {seed}, {generations} generations'
     write_settings(out, axis, numbers=found.settings, about=about)
@@ -304,7 +200,7 @@ def stability(
     axis: Axis = 'lathe',
     controller: Annotated[
         str, typer.Option(metavar='|'.join(TUNABLE), help='Controller of the lathe axis.')
-    ] = 'production',
+    ] = DEFAULT,
     params: Params = None,
     gains: Annotated[
         list[str],

@@ -7,6 +7,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,16 +27,31 @@ AXES = ('lathe', 'ballscrew')
 TRAVEL = 0.25
 """How far either way the simulated axes go from the middle [m]."""
 
-CHOICES = ('production', 'static', 'paper_literal', 'model_free', 'pid', 'cascade', 'fixed')
+CHOICES = (
+    'variable_universe',
+    'variable_universe_model_free',
+    'variable_universe_static',
+    'variable_universe_paper',
+    'fixed_universe',
+    'fixed_universe_paper',
+    'cascade',
+    'pid',
+)
 """Controllers of the lathe axis; the ball screw has the first alone."""
 
-TUNABLE = ('production', 'model_free', 'static')
+DEFAULT = CHOICES[0]
+
+TUNABLE = CHOICES[:3]
 """Controllers that settings from a file are for."""
 
 TIMES: Mapping[str, float] = MappingProxyType({'s': 1.0, 'ms': 1e-3})
 """What a time of 1 is, by unit [s]."""
 
 Axis = Annotated[str, typer.Option(metavar='|'.join(AXES), help='Simulated axis.')]
+
+Out = Annotated[
+    Path, typer.Option(metavar='FILE', help='Where to write it: YAML, or JSON if it ends so.')
+]
 
 
 def signed(option: str, text: str, units: Mapping[str, float], *, example: str) -> float:
@@ -109,9 +125,9 @@ def make_controller(
     """
     if name not in CHOICES:
         raise ValueError(f'--controller: expected one of {", ".join(CHOICES)} but found {name!r}')
-    if axis == 'ballscrew' and name != 'production':
+    if axis == 'ballscrew' and name != DEFAULT:
         raise ValueError(
-            f'--controller: expected production for the ballscrew axis but found {name}; the '
+            f'--controller: expected {DEFAULT} for the ballscrew axis but found {name}; the '
             'others are set for the lathe axis'
         )
     if settings is None:
@@ -121,9 +137,9 @@ def make_controller(
 
             direction = 1.0 if plant.linear().gain > 0.0 else -1.0
             return BallscrewController(BallscrewAxisConfig(direction=direction))
-        from fuzzycnc_ros.scenario.servo_cases import CONTROLLERS
+        from fuzzycnc_ros.core.servo import controllers
 
-        return CONTROLLERS[name](plant.linear())
+        return controllers.make_controller(name, plant.linear())
     if name not in TUNABLE:
         raise ValueError(
             f'--params: expected one of the controllers {", ".join(TUNABLE)} but found {name}, '

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded moves of one axis, from a bag or a CSV file, for `fuzzycnc servo learn`."""
+"""Recorded moves of one axis, as a table or from a CSV file, for `fuzzycnc servo learn`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -77,7 +77,12 @@ def records_of(moves: Moves, controller: VariableUniverseController, source: Pat
         speed[np.abs(speed) > 2.0 * abs(controller.axis.gain)] = 0.0
         found.append(
             records_of_run(
-                target, moves.position[part], moves.duty[part], controller, velocity=speed
+                target,
+                moves.position[part],
+                moves.duty[part],
+                controller,
+                velocity=speed,
+                acceleration=np.gradient(speed, period),
             )
         )
     if not found:
@@ -157,77 +162,3 @@ def read_csv(path: Path, metres: float) -> Moves:
             f'{duty[np.abs(duty).argmax()]:g}'
         )
     return Moves(time, metres * reference, metres * position, duty)
-
-
-def read_bag(path: Path, axis: str | None) -> Moves:
-    """Read the moves of an axis from a bag of a run with `servo_controller`.
-
-    Raises
-    ------
-    BagError
-        If the bag cannot be read or lacks a topic.
-    ValueError
-        If it has no such axis, or several and none is named, or no move of it.
-    """
-    from fuzzycnc_ros.bags.reader import BagReader
-    from fuzzycnc_ros.bags.runs import find_topic
-    from fuzzycnc_ros.components.records import (
-        AxisCommand,
-        AxisState,
-        Record,
-        ServoState,
-    )
-    from fuzzycnc_ros.convert import decode
-
-    kinds: dict[str, type[Record]] = {
-        'axis_state': AxisState,
-        'axis_command': AxisCommand,
-        'servo_state': ServoState,
-    }
-    seen: dict[str, dict[int, Any]] = {name: {} for name in kinds}
-    with BagReader(path) as reader:
-        space = find_topic(reader, 'servo_state', ServoState.TYPE).removesuffix('servo_state')
-        reader.require({f'{space}{name}': kind.TYPE for name, kind in kinds.items()})
-        names = {f'{space}{name}': name for name in kinds}
-        for message in reader.messages(list(names)):
-            name = names[message.topic]
-            record = decode(kinds[name], message.message)
-            seen[name][record.stamp] = record
-    states, commands, servos = seen.values()
-    chosen = _axis(path, axis, {name for one in commands.values() for name in one.axis})
-    rows = []
-    for stamp in sorted(states.keys() & commands.keys() & servos.keys()):
-        values = (
-            _of(servos[stamp], 'reference', chosen),
-            _of(states[stamp], 'position', chosen),
-            _of(commands[stamp], 'duty', chosen),
-        )
-        if not servos[stamp].reason and all(map(isfinite, values)):
-            rows.append((1e-9 * stamp, *values))
-    if not rows:
-        raise ValueError(
-            f'{path}: expected moves of the axis {chosen} with reference, position and duty of '
-            'one stamp but found none'
-        )
-    return Moves(*np.array(rows).T)
-
-
-def _axis(path: Path, axis: str | None, known: set[str]) -> str:
-    """Return the axis that is meant."""
-    if axis is not None and axis not in known:
-        raise ValueError(
-            f'--name: expected one of the driven axes {", ".join(sorted(known)) or "(none)"} of '
-            f'{path} but found {axis!r}'
-        )
-    if axis is None and len(known) != 1:
-        raise ValueError(
-            f'--name: expected one of the driven axes {", ".join(sorted(known)) or "(none)"} of '
-            f'{path} but found none named'
-        )
-    return axis if axis is not None else next(iter(known))
-
-
-def _of(record: Any, field: str, axis: str) -> float:
-    """Return a value of an axis; NaN where it has none."""
-    names = list(record.axis)
-    return float(getattr(record, field)[names.index(axis)]) if axis in names else float('nan')

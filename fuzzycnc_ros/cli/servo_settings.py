@@ -58,10 +58,9 @@ class ServoSettings:
         from fuzzycnc_ros.core.servo import (
             BallscrewController,
             ObserverNoise,
-            VariableUniverseController,
             VariableUniverseParams,
+            make_controller,
         )
-        from fuzzycnc_ros.core.servo.ballscrew import ballscrew_params
 
         given: dict[str, Any] = dict(self.numbers)
         expected = given.pop('disturbance', None)
@@ -70,22 +69,18 @@ class ServoSettings:
         try:
             if axis == 'ballscrew':
                 self._no(expected is not None, 'of the lathe axis')
-                return BallscrewController(params=replace(ballscrew_params(model), **given))
+                plain = BallscrewController()
+                return BallscrewController(params=replace(plain.params, **given))
             base: VariableUniverseParams = {
-                'production': VariableUniverseParams,
-                'model_free': VariableUniverseParams.model_free,
-                'static': VariableUniverseParams.minimal,
+                'variable_universe': VariableUniverseParams,
+                'variable_universe_model_free': VariableUniverseParams.model_free,
+                'variable_universe_static': VariableUniverseParams.minimal,
             }[name]()
-            params = replace(base, **given)
-            if name == 'production':
-                noise = ObserverNoise()
-                if expected is not None:
-                    noise = replace(noise, disturbance=expected)
-                return VariableUniverseController(model, params, noise=noise)
-            self._no(expected is not None, 'with an observer')
-            if name == 'model_free':
-                return VariableUniverseController(model, params, observer=False)
-            return VariableUniverseController(model, params, mode='static')
+            options: dict[str, Any] = {}
+            if expected is not None:
+                self._no(name != 'variable_universe', 'with an observer')
+                options['noise'] = replace(ObserverNoise(), disturbance=expected)
+            return make_controller(name, model, replace(base, **given), **options)
         except ValueError as error:
             raise ValueError(f'{self.path}: {error}') from error
 
@@ -113,7 +108,7 @@ class ServoSettings:
     def _no(self, given: bool, where: str) -> None:
         if given:
             raise ValueError(
-                f'disturbance: expected with the production controller {where} alone but found it'
+                f'disturbance: expected with variable_universe {where} alone but found it'
             )
 
 
@@ -125,16 +120,10 @@ def read_settings(path: Path) -> ServoSettings:
     ValueError
         If it is none; the message names the file and what is wrong.
     """
-    import yaml
-
+    from fuzzycnc_ros.cli.yaml_file import compose, construct
     from fuzzycnc_ros.core.servo import RuleTable
 
-    try:
-        document = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except FileNotFoundError as error:
-        raise ValueError(f'{path}: expected a file of settings but nothing is there') from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f'{path}: expected a file of settings (YAML or JSON): {error}') from error
+    document = construct(path, compose(path, 'a file of settings, YAML or JSON'))
     if not isinstance(document, dict) or not document.keys() & {'settings', 'rules'}:
         raise ValueError(f"{path}: expected 'settings' or 'rules', or both, but found neither")
     _check_keys(path, '', document, _KEYS)
@@ -150,7 +139,7 @@ def read_settings(path: Path) -> ServoSettings:
                 tuple(map(float, table['centres'])),
                 tuple(tuple(map(float, row)) for row in table['values']),
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, OverflowError, TypeError, ValueError) as error:
             raise ValueError(
                 f'{path}: rules: expected centres and a square table of numbers: {error}'
             ) from error
@@ -191,7 +180,7 @@ def _mapping(path: Path, name: str, value: Any) -> dict[str, Any]:
 def _number(path: Path, name: str, value: Any) -> float:
     try:
         return float(value)  # 1e-3 without a point is text in YAML 1.1
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         raise ValueError(f'{path}: {name}: expected a number but found {value!r}') from None
 
 

@@ -3,31 +3,33 @@
 """`fuzzycnc up`: the whole graph of one machine, as processes or composed in one."""
 
 import json
-import tempfile
+import signal
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
 import typer
 from rich.console import Console
 
-from fuzzycnc_ros.cli.graph_processes import (
-    GraphError,
-    GraphProcesses,
-    NodeSpec,
-    parameter_file,
-    ros_arguments,
-)
+from fuzzycnc_ros.cli.console import words
+from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.supervision_run import supervise
+from fuzzycnc_ros.nodes.environment import open_to_network
 
 BANNER = (
     'fuzzycnc is not a safety function (ISO 13849): emergency stop, limit switches and drive '
     'limits stay in hardware.'
 )
-POLL = 0.2
+THERMAL = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator')
+"""Nodes of thermal compensation."""
+MACHINE = 'simulated_machine'
 
 
 def node_specs(
     *,
+    nodes: Sequence[str] = THERMAL,
     duties: tuple[str, ...] = (),
     model: Path | None = None,
     record: Path | None = None,
@@ -37,10 +39,12 @@ def node_specs(
     feedrate: bool = False,
     machine_parameters: dict[str, Any] | None = None,
 ) -> list[NodeSpec]:
-    """Return the nodes of a thermal compensation graph, the simulated machine last.
+    """Return the nodes of a graph in the order of their turns, the simulated machine last.
 
     Parameters
     ----------
+    nodes : sequence of str
+        Any components; `recorder`, and `simulated_machine` without duties of its own.
     duties : tuple of str
         Duties of the simulated machine; empty leaves it out, for a real machine.
     model : Path, optional
@@ -57,40 +61,61 @@ def node_specs(
         Whether the feedrate scheduler takes part.
     machine_parameters : dict, optional
         Further parameters of the simulated machine.
+
+    Raises
+    ------
+    GraphError
+        If a name is no node.
     """
+    from fuzzycnc_ros.components.registry import COMPONENTS
+
+    wanted = {*nodes, *(('feedrate_scheduler',) if feedrate else ())}
+    unknown = sorted(wanted - {*COMPONENTS, 'recorder'})
+    if unknown or not wanted:
+        raise GraphError(
+            f'nodes: expected names among {", ".join(COMPONENTS)} but found '
+            f'{", ".join(unknown) or "none"}'
+        )
+    simulated = bool(duties) or MACHINE in wanted
     common: dict[str, Any] = {'lockstep': lockstep}
-    if duties and not lockstep:
+    if simulated and not lockstep:
         common['use_sim_time'] = True
-    kept = dict(common)
-    if state_directory is not None:
-        kept['state_directory'] = str(state_directory)
-    predictor = dict(kept, **({'model': str(model)} if model is not None else {}))
-    specs = [
-        NodeSpec('temperature_acquisition', kept),
-        NodeSpec('sensor_selector', kept),
-        NodeSpec('thermal_predictor', predictor),
-        NodeSpec('compensator', dict(common, autostart=autostart)),
-    ]
-    if feedrate:
-        specs.append(NodeSpec('feedrate_scheduler', dict(common, autostart=autostart)))
+    specs = []
+    for name, component in COMPONENTS.items():
+        if name not in wanted or name == MACHINE:
+            continue
+        parameters = dict(common)
+        if state_directory is not None and any(item.persistent for item in component.OUTPUTS):
+            parameters['state_directory'] = str(state_directory)
+        if component.MANAGED:
+            parameters['autostart'] = autostart
+        if name == 'thermal_predictor' and model is not None:
+            parameters['model'] = str(model)
+        specs.append(NodeSpec(name, parameters))
     served = [spec.name for spec in specs]
     if record is not None:
         specs.append(NodeSpec('recorder', dict(common, output=str(record))))
-    if duties:
+    elif 'recorder' in wanted:
+        raise GraphError('nodes: recorder needs a bag to write; name it with --record')
+    if simulated:
         machine = {
-            'duties': list(duties),
             'lockstep': lockstep,
             'lockstep_nodes': served,
             'lockstep_recorder': record is not None,
+            **({'duties': list(duties)} if duties else {}),
             **(machine_parameters or {}),
         }
-        specs.append(NodeSpec('simulated_machine', machine))
+        specs.append(NodeSpec(MACHINE, machine))
     return specs
 
 
 def up(
     machine: Annotated[
-        str, typer.Option(help='Name of the machine: the namespace of its nodes.')
+        str,
+        typer.Option(
+            help='Name of the machine: the namespace of its nodes. Several, comma-separated, get '
+            'the same nodes each.'
+        ),
     ] = 'mill',
     simulate: Annotated[
         str,
@@ -105,12 +130,21 @@ def up(
     ] = None,
     record: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Option(help='Record everything into this new bag.'),
+        typer.Option(
+            help='Record everything into this new bag; with several machines one each, named '
+            '<bag>_<machine>.'
+        ),
     ] = None,
     params: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(help='Folder with parameter files <node>.yaml.'),
     ] = None,
+    nodes: Annotated[
+        str,
+        typer.Option(
+            help='Nodes to run, comma-separated, in place of those of thermal compensation.'
+        ),
+    ] = '',
     rate: Annotated[
         float, typer.Option(help='Speed of the simulated machine; 1 is real time.')
     ] = 1.0,
@@ -119,7 +153,7 @@ def up(
         typer.Option(help='Run the simulated machine as fast as all nodes answer, repeatably.'),
     ] = False,
     compose: Annotated[
-        bool, typer.Option(help='Put all nodes into one process instead of one each.')
+        bool, typer.Option(help='Put all nodes of a machine into one process.')
     ] = False,
     autostart: Annotated[
         bool,
@@ -130,14 +164,24 @@ def up(
     ] = False,
     state_directory: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Option(help='Where nodes keep what must survive a restart.'),
+        typer.Option(
+            help='Where nodes keep what must survive a restart; left out, it survives restarts '
+            'of nodes but not the end of this command.'
+        ),
     ] = None,
+    network: Annotated[
+        bool, typer.Option(help='Let other hosts of the network find the graph.')
+    ] = False,
     json_file: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option('--json', help='Write how the run ended to this file.'),
     ] = None,
 ) -> None:
-    """Bring up the graph of one machine; Ctrl-C takes all of it down.
+    """Bring up and supervise the graph of one machine or several; Ctrl-C takes all of it down.
+
+    Nodes that die are started again, ever later, and given up after five times within two
+    minutes; the exit code is then 1. What they knew is kept, so that compensation goes on without
+    a step. A managed node that was active becomes active again, if --autostart says so.
 
     With a simulated machine, a whole shift at 600 times real time, recorded:
 
@@ -146,28 +190,48 @@ def up(
     For a real machine, whose temperatures and state other nodes publish:
 
         fuzzycnc up --machine mill_1 --model mill_1.json --params /etc/fuzzycnc
+
+    Two machines, all nodes of each in one process:
+
+        fuzzycnc up --machine mill_1,mill_2 --compose --model mill.json
     """
     console = Console(stderr=True)
-    console.print(BANNER, style='yellow')
-    if lockstep and not simulate:
+    duties = words([simulate])
+    chosen = words([nodes]) or THERMAL
+    if lockstep and not duties and MACHINE not in chosen:
         raise GraphError('--lockstep needs a simulated machine; add --simulate T2')
-    duties = tuple(item.strip() for item in simulate.split(',') if item.strip())
-    specs = node_specs(
-        duties=duties,
-        model=model,
-        record=record,
-        lockstep=lockstep,
-        autostart=autostart,
-        state_directory=state_directory,
-        feedrate=feedrate,
-        machine_parameters={'rate': rate},
-    )
+    machines = tuple(dict.fromkeys(name.strip('/') for name in words([machine])))
+    if not machines:
+        raise GraphError('--machine: expected a name but found none')
+    if network:
+        open_to_network()
     files = _parameter_files(params)
     started = time.monotonic()
-    if compose:
-        outcome = _run_composed(machine, specs, files)
-    else:
-        outcome = _run_processes(console, machine, specs, files)
+    with _interrupted_by_sigterm(), ExitStack() as stack:
+        graphs = []
+        plans = []
+        for name in machines:
+            # Each simulated machine makes its own time.
+            own_clock = ('/clock:=clock',) if len(machines) > 1 else ()
+            graph = stack.enter_context(GraphProcesses(name, params=files, remap=own_clock))
+            graphs.append(graph)
+            bag = record
+            if bag is not None and len(machines) > 1:
+                bag = bag.with_name(f'{bag.name}_{name}')
+            specs = node_specs(
+                nodes=chosen,
+                duties=duties,
+                model=model,
+                record=bag,
+                lockstep=lockstep,
+                autostart=autostart,
+                state_directory=state_directory or graph.folder / 'state',
+                feedrate=feedrate,
+                machine_parameters={'rate': rate} if duties else None,
+            )
+            plans.append([tuple(specs)] if compose else [(spec,) for spec in specs])
+        console.print(BANNER, style='yellow', soft_wrap=True)
+        outcome = supervise(console, graphs, plans)
     outcome['wall_s'] = round(time.monotonic() - started, 3)
     if json_file is not None:
         json_file.write_text(json.dumps(outcome, indent=2) + '\n', encoding='utf-8')
@@ -184,39 +248,15 @@ def _parameter_files(folder: Path | None) -> list[Path]:
     return files
 
 
-def _run_composed(machine: str, specs: list[NodeSpec], files: list[Path]) -> dict[str, Any]:
-    from fuzzycnc_ros.nodes.composed import run_composed
-    from fuzzycnc_ros.nodes.environment import limit_to_this_host
+@contextmanager
+def _interrupted_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM end the command as Ctrl-C does."""
 
-    limit_to_this_host()
-    namespace = f'/{machine.strip("/")}'
-    with tempfile.TemporaryDirectory(prefix='fuzzycnc-') as folder:
-        own = parameter_file(Path(folder), namespace, specs)
-        names = [spec.name for spec in specs]
-        code = run_composed(names, ros_arguments(namespace, [*files, own]))
-    return {'nodes': names, 'exit_code': code}
+    def interrupt(number: int, frame: Any) -> None:
+        raise KeyboardInterrupt
 
-
-def _run_processes(
-    console: Console, machine: str, specs: list[NodeSpec], files: list[Path]
-) -> dict[str, Any]:
-    with GraphProcesses(machine, params=files) as graph:
-        for spec in specs:
-            graph.start(spec)
-        console.print(
-            f'{len(specs)} nodes of {machine} are up: {", ".join(spec.name for spec in specs)}; '
-            'Ctrl-C ends them'
-        )
-        ended: dict[str, int] = {}
-        try:
-            while 'simulated_machine' not in ended:
-                time.sleep(POLL)
-                graph.check()
-                ended = graph.poll()
-                if ended and 'simulated_machine' not in ended:
-                    raise GraphError(f'{", ".join(ended)} ended by itself; the graph is down')
-        except KeyboardInterrupt:
-            console.print('ending all nodes')
-        graph.stop()
-        outcome = graph.outcome('simulated_machine')
-        return {'nodes': [spec.name for spec in specs], 'exit_code': 0, **outcome}
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

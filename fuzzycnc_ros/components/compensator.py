@@ -95,6 +95,9 @@ class Compensator(Component):
         self._active = False
         self._state = CompensationState.INACTIVE
         self._epoch = 0
+        self._followed = False  # whether the machine has followed this epoch
+        self._rival = 0  # epoch of another owner whom the machine follows
+        self._told_at = self._told_epoch = 0
         self._offset = np.zeros(len(self._axes))
         self._target = np.zeros(len(self._axes))
         self._moved_at = 0
@@ -150,11 +153,32 @@ class Compensator(Component):
             self._bad_since = None
         elif self._bad_since is None:
             self._bad_since = error.stamp
+        if self._rival:
+            self._yield_to(self._rival)
+            return
         yield self._update(error.stamp)
 
     def on_compensation_applied(self, applied: CompensationApplied) -> None:
-        """Join the offsets in force before the first command of this owner."""
-        if self._active and self._epoch == 0:
+        """Join the offsets in force: at first, and whenever the machine does not follow.
+
+        A machine that has let commands expire, refused them or been started anew goes on from
+        where it is, as after a restart of this node.  One that follows a higher epoch has another
+        owner: to that one this one yields, until nobody is followed any more.
+        """
+        if not self._active:
+            return
+        unheard = self._told_epoch != self._epoch  # nothing was told yet as this owner
+        if self._epoch == 0 or (unheard and applied.epoch < self._epoch):
+            self._take_over(applied)
+        elif applied.stamp <= self._told_at:
+            return  # what was told last cannot be in it yet
+        elif applied.status == AppliedStatus.FOLLOWING:
+            self._followed |= applied.epoch == self._epoch
+            if applied.epoch > self._epoch:
+                self._yield_to(applied.epoch)
+        elif self._rival or (
+            (self._followed or applied.status != AppliedStatus.IDLE) and not self._agrees(applied)
+        ):
             self._take_over(applied)
 
     def on_deadline(self, stamp: int) -> Iterator[Emission]:
@@ -204,7 +228,7 @@ class Compensator(Component):
         if self._active:
             return Answer(False, 'already active')
         self._active = True
-        self._good_at = self._bad_since = None
+        self._good_at = self._bad_since = self._wake_at = None
         self._moved_at = stamp
         self._why = 'waiting for the read-back of the machine and a valid thermal error'
         self._state = CompensationState.EXPIRED
@@ -218,20 +242,51 @@ class Compensator(Component):
             return Answer(False, 'not active')
         self._active = False
         self._why = 'deactivated'
+        if self._rival:
+            self._rival = 0
+            self._state = CompensationState.INACTIVE
+            self._offset = np.zeros(len(self._axes))
+            return Answer(True, 'inactive; another owner is followed')
         emissions = (self._update(stamp),) if self._epoch else ()
         return Answer(True, 'ramping to zero', emissions)
 
     def _take_over(self, applied: CompensationApplied) -> None:
-        """Start from what the machine applies, as a new owner: no step at a restart."""
+        """Start from what the machine applies, as a new owner: no step at a restart.
+
+        Within an epoch what is told never steps; one that nothing was told in yet may go on.
+        """
         if not np.all(np.isfinite(applied.offset)):
             return
+        if self._told_epoch == self._epoch or applied.epoch >= self._epoch:
+            self._epoch = max(self._epoch, applied.epoch) + 1
+            self._moved_at = max(self._moved_at, applied.stamp)
+        self._followed, self._rival = False, 0
+        self._offset = self._in_force(applied)
+        if self._good_at is None:
+            self._target = self._offset.copy()
+            self._bad_since = self._moved_at
+        if self._wake_at is None:
+            self._wake_at = self._moved_at + nanoseconds(self._config.period)
+
+    def _yield_to(self, epoch: int) -> None:
+        """Say nothing while the machine follows another owner."""
+        self._rival = epoch
+        self._wake_at = None
+        self._state = CompensationState.EXPIRED
+        self._why = (
+            f'the machine follows another compensator (epoch {epoch}, this one has '
+            f'{self._epoch}); waiting until it is gone'
+        )
+
+    def _in_force(self, applied: CompensationApplied) -> Floats:
+        """Return the offset of each axis that a read-back tells [m], within the own limits."""
         in_force = dict(zip(applied.axis, applied.offset, strict=True))
-        self._offset = np.array([in_force.get(axis, 0.0) for axis in self._axes])
-        self._target = self._offset.copy()
-        self._epoch = applied.epoch + 1
-        self._moved_at = max(self._moved_at, applied.stamp)
-        self._bad_since = self._moved_at
-        self._wake_at = self._moved_at + nanoseconds(self._config.period)
+        offset = np.array([in_force.get(axis, 0.0) for axis in self._axes])
+        return np.asarray(np.clip(offset, -self._config.offset_max, self._config.offset_max))
+
+    def _agrees(self, applied: CompensationApplied) -> bool:
+        """Whether the offsets in force are those that were told last."""
+        return np.array_equal(self._in_force(applied), self._offset)
 
     def _refusal(self, error: ThermalError) -> str:
         """Say why an error must not be followed; empty if it may."""
@@ -321,6 +376,7 @@ class Compensator(Component):
 
     def _message(self, stamp: int) -> Compensation:
         size = len(self._axes)
+        self._told_at, self._told_epoch = stamp, self._epoch
         return Compensation(
             stamp=stamp,
             frame_id=self.frame('machine'),

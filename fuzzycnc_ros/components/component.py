@@ -49,6 +49,9 @@ class Input:
     quiet : bool
         Whether a record is only noted for the next driving one: nothing follows from it alone,
         so that in lock-step it gives no turn.
+    sole : bool
+        Whether it commands a machine, so that two nodes that publish it at once are both refused;
+        the host tells the component by the request `sources`.
     """
 
     name: str
@@ -57,6 +60,7 @@ class Input:
     driving: bool = False
     max_age: float = float('inf')
     quiet: bool = False
+    sole: bool = False
 
 
 @dataclass(frozen=True)

@@ -169,10 +169,11 @@ class FeedrateScheduler(Component):
             yield from self._start(stamp)
         elif run.complete:
             state = self._newest.get('trajectory_state')
-            heard = (
-                TrajectoryStatus(state.status).name if isinstance(state, TrajectoryState) else ''
-            )
-            self._drop(f'the machine did not say that it has finished: {heard or "silent"}')
+            known = {int(status): status.name for status in TrajectoryStatus}
+            heard = 'silent'
+            if isinstance(state, TrajectoryState):
+                heard = known.get(state.status, f'status {state.status}')
+            self._drop(f'the machine did not say that it has finished: {heard}')
         else:
             yield from self._send(run, stamp)
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 from fuzzycnc_ros.components.component import LATCHED, Component, Emission
 from fuzzycnc_ros.components.records import SECOND, Record
+from fuzzycnc_ros.components.well_formed import misfit
 
 _DEADLINE_RANK = 1000
 _DRIVING_RANK = 2000
@@ -25,6 +26,10 @@ class InputCount:
     received: int = 0
     dropped: int = 0
     """Records whose stamp was not newer than the one before."""
+    refused: int = 0
+    """Records that mean nothing: arrays of unequal length, impossible stamps."""
+    refusal: str = ''
+    """Why the newest record was refused; empty if it was not."""
     late: int = 0
     """Records that came after the component had worked past their stamp; a driving one is lost."""
     newest: int | None = None
@@ -58,10 +63,14 @@ class Merger:
         """Take a record of input `name`; return whether it was accepted.
 
         A record that is not newer than the last of its input is dropped and counted; on a latched
-        input one of the same age replaces it.
+        input one of the same age replaces it.  One that means nothing is refused.
         """
         count = self.counts[name]
         count.received += 1
+        count.refusal = misfit(record)
+        if count.refusal:
+            count.refused += 1
+            return False
         if count.newest is not None and record.stamp <= count.newest:
             # A latched topic repeats its newest record to a reader that comes back, and may be
             # set anew before machine time moves.

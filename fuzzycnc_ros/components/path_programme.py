@@ -4,7 +4,8 @@
 
 from collections.abc import Sequence
 
-from fuzzycnc_ros.components.records import ToolPath, nanoseconds
+from fuzzycnc_ros.components.component import Emission
+from fuzzycnc_ros.components.records import nanoseconds
 from fuzzycnc_ros.components.tool_paths import curve_tool_path
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 
@@ -12,38 +13,32 @@ _USUAL_SPEED = 0.02
 """Speed along a path that progress is told by, before anything is known [m/s]."""
 
 
-class PathProgramme:
-    """Curves of the literature, loaded one after the other.
+class Programme:
+    """Paths that are loaded one after the other.
 
     Parameters
     ----------
     names : sequence of str
-        Curves of `core.feedrate.path.curves`, at the method sheet's scales.
-    feed : float
-        Programmed feed [m/s].
+        What is to be loaded.
+    lengths : sequence of float
+        Length of each path [m].
     timeout : float
         Time to wait for a trajectory before the programme is given up [s].
+    nodes : str
+        Which nodes make a trajectory of what is loaded, for the message.
 
     Attributes
     ----------
     failure : str
         Why the programme was given up; empty if it was not.
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown.
     """
 
-    def __init__(self, names: Sequence[str], *, feed: float, timeout: float) -> None:
-        unknown = [name for name in names if name not in CURVES]
-        if unknown:
-            raise ValueError(
-                f'paths: expected names among {", ".join(CURVES)} but found {", ".join(unknown)}'
-            )
-        self._curves = [CURVES[name](SHEET_SCALES[name]) for name in names]
+    def __init__(
+        self, names: Sequence[str], lengths: Sequence[float], *, timeout: float, nodes: str
+    ) -> None:
         self._ids = [_unique(names, index) for index in range(len(names))]
-        self._feed, self._timeout = feed, nanoseconds(timeout)
+        self._lengths = lengths
+        self._timeout, self._nodes = nanoseconds(timeout), nodes
         self._number = -1
         self._since = 0
         self.failure = ''
@@ -63,19 +58,15 @@ class PathProgramme:
         """Whether a path is loaded and its trajectory to be waited for."""
         return bool(self.path_id) and not self.failure
 
-    def load_next(self, stamp: int, frame_id: str) -> ToolPath | None:
-        """Go on to the next path; return it, None if there is none left."""
+    def load_next(self, stamp: int, frame_id: str) -> tuple[Emission, ...]:
+        """Go on to the next path; return what loads it, nothing if there is none left."""
         self._number += 1
         self._since = stamp
-        if self.over:
-            return None
-        return curve_tool_path(
-            self._curves[self._number],
-            path_id=self.path_id,
-            feed=self._feed,
-            stamp=stamp,
-            frame_id=frame_id,
-        )
+        return () if self.over else self._load(stamp, frame_id)
+
+    def _load(self, stamp: int, frame_id: str) -> tuple[Emission, ...]:
+        """Return what loads the present path."""
+        raise NotImplementedError
 
     def wait(self, stamp: int, status: str, *, busy: bool) -> None:
         """Give up if the machine has been without a trajectory for too long.
@@ -94,8 +85,7 @@ class PathProgramme:
         elif self.waiting and stamp - self._since >= self._timeout:
             self.failure = (
                 f'path {self.path_id} was not followed to its end: no trajectory for '
-                f'{1e-9 * self._timeout:g} s of machine time ({status}); is feedrate_scheduler '
-                'active?'
+                f'{1e-9 * self._timeout:g} s of machine time ({status}); {self._nodes} active?'
             )
 
     def ticks(self, period: float) -> int:
@@ -108,11 +98,51 @@ class PathProgramme:
         before = sum(usual[: max(self._number, 0)])
         if not self.path_id:
             return before
-        part = min(arc_length / self._curves[self._number].length, 1.0)
+        part = min(arc_length / self._lengths[self._number], 1.0)
         return before + int(part * usual[self._number])
 
     def _usual_ticks(self, period: float) -> list[int]:
-        return [round(curve.length / _USUAL_SPEED / period) for curve in self._curves]
+        return [round(length / _USUAL_SPEED / period) for length in self._lengths]
+
+
+class PathProgramme(Programme):
+    """Curves of the literature, loaded one after the other.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Curves of `core.feedrate.path.curves`, at the method sheet's scales.
+    feed : float
+        Programmed feed [m/s].
+    timeout : float
+        Time to wait for a trajectory before the programme is given up [s].
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown.
+    """
+
+    def __init__(self, names: Sequence[str], *, feed: float, timeout: float) -> None:
+        unknown = [name for name in names if name not in CURVES]
+        if unknown:
+            raise ValueError(
+                f'paths: expected names among {", ".join(CURVES)} but found {", ".join(unknown)}'
+            )
+        self._curves = [CURVES[name](SHEET_SCALES[name]) for name in names]
+        self._feed = feed
+        lengths = [curve.length for curve in self._curves]
+        super().__init__(names, lengths, timeout=timeout, nodes='is feedrate_scheduler')
+
+    def _load(self, stamp: int, frame_id: str) -> tuple[Emission, ...]:
+        path = curve_tool_path(
+            self._curves[self._number],
+            path_id=self.path_id,
+            feed=self._feed,
+            stamp=stamp,
+            frame_id=frame_id,
+        )
+        return (Emission('tool_path', path),)
 
 
 def _unique(names: Sequence[str], index: int) -> str:

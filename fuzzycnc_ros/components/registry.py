@@ -4,6 +4,7 @@
 
 from fuzzycnc_ros.components.compensator import Compensator
 from fuzzycnc_ros.components.component import Component
+from fuzzycnc_ros.components.deformation_compensator import DeformationCompensator
 from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.servo_controller import ServoController
@@ -19,6 +20,7 @@ COMPONENTS: dict[str, type[Component]] = {
         SensorSelector,
         ThermalPredictor,
         Compensator,
+        DeformationCompensator,
         FeedrateScheduler,
         ServoController,
     )

@@ -2,10 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """One axis under control: where it is to be in each period, and the controller that sees to it."""
 
-from math import isfinite
+from math import isfinite, nan
 
+from fuzzycnc_ros.components.servo_plausibility import MotionDoubt, MotionWatch
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
+
+LONGEST_WAY = 600.0
+"""Time that the way to a position may take [s]: it is held period by period."""
+
+Way = list[tuple[float, float, float]]
+"""Position, velocity and acceleration [m, m/s, m/s^2], period by period."""
 
 
 class ServoAxis:
@@ -19,20 +26,38 @@ class ServoAxis:
         Its controller.
     travel : tuple of float
         Lowest and highest position that it is sent to [m].
+    doubt : MotionDoubt, optional
+        What its motion is judged by.
 
     Attributes
     ----------
     name, controller
         As given.
+    motion : MotionWatch
+        Judge of what its duties do.
     reference, velocity, acceleration : float
         Where the axis is to be [m], and how it is to move [m/s, m/s^2]; NaN before the first
         reading.
     """
 
-    def __init__(self, name: str, controller: AxisController, travel: tuple[float, float]) -> None:
+    def __init__(
+        self,
+        name: str,
+        controller: AxisController,
+        travel: tuple[float, float],
+        doubt: MotionDoubt | None = None,
+    ) -> None:
         self.name, self.controller = name, controller
+        self.motion = MotionWatch(controller.axis, controller.watch.limits, doubt)
         self._low, self._high = travel
+        self._duty = 0.0
+        self._silent = False
         self.release()
+
+    @property
+    def fault(self) -> str:
+        """Why the axis is given up; empty while it is not."""
+        return self.controller.watch.fault or self.motion.fault
 
     @property
     def moving(self) -> bool:
@@ -42,12 +67,14 @@ class ServoAxis:
     def release(self) -> None:
         """Forget where the axis is to be: it rests where the next reading finds it."""
         self.reference = float('nan')
+        self.motion.reset()
+        self._duty = 0.0
         self.stop()
 
     def stop(self) -> None:
         """Stay where the axis is told to be now."""
         self.velocity = self.acceleration = 0.0
-        self._rows: list[tuple[float, float, float]] = []
+        self._rows: Way = []
         self._next = 0
 
     def hold(self, position: float) -> None:
@@ -67,8 +94,14 @@ class ServoAxis:
             return f'velocity: expected more than 0 m/s for {self.name} but found {velocity}'
         return ''
 
-    def go(self, target: float, limits: ProfileLimits) -> str:
-        """Go to a position [m] from the present motion; return why not, or nothing."""
+    def way(self, target: float, limits: ProfileLimits) -> Way:
+        """Return the way to a position [m] from the present motion.
+
+        Raises
+        ------
+        ValueError
+            If it leads beyond the travel or takes longer than `LONGEST_WAY`.
+        """
         profile = point_to_point(
             self.reference,
             target,
@@ -76,17 +109,26 @@ class ServoAxis:
             velocity=self.velocity,
             acceleration=self.acceleration,
         )
+        if not profile.duration <= LONGEST_WAY:
+            raise ValueError(
+                f'{self.name} would be on its way for more than {LONGEST_WAY:g} s; ask for a '
+                'higher velocity or a nearer target'
+            )
         way = profile.sample(self.controller.period)
         low, high = float(way.position.min()), float(way.position.max())
         # the axis itself may stand a little outside, and still come back
         if low < min(self._low, self.reference) or high > max(self._high, self.reference):
-            return f'{self.name} moves too fast to come to rest within its travel on the way there'
-        under_way = bool(self.velocity or self.acceleration)
+            raise ValueError(
+                f'{self.name} moves too fast to come to rest within its travel on the way there'
+            )
         columns = (way.position, way.velocity, way.acceleration)
-        self._rows = list(zip(*(column.tolist() for column in columns), strict=True))
+        return list(zip(*(column.tolist() for column in columns), strict=True))
+
+    def go(self, way: Way) -> None:
+        """Go a way."""
         # the first row is the motion of the period before, which is over if there was any
-        self._next = 1 if under_way else 0
-        return ''
+        self._next = 1 if self.velocity or self.acceleration else 0
+        self._rows = way
 
     def lead(self, position: float, velocity: float) -> None:
         """Take where the axis is to be in this period [m], and how fast it is to move [m/s]."""
@@ -95,7 +137,41 @@ class ServoAxis:
 
     def step(self, reading: float) -> float:
         """Go on by a period; return the duty [-] for a reading [m], NaN where there is none."""
+        watch = self.controller.watch
+        if self._silent:
+            # where the reading is to be now is not known well enough to call it a jump
+            total = watch.bad_total
+            watch.reset()
+            watch.bad_total = total
+            self._silent = False
+        duty = self._step(reading)
+        if watch.bad:
+            self.motion.interrupt()
+        else:
+            self.motion.judge(reading)
+        return duty
+
+    def bridge(self) -> float:
+        """Go on by a period that nothing was heard of: the drive goes on as it was told last.
+
+        It is no bad reading: how long silence may last is not for the controller to judge.
+        """
+        self._silent = True
+        watch = self.controller.watch
+        bad, total = watch.bad, watch.bad_total
+        watch.bad = 0
+        duty = self._step(nan)
+        watch.bad, watch.bad_total = bad, total
+        self.motion.interrupt()
+        return duty
+
+    def _step(self, reading: float) -> float:
+        """Move the reference on by a period; return the duty [-]."""
+        self.motion.hold(self._duty)
         if self._next < len(self._rows):
             self.reference, self.velocity, self.acceleration = self._rows[self._next]
             self._next += 1
-        return self.controller.step(self.reference, reading, self.velocity, self.acceleration)
+        self._duty = self.controller.step(
+            self.reference, reading, self.velocity, self.acceleration
+        )
+        return self._duty

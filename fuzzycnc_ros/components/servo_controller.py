@@ -3,8 +3,9 @@
 """Component `servo_controller`: where the axes are in, what their drives shall do out.
 
 Every axis state is a control period and is answered by a command.  A state that does not come in
-time is bridged by what the controllers expect; too many in a row, or feedback that cannot be
-right, are a fault: all duties stay zero until the component is activated anew.  Axes hold where
+time is bridged by what the controllers expect while the drives hold the last command; too long a
+silence, feedback that cannot be right, motion that does not fit the duties or a fault of the
+machine are a fault: all duties stay zero until the component is activated anew.  Axes hold where
 they are found, go to commanded positions, or follow a trajectory.
 """
 
@@ -37,6 +38,7 @@ from fuzzycnc_ros.components.servo_axis import ServoAxis
 from fuzzycnc_ros.components.servo_controller_config import (
     ServoControllerConfig,
     make_controllers,
+    motion_doubt,
     profile_limits,
     trajectory_limits,
 )
@@ -70,7 +72,7 @@ class ServoController(Component):
         super().__init__(config)
         travel = (self._config.travel_low, self._config.travel_high)
         self._axes = [
-            ServoAxis(name, controller, travel)
+            ServoAxis(name, controller, travel, motion_doubt(self._config))
             for name, controller in make_controllers(self._config).items()
         ]
         self._names = tuple(axis.name for axis in self._axes)
@@ -79,6 +81,7 @@ class ServoController(Component):
         self._period = nanoseconds(self._config.period)
         self._tolerance = round(LATENESS * self._period)
         self._validity = nanoseconds(self._config.command_validity)
+        self._silence = round(self._config.silence_max / self._config.period)  # periods
         self._active = False
         self._epoch = 0
         self._at: int | None = None  # control period that was worked last
@@ -106,10 +109,16 @@ class ServoController(Component):
         super().reconfigure(config)
 
     def on_machine_state(self, state: MachineState) -> None:
-        """Note whether the machine may move; if not, its drives are at zero anyway."""
+        """Note whether the machine may move; if not, its drives are at zero anyway.
+
+        A fault of the machine that comes up while the axes are driven is one here too.
+        """
         modes = {int(mode): mode.name.lower() for mode in MachineMode}
         allowed = state.state in _MOVING
+        driven = self._active and self._at is not None and not self._forbidden
         self._forbidden = '' if allowed else f'the machine is {modes.get(state.state, "unknown")}'
+        if state.state == MachineMode.FAULT and driven and not self._fault:
+            self._give_up('the machine reports a fault and keeps its drives at zero')
 
     def on_position_command(self, command: PositionCommand) -> None:
         """Take a command for the next period; one that cannot be carried out is not kept."""
@@ -123,6 +132,9 @@ class ServoController(Component):
             return  # the machine side says the same
         if any(axis.moving for axis in self._axes) or self._wanted is not None:
             self._refusal = f'trajectory {part.path_id}: the axes are on the way to a position'
+            return
+        if any(axis.reference != axis.reference for axis in self._axes):
+            self._refusal = f'trajectory {part.path_id}: no axis_state since the drives were off'
             return
         places = [axis.reference for axis in self._axes]
         self._refusal = self._lead.command(part, places, self._at)
@@ -142,20 +154,23 @@ class ServoController(Component):
             if periods < 1:
                 return  # bridged already
             # more than what makes a fault need not be made up for
-            for _ in range(min(periods - 1, self._config.missed_max + 1)):
+            for _ in range(min(periods - 1, self._silence + 1)):
+                self._at += self._period
                 self._miss()
-                self._step([nan] * len(readings))
+                self._step(None)
         self._at, self._missing = stamp, 0
         yield self._command(stamp, self._step(readings))
         yield from self._tell(stamp)
 
     def on_deadline(self, stamp: int) -> Iterator[Emission]:
-        """Bridge a period whose axis state has not come."""
+        """Bridge a period whose axis state has not come; the drives hold the last command."""
         if self._at is None:
             return
         self._at += self._period
         self._miss()
-        yield self._command(stamp, self._step([nan] * len(self._axes)))
+        duties = self._step(None)
+        if self._fault:
+            yield self._command(stamp, duties)
         yield from self._tell(stamp)
 
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
@@ -229,8 +244,14 @@ class ServoController(Component):
         self._missed += 1
         self._missing += 1
 
-    def _step(self, readings: list[float]) -> list[float]:
-        """Work one control period; return the duties [-]."""
+    def _step(self, readings: list[float] | None) -> list[float]:
+        """Work one control period, which nothing was heard of without readings [m].
+
+        Returns
+        -------
+        list of float
+            Duties [-].
+        """
         zero = [0.0] * len(self._axes)
         if self._fault:
             return zero
@@ -238,11 +259,28 @@ class ServoController(Component):
             self._wanted = None
             self._release()
             return zero
-        for axis, reading in zip(self._axes, readings, strict=True):
-            if axis.reference != axis.reference:
-                axis.hold(reading)
+        if self._missing > self._silence:
+            silent = 1e3 * self._missing * self._config.period
+            self._give_up(f'feedback has stopped: no axis_state for {silent:g} ms')
+            return zero
+        if readings is not None:
+            for axis, reading in zip(self._axes, readings, strict=True):
+                if axis.reference != axis.reference:
+                    axis.hold(reading)
         if self._wanted is not None:
             self._go(self._wanted)
+        self._follow()
+        if readings is None:
+            return [axis.bridge() for axis in self._axes]
+        duties = [axis.step(reading) for axis, reading in zip(self._axes, readings, strict=True)]
+        for axis in self._axes:
+            if axis.fault:
+                self._give_up(f'{axis.name}: {axis.fault}')
+                return zero
+        return duties
+
+    def _follow(self) -> None:
+        """Lead the axes along the trajectory, if there is one."""
         if self._lead.following:
             assert self._at is not None
             places, speeds = self._lead.at(self._at)
@@ -253,18 +291,10 @@ class ServoController(Component):
             self._led = False
             for axis in self._axes:
                 axis.stop()
-        duties = [axis.step(reading) for axis, reading in zip(self._axes, readings, strict=True)]
-        for axis in self._axes:
-            if axis.controller.watch.fault:
-                self._give_up(axis)
-                return zero
-        return duties
 
-    def _give_up(self, axis: ServoAxis) -> None:
-        """Take all axes to zero because of one."""
-        self._fault = f'{axis.name}: {axis.controller.watch.fault}'
-        if self._missing:
-            self._fault = f'feedback has stopped: no axis_state for {self._missing} periods'
+    def _give_up(self, why: str) -> None:
+        """Take all axes to zero."""
+        self._fault = why
         self._wanted = None
         self._lead.stop()
         for each in self._axes:
@@ -293,14 +323,21 @@ class ServoController(Component):
         return ''
 
     def _go(self, command: PositionCommand) -> None:
-        """Send the axes off."""
+        """Send the axes off, all of them or none."""
         if any(axis.reference != axis.reference for axis in self._axes):
             return  # no reading has said yet where the axes are
         self._wanted = None
         known = {axis.name: axis for axis in self._axes}
-        for name, place, speed in _rows(command):
-            refusal = known[name].go(place, profile_limits(self._config, speed))
-            self._refusal = refusal or self._refusal
+        try:
+            ways = {
+                name: known[name].way(place, profile_limits(self._config, speed))
+                for name, place, speed in _rows(command)
+            }
+        except ValueError as error:
+            self._refusal = str(error)
+            return
+        for name, way in ways.items():
+            known[name].go(way)
 
     def _command(self, stamp: int, duties: list[float]) -> Emission:
         self._said = stamp

@@ -2,28 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of `servo_controller`, and the controllers that they mean."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
-from types import MappingProxyType
 
 from fuzzycnc_ros.components.servo_axes import make_plant, parse_axes
+from fuzzycnc_ros.components.servo_plausibility import MotionDoubt
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxisConfig
 from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryInputConfig
 from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
-from fuzzycnc_ros.core.servo.baselines import (
-    CascadeController,
-    FixedUniverseController,
-    PidController,
-)
 from fuzzycnc_ros.core.servo.controller import AxisController
+from fuzzycnc_ros.core.servo.controllers import DEFAULT, FOR_USE, make_controller
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.profile import ProfileLimits
-from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-
-CONTROLLERS = ('variable_universe', 'model_free', 'fixed_universe', 'cascade', 'pid')
-"""Controllers; all but the first are set for the lathe axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +23,13 @@ class ServoControllerConfig(Config):
     autostart: bool = param(
         False, '-', 'Configure and activate at start; otherwise a lifecycle manager does'
     )
+    realtime_priority: int = param(
+        0,
+        '-',
+        'Priority of the process in real time (SCHED_FIFO), if it is allowed one; 0 for none',
+        low=0,
+        high=99,
+    )
     axes: tuple[str, ...] = param(
         ('X:lathe',), '-', 'Axes with their models, as X:lathe; models: lathe, ballscrew'
     )
@@ -40,10 +37,10 @@ class ServoControllerConfig(Config):
         (), '-', 'Axes that a positive duty drives to negative positions'
     )
     controller: str = param(
-        'variable_universe',
+        DEFAULT,
         '-',
-        'Controller of every axis; a ballscrew has variable_universe only',
-        choices=CONTROLLERS,
+        f'Controller of every axis; a ballscrew has {DEFAULT} only',
+        choices=FOR_USE,
     )
     period: float = param(1e-3, 's', 'Control period, that of the axis states', low=1e-4, high=0.1)
     velocity_max: float = param(
@@ -69,10 +66,23 @@ class ServoControllerConfig(Config):
     )
     duty_max: float = param(1.0, '-', 'Largest magnitude of duty', low=1e-3, high=1.0)
     command_validity: float = param(
-        0.01, 's', 'Time after which the drives take a command as out of date', low=1e-3, high=1.0
+        0.02, 's', 'Time after which the drives take a command as out of date', low=1e-3, high=1.0
+    )
+    silence_max: float = param(
+        0.02,
+        's',
+        'Time without axis states that is bridged; a longer one is a fault',
+        low=1e-3,
+        high=1.0,
     )
     missed_max: int = param(
-        5, '-', 'Axis states in a row that may be missing or unusable', low=1, high=1000
+        5, '-', 'Readings in a row that may be missing or unusable', low=1, high=1000
+    )
+    friction_max: float = param(
+        0.12, '-', 'Largest friction that is believed, as duty', low=0.0, high=1.0
+    )
+    load_max: float = param(
+        0.12, '-', 'Largest load either way that is believed, as duty', low=0.0, high=1.0
     )
 
     def __post_init__(self) -> None:
@@ -98,10 +108,14 @@ class ServoControllerConfig(Config):
                 f'travel_high: expected more than travel_low = {self.travel_low} m but found '
                 f'{self.travel_high} m'
             )
-        if self.controller != CONTROLLERS[0] and 'ballscrew' in axes.values():
+        if self.silence_max > self.command_validity:
             raise ValueError(
-                f'controller: expected {CONTROLLERS[0]} for a ballscrew axis but found '
-                f'{self.controller}'
+                f'silence_max: expected at most command_validity = {self.command_validity} s, for '
+                f'which the drives hold a command, but found {self.silence_max} s'
+            )
+        if self.controller != DEFAULT and 'ballscrew' in axes.values():
+            raise ValueError(
+                f'controller: expected {DEFAULT} for a ballscrew axis but found {self.controller}'
             )
 
 
@@ -127,8 +141,9 @@ def make_controllers(config: ServoControllerConfig) -> dict[str, AxisController]
         else:
             axis = make_plant(model, direction=direction, period=config.period).linear()
             limits = _believed(config, FeedbackLimits.of(axis))
-            make = _LATHE[config.controller]
-            found[name] = make(axis, duty_max=config.duty_max, limits=limits)
+            found[name] = make_controller(
+                config.controller, axis, duty_max=config.duty_max, limits=limits
+            )
     return found
 
 
@@ -151,18 +166,12 @@ def trajectory_limits(config: ServoControllerConfig) -> TrajectoryInputConfig:
     )
 
 
+def motion_doubt(config: ServoControllerConfig) -> MotionDoubt:
+    """Return what is believed possible of the motion of an axis."""
+    return MotionDoubt(friction=config.friction_max, load=config.load_max)
+
+
 def _believed(config: ServoControllerConfig, limits: FeedbackLimits) -> FeedbackLimits:
     """Return what to believe of the feedback of an axis with this travel."""
     travel = config.travel_high - config.travel_low
     return replace(limits, error_max=travel, bad_max=config.missed_max)
-
-
-_LATHE: Mapping[str, Callable[..., AxisController]] = MappingProxyType(
-    {
-        'variable_universe': VariableUniverseController,
-        'model_free': partial(VariableUniverseController, observer=False),
-        'fixed_universe': FixedUniverseController,
-        'cascade': CascadeController,
-        'pid': PidController,
-    }
-)

@@ -23,6 +23,8 @@ class ServoDrives:
     ----------
     epoch : int
         Owner of the newest command that was followed; 0 before the first.
+    tripped : str
+        Why an axis that would have left its travel keeps the drives at zero; empty if none did.
     reason : str
         Why the drives are at zero, or a command was refused; empty if all is well.
     late : int
@@ -41,7 +43,7 @@ class ServoDrives:
         self._low, self._high = travel
         self._axes = [_Stopping(name, plant) for name, plant in plants.items()]
         self._zero = [0.0] * len(plants)
-        self._forbidden = self._tripped = ''
+        self._forbidden = self.tripped = ''
         self._duties: list[float] = self._zero
         self._stamp = self._until = -1
         self.epoch = 0
@@ -63,7 +65,7 @@ class ServoDrives:
         if refusal:
             self.reason = refusal
             return
-        self.epoch, self._tripped, self.reason = command.epoch, '', ''
+        self.epoch, self.tripped, self.reason = command.epoch, '', ''
         given = dict(zip(command.axis, duties, strict=True))
         self._duties = [given.get(name, 0.0) for name in self._names]
         self._stamp, self._until = command.stamp, command.valid_until
@@ -71,15 +73,15 @@ class ServoDrives:
     def duties(self, begin: int, end: int) -> Sequence[float]:
         """Return the duties [-] over a period between two times [ns]."""
         rests = [axis.rest() for axis in self._axes]
-        if self._until < 0 or self._tripped:
+        if self._until < 0 or self.tripped:
             return self._zero
         for axis, rest in zip(self._axes, rests, strict=True):
             if not self._low <= rest <= self._high:
-                self._tripped = (
+                self.tripped = (
                     f'{axis.name} would leave its travel of {1e3 * self._low:g} to '
                     f'{1e3 * self._high:g} mm; drives at zero until a new owner commands'
                 )
-                self._stop(self._tripped)
+                self._stop(self.tripped)
                 return self._zero
         if end > self._until:
             self._stop(f'axis_command of epoch {self.epoch} is out of date; drives at zero')
@@ -95,8 +97,8 @@ class ServoDrives:
     def _refused(self, epoch: int, axes: Sequence[str]) -> str:
         if epoch < max(self.epoch, 1):
             return f'expected epoch {max(self.epoch, 1)} or higher but found {epoch}'
-        if self._tripped and epoch == self.epoch:
-            return self._tripped
+        if self.tripped and epoch == self.epoch:
+            return self.tripped
         if len(set(axes)) != len(axes) or not set(axes) <= set(self._names):
             return f'axis: expected {", ".join(self._names)} but found {", ".join(axes)}'
         return ''

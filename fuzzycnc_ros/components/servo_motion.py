@@ -14,9 +14,11 @@ import numpy as np
 
 from fuzzycnc_ros.components.codes import TrajectoryStatus
 from fuzzycnc_ros.components.component import Emission, Health, Level
+from fuzzycnc_ros.components.contouring_motion import ERROR_BATCH
 from fuzzycnc_ros.components.records import (
     AxisCommand,
     AxisState,
+    ContourError,
     Floats,
     Trajectory,
     TrajectoryState,
@@ -28,6 +30,7 @@ from fuzzycnc_ros.components.servo_lead import ServoLead
 from fuzzycnc_ros.components.servo_moves import ServoMoves
 from fuzzycnc_ros.components.simulated_machine_config import SimulatedMachineConfig
 from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
+from fuzzycnc_ros.core.machine.path_error import PathError
 from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryInputConfig
 
 _ARRIVED = 1e-5
@@ -119,6 +122,9 @@ class ServoMotion:
         self._per_period = 1.0 / limits.period
         self._silence = round(silence / limits.period)
         self._place = [plant.position for plant in self._plants]  # told for trajectories
+        self._error = PathError(limits.period, 0.0)  # the velocity is fed forward
+        self._batch = max(1, round(ERROR_BATCH / limits.period))
+        self._path_id = ''  # what is measured
         self._reading = [plant.measure() for plant in self._plants]
         self._speed = [0.0] * len(self._plants)
         self._last: int | None = None  # newest period
@@ -141,6 +147,11 @@ class ServoMotion:
     def moving(self) -> bool:
         """Whether the axes are under control."""
         return not self._moves.over or self._on()
+
+    @property
+    def tripped(self) -> bool:
+        """Whether the drives keep at zero until a new owner commands them."""
+        return bool(self._drives.tripped)
 
     @property
     def periods(self) -> int:
@@ -212,10 +223,44 @@ class ServoMotion:
                 self._lead.input.allow(False, self._drives.reason)
                 self._lead.input.allow(True)
             self._place = self._lead.at(stamp)[0]
+        yield from self._judge_path(stamp, frame_id)
         if not self._silence or self._count <= self._silence:
             yield self.state(stamp, frame_id)
         if self._state() != self._reported:
             yield self.report(stamp, frame_id)
+
+    def _judge_path(self, stamp: int, frame_id: str) -> Iterator[Emission]:
+        """Measure how far the slides are off the path, from its first sample until they rest."""
+        guard = self._lead.input
+        begun = guard.sample.arc_length == guard.sample.arc_length
+        if guard.path_id != self._path_id and begun:
+            yield from self._flush(stamp, frame_id)
+            self._error.begin()
+            self._path_id = guard.path_id
+        if not self._path_id or not (self._lead.following or not self._arrived()):
+            yield from self._flush(stamp, frame_id)
+            return
+        if begun:
+            places = [plant.position for plant in self._plants]
+            self._error.add(self._place, guard.sample.arc_length, places)
+        if self._error.pending >= self._batch:
+            yield from self._flush(stamp, frame_id)
+
+    def _flush(self, stamp: int, frame_id: str) -> Iterator[Emission]:
+        """Yield the contour error of the samples since the last time."""
+        found = self._error.take()
+        if len(found.distance):
+            yield Emission(
+                'contour_error',
+                ContourError(
+                    stamp=stamp,
+                    frame_id=frame_id,
+                    path_id=self._path_id,
+                    period=1.0 / self._per_period,
+                    arc_length=found.arc_length,
+                    error=found.distance,
+                ),
+            )
 
     def state(self, stamp: int, frame_id: str) -> Emission:
         """Return where the axes are; what the sensor of an axis does not give is NaN."""

@@ -7,13 +7,16 @@ when that happens, a lock-step sequencer or a clock.  Ticks of warmth are long; 
 follow a trajectory there are short ones in between, one per interpolation period.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from fuzzycnc_ros.components.codes import MachineMode
+from fuzzycnc_ros.components.command_sources import REQUEST, CommandSources
 from fuzzycnc_ros.components.component import (
     LATCHED,
+    Answer,
     Component,
     Emission,
     Health,
@@ -25,16 +28,20 @@ from fuzzycnc_ros.components.contouring_motion import (
     ContouringMotion,
     contouring_config,
 )
-from fuzzycnc_ros.components.path_programme import PathProgramme
+from fuzzycnc_ros.components.machine_programme import machine_programme, machine_sheet
 from fuzzycnc_ros.components.records import (
     AxisCommand,
     AxisState,
+    CompensatedPath,
     Compensation,
     CompensationApplied,
     ContourError,
     Displacement,
     MachineState,
+    Material,
     PositionCommand,
+    StitchedPath,
+    StitchPattern,
     Temperatures,
     ToolPath,
     Trajectory,
@@ -43,6 +50,7 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.components.servo_motion import ServoMotion, servo_motion
 from fuzzycnc_ros.components.simulated_machine_config import SimulatedMachineConfig
+from fuzzycnc_ros.components.stitching import Stitching
 from fuzzycnc_ros.core.machine.duties import DUTIES, Duty, DutyBlock
 from fuzzycnc_ros.core.machine.mill import DISPLACEMENT_NOISE, MILL_AXES, MILL_SENSORS, ThermalMill
 from fuzzycnc_ros.core.machine.offset_input import OffsetInput, OffsetInputConfig
@@ -69,13 +77,14 @@ class SimulatedMachine(Component):
     NAME = 'simulated_machine'
     SUMMARY = (
         'The simulated mill: temperatures, displacement, state; applies compensation, follows '
-        'trajectories, drives axes.'
+        'trajectories, drives axes, stitches soft sheets.'
     )
     CONFIG = SimulatedMachineConfig
     INPUTS = (
-        Input('compensation', Compensation),
+        Input('compensation', Compensation, sole=True),
         Input('trajectory', Trajectory),
-        Input('axis_command', AxisCommand),
+        Input('axis_command', AxisCommand, sole=True),
+        Input('compensated_path', CompensatedPath, LATCHED),
     )
     OUTPUTS = (
         Output('machine_state', MachineState),
@@ -87,14 +96,18 @@ class SimulatedMachine(Component):
         Output('trajectory_state', TrajectoryState),
         Output('tool_path', ToolPath, LATCHED),
         Output('position_command', PositionCommand),
+        Output('material', Material, LATCHED),
+        Output('stitch_pattern', StitchPattern, LATCHED),
+        Output('stitched_path', StitchedPath),
     )
     _config: SimulatedMachineConfig
 
     def __init__(self, config: SimulatedMachineConfig | None = None) -> None:
         super().__init__(config)
-        duties, paths = self._config.duties, self._config.paths
+        duties = self._config.duties
+        self._has_paths = bool(self._config.paths or self._config.patterns)
         unknown = [name for name in duties if name not in DUTIES]
-        if unknown or not (duties or paths or self._config.moves):
+        if unknown or not (duties or self._has_paths or self._config.moves):
             raise ValueError(
                 f'duties: expected names among {", ".join(DUTIES)} but found '
                 f'{", ".join(unknown) or "none, and no paths either"}'
@@ -104,11 +117,10 @@ class SimulatedMachine(Component):
             MILL_AXES,
             OffsetInputConfig(offset_max=self._config.offset_max, slew_max=self._config.slew_max),
         )
-        self._paths = PathProgramme(
-            paths, feed=self._config.path_feed, timeout=self._config.path_timeout
-        )
+        self._stitching = Stitching(machine_sheet(self._config), self._config.sheet_seed)
+        self._paths = machine_programme(self._config)
         self._motion: ContouringMotion | ServoMotion = (
-            servo_motion(self._config, lambda: bool(paths) and not self._paths.over)
+            servo_motion(self._config, lambda: self._has_paths and not self._paths.over)
             if self._config.servo_axes or self._config.moves
             else ContouringMotion(contouring_config(self._config))
         )
@@ -121,6 +133,7 @@ class SimulatedMachine(Component):
         self._mill: ThermalMill
         self._speed = 0.0
         self._mode = MachineMode.ON
+        self._sources = CommandSources(type(self))
         self._told_mode: MachineMode | None = None
         self._told_again = 0
         self._enter(0)
@@ -152,7 +165,7 @@ class SimulatedMachine(Component):
     @property
     def failure(self) -> str:
         """Why the programme was given up; empty if it was not."""
-        return self._paths.failure or self._motion.failure
+        return self._paths.failure or self._motion.failure or self._stitching.failure
 
     def on_compensation(self, command: Compensation) -> None:
         """Take an offset command; the offset input decides whether it is followed."""
@@ -175,15 +188,25 @@ class SimulatedMachine(Component):
         if isinstance(self._motion, ServoMotion):
             self._motion.drive(command)
 
+    def on_compensated_path(self, path: CompensatedPath) -> None:
+        """Take the stitches of a pattern; they are made when the axes follow its tool path."""
+        self._stitching.load(path)
+
     def set_mode(self, mode: MachineMode) -> None:
         """Switch the machine; only in ON it moves, applies offsets and turns its spindle.
 
         An emergency stop holds the commanded position at once; the path is not taken up again.
         """
         self._mode = mode
-        allowed, why = mode is MachineMode.ON, mode.name.lower()
-        self._offsets.allow(allowed, why)
-        self._motion.allow(allowed, why, self._time)
+        self._permit()
+
+    def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
+        """Note by `sources` that several nodes command the machine, or one alone again."""
+        if name != REQUEST:
+            return super().on_request(name, arguments, stamp)
+        answer = self._sources.note(arguments)
+        self._permit()
+        return answer
 
     def tick(self) -> Iterator[Emission]:
         """Move on to the next tick and report everything that is measured there.
@@ -211,6 +234,7 @@ class SimulatedMachine(Component):
         if slow:
             yield from self._readings(stamp)
         yield from moved
+        yield from self._stitching.tick(moved, self._motion, workpiece)
         told = {item.output for item in moved}
         if slow and (self._duties_done or stamp >= self._told_again):
             self._told_again = stamp + nanoseconds(TOLD_AGAIN)
@@ -233,10 +257,12 @@ class SimulatedMachine(Component):
             Health('duty', Level.OK, duty),
             Health('compensation', level, text, values),
             self._motion.health(),
+            *self._sources.health(),
+            self._stitching.health(),
         ]
         if self.failure:
             found.append(Health('path', Level.ERROR, self.failure))
-        elif self._config.paths:
+        elif self._has_paths:
             found.append(Health('path', Level.OK, self._paths.path_id or 'none'))
         return found
 
@@ -246,7 +272,7 @@ class SimulatedMachine(Component):
 
     def _slow_tick(self) -> int | None:
         """Return when warmth is next moved on [ns]; None where nothing warms up any more."""
-        if self._duty_over or (self._duties_done and (self._paths.over or not self._config.paths)):
+        if self._duty_over or (self._duties_done and (self._paths.over or not self._has_paths)):
             return None
         return self._start + (self._ticks + 1) * self._tick_period
 
@@ -308,20 +334,36 @@ class SimulatedMachine(Component):
             self._paths.wait(stamp, 'following one', busy=True)
         elif self._duty_over:
             self._enter(self._run + 1)
-        elif self._duties_done and self._config.paths:
+        elif self._duties_done and self._has_paths:
             done = self._motion.finished(self._paths.path_id)
             if done or (slow and not self._paths.path_id):
-                path = self._paths.load_next(stamp, self.frame('workpiece'))
-                if path is not None:
-                    yield Emission('tool_path', path)
+                loaded = self._paths.load_next(stamp, self.frame('workpiece'))
+                for item in loaded:
+                    if isinstance(item.record, Material):
+                        self._stitching.clamp(item.record)
+                yield from loaded
             else:
                 self._paths.wait(stamp, self._motion.health().message, busy=False)
 
     def _present_mode(self) -> MachineMode:
         """Return the operating state; a program runs where the spindle or the axes do."""
-        if self._mode is MachineMode.ON and (self._speed or self._motion.moving):
-            return MachineMode.RUNNING
-        return self._mode
+        if self._mode is not MachineMode.ON:
+            return self._mode
+        tripped = isinstance(self._motion, ServoMotion) and self._motion.tripped
+        if tripped or self._sources.refusal('axis_command'):
+            return MachineMode.FAULT
+        running = self._speed or self._motion.moving
+        return MachineMode.RUNNING if running else MachineMode.ON
+
+    def _permit(self) -> None:
+        """Follow commands in ON alone, and only where they have one source."""
+        off = '' if self._mode is MachineMode.ON else self._mode.name.lower()
+        offsets = off or self._sources.refusal('compensation')
+        axes = off or self._sources.refusal('axis_command')
+        self._offsets.allow(not offsets, offsets)
+        self._motion.allow(not axes, axes, self._time)
+        if axes:
+            self._stitching.drop(axes)
 
     def _state(self, stamp: int, mode: MachineMode) -> MachineState:
         return MachineState(
@@ -329,7 +371,8 @@ class SimulatedMachine(Component):
             frame_id=self.frame('machine'),
             state=int(mode),
             homed=True,
-            offsets_allowed=self._mode is MachineMode.ON,
+            offsets_allowed=self._mode is MachineMode.ON
+            and not self._sources.refusal('compensation'),
             cold_since=self._start,
             spindle_speed=self._speed,
             axis=self._motion.axes,
@@ -362,7 +405,7 @@ class SimulatedMachine(Component):
             frame_id=self.frame('machine'),
             epoch=self._offsets.epoch,
             status=int(self._offsets.status),
-            reason=self._offsets.reason,
+            reason=self._sources.refusal('compensation') or self._offsets.reason,
             axis=MILL_AXES,
             offset=self._offsets.applied,
             at_limit=self._offsets.at_limit,

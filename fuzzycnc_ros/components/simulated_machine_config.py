@@ -26,6 +26,33 @@ class SimulatedMachineConfig(Config):
         low=0.1,
         high=86400.0,
     )
+    patterns: tuple[str, ...] = param(
+        (),
+        '-',
+        'Patterns to stitch on soft sheets after the duties, one by one, instead of paths: '
+        'parallelogram:45, with lengths in m as parallelogram:30:thickness=0.02:depth=0.008, or '
+        'calibration:40, so many single primitives',
+    )
+    pattern_feed: float = param(
+        0.021, 'm/s', 'Programmed feed of these patterns', low=1e-6, high=10.0
+    )
+    sheet_thickness: float = param(
+        15e-3, 'm', 'Thickness of the sheet that lies in the machine', low=1e-4, high=1.0
+    )
+    sheet_size: tuple[float, ...] = param(
+        (0.15, 0.1), 'm', 'Its clamped area along X and Y', low=1e-3, high=10.0
+    )
+    sheet_friction: float = param(
+        0.35, '-', 'Friction between its foot and any sheet', low=0.0, high=10.0
+    )
+    sheet_seed: int = param(
+        0,
+        '-',
+        "Seed of each sheet's scatter and of the noise of its stitches, counted up path by path; "
+        '-1 for none of both',
+        low=-1,
+        high=2**31 - 1,
+    )
     duty_duration: float = param(
         0.0, 's', 'Time after which each duty is cut off; 0 runs it whole', low=0.0, high=864000.0
     )

@@ -23,6 +23,9 @@ from fuzzycnc_ros.core.thermal.sensor_watch import Estimate, MateEstimate, Senso
 MATES_MAX = 4
 """Cluster mates that may stand in for a sensor."""
 
+RISE_MAX = 1000.0
+"""Rise that no part of a machine has [K]: a model would carry it along for hours."""
+
 MISSED_MAX = 0.5
 """What an estimate may miss in training, rms [K], to stand in for a sensor without a mate in its
 own cluster: no more than the watch tolerates."""
@@ -103,6 +106,7 @@ class RiseSource:
             Which readings may be used.
         """
         rises = np.where(good, temperature - self._reference, np.nan)
+        rises[np.abs(rises) > RISE_MAX] = np.nan
         rise: Floats = rises[self._columns]
         usable = np.isfinite(rise)
         field = None if self._field is None else self._field.of(rises)

@@ -46,8 +46,9 @@ class TemperatureAcquisitionConfig(Config):
         'topic',
         '-',
         'Where readings come from: topic = sensor_readings (simulated machine or another node), '
-        'temperature_topics = sensor_msgs/Temperature topics, csv = a file',
-        choices=('topic', 'temperature_topics', 'csv'),
+        'temperature_topics = sensor_msgs/Temperature topics, csv = a file, devices = Modbus TCP '
+        'devices and OPC UA servers',
+        choices=('topic', 'temperature_topics', 'csv', 'devices'),
     )
     temperature_topics: tuple[str, ...] = param(
         (), '-', 'Topics of sensor_msgs/Temperature as name=topic, for that source'
@@ -67,6 +68,12 @@ class TemperatureAcquisitionConfig(Config):
     csv_time: str = param('time', '-', 'Name of the time column of csv_file')
     csv_rate: float = param(
         1.0, '-', 'Speed at which a file is played, 1 is real time', low=1e-3, high=1e6
+    )
+    device_file: str = param(
+        '',
+        '-',
+        'File that names devices and where their values lie, for the source devices '
+        '(docs/temperature-drivers.md)',
     )
     interval: float = param(60.0, 's', 'Sampling interval of the output', low=0.01, high=3600.0)
     range_low: float = param(
@@ -139,6 +146,8 @@ class TemperatureAcquisition(Component):
 
     def on_machine_state(self, state: MachineState) -> None:
         """Start to collect a reference when the machine reports a new cold start."""
+        if state.cold_since > state.stamp:
+            return  # nobody knows what will be; the machine's word of it would outlast all others
         if state.cold_since == 0 and self._cold_since is None:
             return
         if self._reference is not None and self._reference.cold_since >= state.cold_since:
@@ -160,7 +169,7 @@ class TemperatureAcquisition(Component):
         self._count += 1
         # The latest bad verdict speaks for a sensor without one good reading.
         self._bad[~good] = status[~good]
-        self._raw = reading.temperature
+        self._raw = np.where(np.isfinite(reading.temperature), reading.temperature, np.nan)
         interval = nanoseconds(self._config.interval)
         if self._boundary is None:
             self._boundary = -(-reading.stamp // interval) * interval
@@ -211,8 +220,8 @@ class TemperatureAcquisition(Component):
     def _accept_sensors(self, reading: Temperatures) -> bool:
         """Refuse readings that do not fit the sensors of the run; set up at the first ones."""
         names = reading.sensor
-        if len(names) == 0 or len(reading.temperature) != len(names):
-            self._refused = f'{len(reading.temperature)} values for {len(names)} sensor names'
+        if not names:
+            self._refused = 'expected readings of sensors but found no sensor name'
             return False
         if names == self._sensor:
             self._refused = ''

@@ -10,20 +10,18 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.components.codes import Junction, SegmentKind
 from fuzzycnc_ros.components.records import Floats, ToolPath
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.nurbs_checks import (
+    COORDINATE_MAX,
+    DEGREE_MAX,
+    check_machinable,
+)
 from fuzzycnc_ros.core.feedrate.program.arcs import ABSOLUTE_MISFIT, RELATIVE_MISFIT, SAME_POINT
 
 PATH_AXES = ('X', 'Y', 'Z')
 """Axes that a tool path may have."""
 
-COORDINATE_MAX = 1e3
-"""Largest coordinate [m]: of no machine, and far from what doubles lose digits at."""
 TURNS_MAX = 1000.0
 """Largest number of turns of an arc."""
-DEGREE_MAX = 15
-WEIGHTS_MAX = 1e6
-"""Largest ratio of two weights of a curve: beyond it, digits of its points are lost."""
-SPAN_MIN = 1e-9
-"""Least distance of two knots that differ, as a share of the domain."""
 _AXIS_MISFIT = 1e-9
 
 
@@ -178,35 +176,13 @@ def curve_of(path: ToolPath, index: int, columns: tuple[int, ...]) -> NurbsCurve
         )
     knot, weight = data[2 : 2 + knots], data[2 + knots : 2 + knots + count]
     points = data[2 + knots + count :].reshape(count, width)
-    if np.abs(points).max() > COORDINATE_MAX:
-        found = np.abs(points).max()
-        raise segment_error(
-            path, index, f'coordinates up to {COORDINATE_MAX:g} m but found {found:g} m'
-        )
     control = np.zeros((count, 3))
     control[:, columns] = points
     try:
         curve = NurbsCurve(control, weight, knot, degree)
+        check_machinable(control, weight, knot, degree)
     except ValueError as error:
         raise ValueError(f'segment {index} (block {path.block[index]}): {error}') from error
-    if weight.max() > WEIGHTS_MAX * weight.min():
-        raise segment_error(
-            path,
-            index,
-            f'weights no more than {WEIGHTS_MAX:g} times each other but found {weight.min():g} '
-            f'and {weight.max():g}',
-        )
-    low, high = curve.domain
-    step = np.diff(np.unique(knot))
-    if not (step >= SPAN_MIN * (high - low)).all() or np.abs(knot).max() > (high - low) / SPAN_MIN:
-        raise segment_error(
-            path,
-            index,
-            f'knots that are equal or {SPAN_MIN:g} of the domain apart, not far from 0, but '
-            f'found steps down to {step.min():g} over {high - low:g}',
-        )
-    if not np.ptp(control, axis=0).max() > 0.0:
-        raise segment_error(path, index, 'points that differ but found one and the same')
     return curve
 
 

@@ -80,11 +80,11 @@ def _coerced(name: str, value: Any, default: Any) -> Value:
     if default is MISSING:
         raise TypeError(f'{name} has no default')
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+        return _double(name, value)
     if isinstance(default, tuple) and isinstance(value, (list, tuple)):
         wanted: type = type(default[0]) if default else str
         items = [
-            float(v) if wanted is float and type(v) is int else v  # YAML writes 1 for 1.0
+            _double(name, v) if wanted is float and type(v) is int else v  # YAML writes 1 for 1.0
             for v in value
         ]
         if all(type(v) is wanted for v in items):
@@ -97,6 +97,13 @@ def _coerced(name: str, value: Any, default: Any) -> Value:
     )
 
 
+def _double(name: str, value: int) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        raise ValueError(f'{name}: expected a number but found one beyond all doubles') from None
+
+
 def _check_range(name: str, value: Value, meta: Any) -> None:
     low, high, unit = meta['low'], meta['high'], meta['unit']
     if low is not None:
@@ -104,7 +111,7 @@ def _check_range(name: str, value: Value, meta: Any) -> None:
         for number in numbers:
             if not isinstance(number, (int, float)):
                 raise ValueError(f'{name}: expected a number but found {number!r}')
-            if not (isfinite(number) and low <= number <= high):
+            if not (low <= number <= high and isfinite(number)):  # a huge int is no double
                 raise ValueError(
                     f'{name} = {number} is outside [{low}, {high}] {unit}; {meta["doc"]}'
                 )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import Array, check_matrix
 
 
 class NotFittedError(ValueError, AttributeError):
@@ -55,43 +55,6 @@ class ParameterMixin:
         """Return the constructor call that makes an equal estimator."""
         params = ', '.join(f'{name}={value!r}' for name, value in self.get_params().items())
         return f'{type(self).__name__}({params})'
-
-
-def check_matrix(samples: ArrayLike, name: str = 'X') -> Array:
-    """Return `samples` as a finite matrix of doubles.
-
-    Parameters
-    ----------
-    samples : array_like, shape (n, p)
-        Samples by rows.
-    name : str
-        Name of the argument for messages.
-
-    Raises
-    ------
-    ValueError
-        If it is no matrix, is empty, complex or holds NaN or infinities.
-    """
-    raw = np.asarray(samples)
-    if np.iscomplexobj(raw):
-        raise ValueError(f'{name}: expected real numbers. Complex data not supported')
-    matrix = np.asarray(raw, dtype=np.float64)
-    if matrix.ndim != 2:
-        raise ValueError(
-            f'{name}: expected a 2-D array (samples, features), but found {matrix.ndim} '
-            'dimension(s). Reshape your data'
-        )
-    if 0 in matrix.shape:
-        raise ValueError(
-            f'{name}: expected at least one sample and one feature, but found shape {matrix.shape}'
-        )
-    if not np.isfinite(matrix).all():
-        at = np.argwhere(~np.isfinite(matrix))[0]
-        raise ValueError(
-            f'{name}: expected finite numbers, but found {matrix[tuple(at)]} (NaN or infinity) '
-            f'in row {at[0]}, column {at[1]}'
-        )
-    return matrix
 
 
 def check_target(estimator: Any, target: ArrayLike) -> Array:

@@ -6,18 +6,11 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
+from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.nodes import run
 
-NODES = (
-    'temperature_acquisition',
-    'sensor_selector',
-    'thermal_predictor',
-    'compensator',
-    'feedrate_scheduler',
-    'recorder',
-    'player',
-    'simulated_machine',
-)
+_MACHINE = 'simulated_machine'
+NODES = (*(name for name in COMPONENTS if name != _MACHINE), 'recorder', 'player', _MACHINE)
 """Nodes that can be composed; the machine last, because it starts the run."""
 
 

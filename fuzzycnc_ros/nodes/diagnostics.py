@@ -16,7 +16,7 @@ LATE_FACTOR = 3.0
 
 
 def input_health(merger: Merger, now: int) -> list[Health]:
-    """Say which stream inputs are late or lose records.
+    """Say which stream inputs are late or lose records, and which of all got nonsense.
 
     Parameters
     ----------
@@ -27,14 +27,19 @@ def input_health(merger: Merger, now: int) -> list[Health]:
     """
     items = []
     for declared in merger.component.INPUTS:
-        if declared.durability is not STREAM:
-            continue
         count = merger.counts[declared.name]
+        if declared.durability is not STREAM and not count.refusal:
+            continue
         values = {
             'received': str(count.received),
             'dropped': str(count.dropped),
             'late': str(count.late),
+            'refused': str(count.refused),
         }
+        if count.refusal:
+            text = f'refused: {count.refusal}'
+            items.append(Health(declared.name, Level.ERROR, text, values))
+            continue
         if count.newest is None:
             level = Level.WARN if declared.driving else Level.OK
             items.append(Health(declared.name, level, 'nothing received yet', values))

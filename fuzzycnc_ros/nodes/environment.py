@@ -8,11 +8,22 @@ from pathlib import Path
 DISCOVERY_PROFILE = Path(__file__).with_name('quick_discovery.xml')
 
 
+RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+CHOSEN = (RANGE, 'ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER')
+"""With any of these somebody has said who may find whom."""
+
+
 def prepare_environment() -> None:
-    """Choose quick discovery on this host unless the user has chosen otherwise."""
+    """Choose quick discovery, and on this host alone, unless the user has chosen otherwise.
+
+    A graph that moves a machine must not be open to a whole network by accident.
+    """
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(DISCOVERY_PROFILE))
+    if not any(os.environ.get(name) for name in CHOSEN):
+        os.environ[RANGE] = 'LOCALHOST'
 
 
-def limit_to_this_host() -> None:
-    """Keep discovery on this host unless the user has opened it."""
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+def open_to_network() -> None:
+    """Let hosts of the same network find the graph, unless the user has chosen otherwise."""
+    if not any(os.environ.get(name) for name in CHOSEN):
+        os.environ[RANGE] = 'SUBNET'

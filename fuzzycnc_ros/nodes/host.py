@@ -15,6 +15,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from fuzzycnc_ros.components.command_sources import REQUEST
 from fuzzycnc_ros.components.component import (
     HISTORY,
     LATCHED,
@@ -36,6 +37,8 @@ from fuzzycnc_ros.components.records import (
     Record,
 )
 from fuzzycnc_ros.convert import decode, encode
+from fuzzycnc_ros.nodes.activity import Activity
+from fuzzycnc_ros.nodes.command_watch import CommandWatch
 from fuzzycnc_ros.nodes.diagnostics import diagnostic_array, input_health
 from fuzzycnc_ros.nodes.messages import RCLPY
 from fuzzycnc_ros.nodes.parameters import ParameterError, changed, declare, refusal
@@ -88,6 +91,8 @@ class ComponentNode:
         self._published: dict[str, int] = {}
         self._deaf: set[str] = set()
         self._lifecycle_state = 'active'
+        self._activity = Activity()
+        self._sent_at = 0  # wall time of the newest driving message that is not worked yet [ns]
         for item in component_type.OUTPUTS:
             self._advertise(item)
         self._configuration = self._advertise(
@@ -107,6 +112,11 @@ class ComponentNode:
             )
         for source in component_type.INPUTS:
             self._subscribe(source.name, source.record, source.durability)
+        self._commands = CommandWatch(
+            node,
+            {node.resolve_topic_name(i.name): i.name for i in component_type.INPUTS if i.sole},
+            self._on_sources,
+        )
         if not host.lockstep:
             self._deadlines = self._advertise(
                 Output('deadline_fired', DeadlineFired), private=True
@@ -168,6 +178,8 @@ class ComponentNode:
             *self.component.health(),
             *input_health(self.merger, now),
             *self._route_health(),
+            *self.own_health(),
+            self._activity.health(),
         ]
         self._diagnostics.publish(
             diagnostic_array(
@@ -178,6 +190,10 @@ class ComponentNode:
                 self.node.get_clock().now().to_msg(),
             )
         )
+
+    def own_health(self) -> list[Health]:
+        """Report on what is peculiar to this node."""
+        return []
 
     def _route_health(self) -> list[Health]:
         """Report publishers that stay unheard: another QoS, or another type of the same name."""
@@ -223,6 +239,7 @@ class ComponentNode:
     def _send(self, name: str, record: Record) -> None:
         publisher = self._publishers[name]
         publisher.publish(encode(record, RCLPY))
+        self._activity.published()
         topic = publisher.topic_name
         if topic in self._published:
             self._published[topic] += 1
@@ -248,7 +265,10 @@ class ComponentNode:
         def on_message(message: Any, info: Any) -> None:
             record = decode(record_type, message)
             accepted = self.merger.push(name, record)
+            self._commands.heard(topic, info['publication_sequence_number'])
             self._heard(topic, info['publication_sequence_number'])
+            if drives:
+                self._sent_at = info['source_timestamp']
             if not self.settings.lockstep and drives and accepted:
                 self._work(record.stamp)
 
@@ -261,6 +281,18 @@ class ComponentNode:
 
     def _work(self, stamp: int) -> None:
         self.publish(self.merger.advance(stamp))
+        if self._sent_at:
+            self._activity.worked(self._sent_at)
+            self._sent_at = 0
+
+    def _on_sources(self, name: str, nodes: tuple[str, ...]) -> None:
+        """Tell the component who commands it at once, so that it refuses all of them."""
+        answer = self.request(REQUEST, {'input': name, 'node': list(nodes)})
+        # Two calls: rclpy refuses another severity from the same line.
+        if nodes:
+            self.node.get_logger().error(answer.message)
+        else:
+            self.node.get_logger().info(answer.message)
 
     def _now(self) -> int:
         return int(self.node.get_clock().now().nanoseconds)

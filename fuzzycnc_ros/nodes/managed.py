@@ -54,8 +54,10 @@ class ManagedNode(LifecycleNode):
             return FAILURE
         answer = self.host.request(name, {})
         if not answer.success:
-            self.get_logger().error(f'{name} refused: {answer.message}')
+            self.host.troubles['lifecycle'] = f'{name} refused: {answer.message}'
+            self.get_logger().error(self.host.troubles['lifecycle'])
             return FAILURE
+        self.host.troubles.pop('lifecycle', None)
         return self._announce(state)
 
     def _LifecycleNodeMixin__on_change_state(  # noqa: N802

@@ -17,13 +17,6 @@ from rclpy.parameter import Parameter
 
 from fuzzycnc_ros.core.config import Config
 
-_TYPES = {
-    bool: Parameter.Type.BOOL,
-    int: Parameter.Type.INTEGER,
-    float: Parameter.Type.DOUBLE,
-    str: Parameter.Type.STRING,
-}
-
 
 class ParameterError(ValueError):
     """A parameter is unknown, of the wrong type or out of bounds; the text names it."""

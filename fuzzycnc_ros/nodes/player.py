@@ -8,37 +8,31 @@ one tick per recorded stamp, the next as soon as all nodes have answered.
 
 import json
 import posixpath
-import re
 import sys
 import time
-from collections.abc import Iterator
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.playback import (
+    Playback,
     PlayedMessage,
     PlayedTopic,
-    by_stamp,
-    messages,
     played_topics,
     require_topics,
-    restamped,
 )
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.components.component import STREAM, Health, Level
 from fuzzycnc_ros.components.host_config import PlayerConfig
 from fuzzycnc_ros.components.records import SECOND, nanoseconds
 from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.diagnostics import diagnostic_array
+from fuzzycnc_ros.nodes.bag_node import BagNode, bag_refused, closed_on_failure, pattern
 from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.parameters import ParameterError, declare
+from fuzzycnc_ros.nodes.parameters import ParameterError
 from fuzzycnc_ros.nodes.qos import publisher_qos, routes_matched
 from fuzzycnc_ros.nodes.sequencer import Sequencer
 from fuzzycnc_ros.nodes.timers import wall_timer
@@ -55,54 +49,39 @@ ACKNOWLEDGE_TIMEOUT = 5.0
 """Wall time [s] that readers get for the last messages."""
 
 
-class PlayerNode:
+class PlayerNode(BagNode[PlayerConfig]):
     """Play a bag until its end, or for ever."""
 
-    exit_code = 0
-
     def __init__(self, node: Node) -> None:
-        self.node = node
-        (config,) = declare(node, PlayerConfig)
-        assert isinstance(config, PlayerConfig)
-        self._config = config
-        self._check(config)
-        try:
-            self._reader = BagReader(config.bag)
-        except BagError as error:
-            raise ParameterError(str(error)) from error
-        try:
+        super().__init__(node, PlayerConfig)
+        self._check(self._config)
+        with bag_refused():
+            self._reader = BagReader(self._config.bag)
+        with closed_on_failure(self._reader):
             self._prepare()
-        except BaseException:
-            self._reader.close()
-            raise
 
     def _prepare(self) -> None:
         """Choose what to play, create the topics, take the first message."""
         node, config = self.node, self._config
-        try:
+        with bag_refused():
             self._topics = self._choose()
-        except BagError as error:
-            raise ParameterError(str(error)) from error
-        self._span = self._played_span()
-        # A latched message may be an old fact told again: it makes no time if others do.
-        self._timing = {name for name, topic in self._topics.items() if not topic.latched}
-        self._timing = self._timing or set(self._topics)
+        self._playback = Playback(
+            self._reader,
+            self._topics,
+            *self._played_span(),
+            ordered=config.lockstep,
+            loop=config.loop,
+            restamp=config.restamp,
+            told=node.get_logger().info,
+        )
+        if self._playback.next is None:
+            raise ParameterError(self._playback.error or f'{config.bag}: no message to play')
         self._publishers = self._advertise()
         self._published = {p.topic_name: 0 for p in self._publishers.values()}
         self._clock = node.create_publisher(ClockMessage, '/clock', publisher_qos(STREAM))
-        self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._repetition = 0
-        self._log_shift = self._stamp_shift = 0
-        self._first_stamp: int | None = None
-        self._last_stamp = self._last_log_time = self._last_tick = 0
-        self._step = SECOND
+        self._last_tick = 0
         self._sent = 0
-        self._error = ''
         self._done = False
-        self._source = self._open()
-        self._next = self._take()
-        if self._next is None:
-            raise ParameterError(self._error or f'{config.bag}: no message to play')
         self._sequencer: Sequencer | None = None
         if config.lockstep:
             self._sequencer = Sequencer(
@@ -133,7 +112,7 @@ class PlayerNode:
 
     def start(self) -> None:
         """Say what is played."""
-        first, stop = self._span
+        first, stop = self._playback.first, self._playback.last
         self.node.get_logger().info(
             f'playing {len(self._topics)} topics of {self._config.bag} from '
             f'{self._seconds(first):.3f} to {self._seconds(stop):.3f} s'
@@ -161,8 +140,8 @@ class PlayerNode:
 
     def _choose(self) -> dict[str, PlayedTopic]:
         """Return the topics to play; what cannot be played here is refused or left out."""
-        include = self._pattern('topics', self._config.topics)
-        exclude = self._pattern('exclude', self._config.exclude)
+        include = pattern('topics', self._config.topics)
+        exclude = pattern('exclude', self._config.exclude)
         connections = self._reader.connections
         wanted = [
             topic
@@ -187,17 +166,8 @@ class PlayerNode:
             raise ParameterError(f'{self._config.bag}: no type of its topics is installed here')
         return played_topics(self._reader, kept)
 
-    @staticmethod
-    def _pattern(name: str, text: str) -> re.Pattern[str]:
-        try:
-            return re.compile(text)
-        except re.error as error:
-            raise ParameterError(
-                f'parameter {name}: {text!r} is no regular expression: {error}'
-            ) from error
-
-    def _played_span(self) -> tuple[int, int]:
-        """Return the log times between which the bag is played [ns]."""
+    def _played_span(self) -> tuple[int | None, int | None]:
+        """Return the log times between which the bag is played [ns], None for its own ends."""
         start = self._reader.start + nanoseconds(self._config.start)
         if start > self._reader.stop:
             raise ParameterError(
@@ -205,62 +175,13 @@ class PlayerNode:
                 f'{self._config.bag}, which is {self._seconds(self._reader.stop):.3f} s long'
             )
         end = self._reader.start + nanoseconds(self._config.end)
-        return start, min(end, self._reader.stop) if self._config.end else self._reader.stop
+        return (
+            start if self._config.start else None,
+            min(end, self._reader.stop) if self._config.end else None,
+        )
 
     def _seconds(self, log_time: int) -> float:
         return (log_time - self._reader.start) / SECOND
-
-    def _open(self) -> Iterator[PlayedMessage]:
-        """Return the messages of one repetition."""
-        first, last = self._span
-        whole = self._config.start == 0.0 and self._config.end == 0.0
-        source = messages(
-            self._reader,
-            self._topics,
-            None if self._config.start == 0.0 else first,
-            None if whole or self._config.end == 0.0 else last,
-        )
-        return by_stamp(source) if self._config.lockstep else source
-
-    def _take(self) -> PlayedMessage | None:
-        """Return the next message as it is sent, from the next repetition if need be."""
-        try:
-            message = next(self._source, None)
-            if message is None and self._config.loop and self._last_log_time:
-                self._repeat()
-                message = next(self._source, None)
-        except BagError as error:
-            # What was played stands; the rest cannot be read.
-            self._error = str(error)
-            self.exit_code = 1
-            return None
-        if message is None:
-            return None
-        topic = self._topics[message.topic]
-        message = message._replace(
-            log_time=message.log_time + self._log_shift, stamp=message.stamp + self._stamp_shift
-        )
-        if self._stamp_shift and topic.stamped:
-            message = message._replace(payload=restamped(message.payload, self._stamp_shift))
-        self._last_log_time = max(self._last_log_time, message.log_time)
-        if message.topic in self._timing:
-            if self._first_stamp is None:
-                self._first_stamp = message.stamp
-            elif message.stamp > self._last_stamp:
-                self._step = message.stamp - self._last_stamp
-            self._last_stamp = max(self._last_stamp, message.stamp)
-        return message
-
-    def _repeat(self) -> None:
-        self._repetition += 1
-        self._log_shift = self._last_log_time + self._step - self._span[0]
-        if self._config.restamp and self._first_stamp is not None:
-            self._stamp_shift = self._last_stamp + self._step - self._first_stamp
-            how = f'stamps moved on by {self._stamp_shift / SECOND:.3f} s'
-        else:
-            how = 'with the recorded stamps, which readers drop as not newer'
-        self.node.get_logger().info(f'repetition {self._repetition}, {how}')
-        self._source = self._open()
 
     # Topics
 
@@ -297,13 +218,13 @@ class PlayerNode:
         """Send everything of the next tick; return its stamp [ns], None at the end."""
         batch: list[PlayedMessage] = []
         stamp: int | None = None
-        while (message := self._next) is not None:
-            if stamp is None and message.topic in self._timing:
+        while (message := self._playback.next) is not None:
+            if stamp is None and message.topic in self._playback.timing:
                 stamp = self._tick_of(message.stamp)
             if stamp is not None and message.stamp > stamp:
                 break
             batch.append(message)
-            self._next = self._take()
+            self._playback.advance()
         if not batch:
             return None
         self._last_tick = max(self._last_tick, batch[-1].stamp if stamp is None else stamp)
@@ -326,21 +247,21 @@ class PlayerNode:
             if not self._ready(now):
                 return
             self._started = now
-        due = self._span[0] + int((now - self._started) * self._config.rate * SECOND)
+        due = self._playback.first + int((now - self._started) * self._config.rate * SECOND)
         for _ in range(BATCH):
-            message = self._next
+            message = self._playback.next
             if message is None:
                 self._finish()
                 return
             if message.log_time > due:
                 break
-            if message.topic in self._timing:
+            if message.topic in self._playback.timing:
                 if message.stamp != self._machine_time:
                     self._send_clock(message.stamp)
                     self._clock_sent = now
                 self._machine_time, self._machine_time_at = message.stamp, message.log_time
             self._send(message)
-            self._next = self._take()
+            self._playback.advance()
         self._keep_time(now, due)
 
     def _ready(self, now: float) -> bool:
@@ -363,8 +284,9 @@ class PlayerNode:
             return
         self._clock_sent = now
         stamp = self._machine_time + due - self._machine_time_at
-        if self._next is not None and self._next.topic in self._timing:
-            stamp = min(stamp, self._next.stamp)
+        following = self._playback.next
+        if following is not None and following.topic in self._playback.timing:
+            stamp = min(stamp, following.stamp)
         self._send_clock(max(stamp, self._machine_time))
 
     # The end
@@ -375,8 +297,9 @@ class PlayerNode:
         heard = all(item.wait_for_all_acked(timeout) for item in self._publishers.values())
         if not heard:
             self.node.get_logger().warning('some readers did not acknowledge the last messages')
-        if self._error:
-            print(f'error: {self._error}', file=sys.stderr, flush=True)
+        if self._playback.error:
+            self.exit_code = 1
+            print(f'error: {self._playback.error}', file=sys.stderr, flush=True)
         outcome: dict[str, Any] = {'messages': self._sent}
         if self._sequencer is not None:
             outcome['ticks'] = self._sequencer.tick
@@ -388,27 +311,18 @@ class PlayerNode:
 
     def _report(self) -> None:
         """Publish on /diagnostics how far the bag has been played."""
-        stop = self._span[1]
-        position = stop if self._next is None else self._next.log_time - self._log_shift
         values = {
             'messages': str(self._sent),
-            'repetition': str(self._repetition),
+            'repetition': str(self._playback.repetition),
             'rate': 'lock-step' if self._config.lockstep else f'{self._config.rate:g}',
         }
+        position, stop = self._playback.position, self._playback.last
         text = f'at {self._seconds(position):.1f} of {self._seconds(stop):.1f} s'
         health = [Health('playback', Level.OK, text, values)]
         if self._sequencer is not None and self._sequencer.waiting_for:
             text = f'waiting for {", ".join(self._sequencer.waiting_for)}'
             health.append(Health('lock-step', Level.WARN, text))
-        self._diagnostics.publish(
-            diagnostic_array(
-                self.node.get_fully_qualified_name(),
-                '',
-                health,
-                {},
-                self.node.get_clock().now().to_msg(),
-            )
-        )
+        self._publish_health(health)
 
 
 def _qos(topic: PlayedTopic) -> QoSProfile:

@@ -30,9 +30,9 @@ from fuzzycnc_ros.components.records import (
 from fuzzycnc_ros.convert import encode
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.diagnostics import DiagnosticArray, diagnostic_array
+from fuzzycnc_ros.nodes.bag_node import BagNode, bag_refused, closed_on_failure, pattern
 from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.parameters import ParameterError, declare
+from fuzzycnc_ros.nodes.parameters import ParameterError
 from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, routes_matched
 from fuzzycnc_ros.nodes.timers import wall_timer
 from fuzzycnc_ros.nodes.turn_taker import TurnTaker
@@ -45,41 +45,31 @@ RECORDER_PATIENCE = 25.0
 """Wall time [s] a turn waits for announced messages; below the sequencer's own timeout."""
 
 
-class RecorderNode:
+class RecorderNode(BagNode[RecorderConfig]):
     """Record every matching topic as it appears."""
 
-    exit_code = 0
-
     def __init__(self, node: Node) -> None:
-        self.node = node
-        (config,) = declare(node, RecorderConfig)
-        assert isinstance(config, RecorderConfig)
-        self._config = config
+        super().__init__(node, RecorderConfig)
+        config = self._config
         if not config.output:
             raise ParameterError('parameter output: expected the directory of a new bag')
-        self._include = self._pattern('topics', config.topics)
-        self._exclude = self._pattern('exclude', config.exclude)
+        own = f'^({re.escape(node.get_namespace().rstrip("/"))}/|/clock$|/diagnostics$)'
+        self._include = pattern('topics', config.topics or own)
+        self._exclude = pattern('exclude', config.exclude)
         self._subscriptions: dict[str, Any] = {}
         self._skipped: dict[str, str] = {}
         self._early: list[tuple[str, bytes, int]] = []
         self._newest = 0
         self._models: set[str] = set()
-        try:
+        with bag_refused():
             self._thread = RecordingThread(BagWriter(config.output))
-        except BagError as error:
-            raise ParameterError(str(error)) from error
-        try:
+        with closed_on_failure(self._thread):
             self._connect(config)
-        except BaseException:
-            # A signal while the node is being built must not leave a torn bag behind.
-            self._thread.close()
-            raise
 
     def _connect(self, config: RecorderConfig) -> None:
         """Create the endpoints; from here on messages come in."""
         node = self.node
         self._progress = create_publisher(node, RecorderProgress.TYPE, 'recorder/progress', STREAM)
-        self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.turns: TurnTaker | None = None
         if config.lockstep:
             self.turns = TurnTaker(
@@ -122,16 +112,6 @@ class RecorderNode:
                 flush=True,
             )
         self.node.destroy_node()
-
-    def _pattern(self, name: str, text: str) -> re.Pattern[str]:
-        if name == 'topics' and not text:
-            text = f'^({re.escape(self.node.get_namespace().rstrip("/"))}/|/clock$|/diagnostics$)'
-        try:
-            return re.compile(text)
-        except re.error as error:
-            raise ParameterError(
-                f'parameter {name}: {text!r} is no regular expression: {error}'
-            ) from error
 
     def _wanted(self, topic: str) -> bool:
         return bool(self._include.search(topic)) and not self._exclude.search(topic)
@@ -235,8 +215,7 @@ class RecorderNode:
 
     def _report(self) -> None:
         progress = self._thread.progress()
-        now = self.node.get_clock().now()
-        self._publish_progress(progress, self._newest or now.nanoseconds)
+        self._publish_progress(progress, self._newest or self.node.get_clock().now().nanoseconds)
         values = {
             'received': str(progress.received),
             'written': str(progress.written),
@@ -248,9 +227,7 @@ class RecorderNode:
             text += f', {progress.lost} lost'
         health = [Health('bag', level, text, values)]
         health += [Health(topic, Level.WARN, text) for topic, text in self._skipped.items()]
-        self._diagnostics.publish(
-            diagnostic_array(self.node.get_fully_qualified_name(), '', health, {}, now.to_msg())
-        )
+        self._publish_health(health)
 
 
 def _leading_stamp(payload: bytes) -> int:

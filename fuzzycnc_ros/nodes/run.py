@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import rclpy
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -62,8 +61,9 @@ def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -
         return max((host.exit_code for host in hosts), default=0)
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
-    except RCLError:
-        # A signal that arrives while the executor builds its wait set ends up here.
+    except RuntimeError:
+        # A signal that arrives while the executor builds its wait set, or a message is made of
+        # what was received, ends up here.
         if rclpy.ok():
             raise
         return 0

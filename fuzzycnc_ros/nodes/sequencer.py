@@ -24,6 +24,9 @@ RECORDER_EVERY = 500
 """Ticks between two turns of the recorder: its queue must hold what comes in between."""
 INPUT_PATIENCE = 0.5
 """Wall time [s] that the machine waits for what was announced to it before it ticks without."""
+BREATH = 0.05
+"""Wall time [s] of ticks in a row without a turn after which the node looks at the rest of its
+work: with all nodes lost it would otherwise run to the end of the programme unheard."""
 RECORDER_TIMEOUT = 30.0
 """Wall time [s] after which a silent recorder is lost; a stopped process may well come back."""
 
@@ -128,6 +131,8 @@ class Sequencer:
             subscription_qos(STREAM, lockstep=True),
         )
         wall_timer(node, 0.05, self._on_timer)
+        self._breath = wall_timer(node, 0.0, self._after_breath)
+        self._breath.cancel()
 
     @property
     def degraded(self) -> bool:
@@ -239,6 +244,7 @@ class Sequencer:
     def _next(self, *, without_inputs: bool = False) -> None:
         """Give the next turn that is due; tick when there is none left."""
         self._held = False
+        began = time.monotonic()
         while not self.over:
             while self._turn < len(self._participants):
                 item = self._participants[self._turn]
@@ -261,6 +267,13 @@ class Sequencer:
                 continue
             self.tick += 1
             self._stamp = stamp
+            if time.monotonic() - began > BREATH:
+                self._breath.reset()
+                return
+
+    def _after_breath(self) -> None:
+        self._breath.cancel()
+        self._next()
 
     def _due(self, item: Participant) -> bool:
         """Whether a turn would change anything: new inputs that matter, or a deadline reached."""
@@ -311,7 +324,9 @@ class Sequencer:
         )
 
     def _all_counts(self) -> dict[str, int]:
-        return {**self._counts, **self._own()}
+        # What the machine could write but has not, another node of the run may write.
+        own = self._own().items()
+        return self._counts | {t: n for t, n in own if n or t not in self._counts}
 
     def _send(self, item: Participant, counts: dict[str, int], *, probe: bool = False) -> None:
         readers = self._readers() if probe else {}

@@ -1,18 +1,28 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Node `servo_controller`: in real time it notices within some periods that feedback has stopped.
+"""Node `servo_controller`: in real time it keeps up with the machine as well as the host lets it.
 
-Axis states that are on their way are waited for; meanwhile the machine side, which knows how long
-a command is valid, has taken the drives to zero by itself.
+It answers the newest axis state: one that it had no time for is a missed deadline, counted and
+bridged, rather than a reason to fall further behind.  It notices that feedback has stopped;
+axis states that are on their way are waited for, and meanwhile the machine side, which knows how
+long a command is valid, has taken the drives to zero by itself.
 """
 
-from fuzzycnc_ros.components.records import DeadlineFired, nanoseconds
+import contextlib
+import gc
+import os
+from pathlib import Path
+
+from fuzzycnc_ros.components.component import Durability
+from fuzzycnc_ros.components.records import DeadlineFired, Record, nanoseconds
 from fuzzycnc_ros.components.servo_controller import ServoController
+from fuzzycnc_ros.components.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.convert import encode
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.host import DEADLINE_POLL
 from fuzzycnc_ros.nodes.managed import ManagedComponentNode
 from fuzzycnc_ros.nodes.messages import RCLPY
+from fuzzycnc_ros.nodes.qos import create_subscription, subscription_qos
 from fuzzycnc_ros.nodes.timers import wall_timer
 
 POLL = 0.01
@@ -30,6 +40,46 @@ class ServoControllerNode(ManagedComponentNode):
         super().__init__(ServoController)
         if not self.settings.lockstep and POLL < DEADLINE_POLL:
             wall_timer(self.node, POLL, self._poll_deadline)
+
+    def start(self) -> None:
+        """Announce the configuration; in real time, get out of the way of what may hold us up."""
+        super().start()
+        if self.settings.lockstep:
+            return
+        gc.collect()
+        gc.freeze()  # what is there by now is not looked through again
+        config = self.component.configuration
+        assert isinstance(config, ServoControllerConfig)
+        if config.realtime_priority:
+            self._prefer(config.realtime_priority)
+
+    def _prefer(self, priority: int) -> None:
+        """Have all threads, those of DDS too, run before all that have no such priority."""
+        try:
+            for thread in Path('/proc/self/task').iterdir():
+                with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+                    os.sched_setscheduler(
+                        int(thread.name), os.SCHED_FIFO, os.sched_param(priority)
+                    )
+        except (OSError, AttributeError) as error:
+            self.troubles['priority'] = (
+                f'realtime_priority: {priority} is not given to this process ({error}); it needs '
+                'CAP_SYS_NICE or a limit of rtprio on Linux'
+            )
+            self.node.get_logger().warning(self.troubles['priority'])
+
+    def _subscribe(self, name: str, record_type: type[Record], durability: Durability) -> None:
+        """Keep the newest axis state alone in real time: an older one is of no use any more."""
+        if self.settings.lockstep or not self.component.input(name).driving:
+            super()._subscribe(name, record_type, durability)
+            return
+        topic = self.node.resolve_topic_name(name)
+        newest = subscription_qos(durability)
+        newest.depth = 1
+        handler = self._input_handler(name, topic, record_type)
+        self._subscriptions[topic] = create_subscription(
+            self.node, record_type.TYPE, name, handler, newest
+        )
 
     def _poll_deadline(self) -> None:
         """Real time: count the axis states that have not come, and write it down."""

@@ -23,9 +23,12 @@ START_POLL = 0.05
 """Wall time [s] between two looks at the graph before a run without lock-step starts."""
 CATCH_UP = 0.02
 """Wall time [s] for which late ticks are caught up before messages get their turn again."""
-SLIP = 0.1
+SLIP, SLIP_DRIVEN = 0.1, 5e-4
 """Wall time [s] from which on what is late is no longer caught up: a machine whose process stood
-still does not rush through what it missed."""
+still does not rush through what it missed.  Where others drive the axes it rushes through nothing:
+ticks that nobody can answer are worse than slow ones."""
+CLOCK_PERIOD = 0.01
+"""Wall time [s] between two messages on `/clock` in real time: each wakes every reader."""
 LATE = 0.01
 """Wall time [s] from which on a tick counts as late."""
 SETTLING = 1.0
@@ -44,10 +47,12 @@ class Pace:
         Machine time [ns] that is now.
     now : float
         Wall time [s].
+    slip : float
+        Wall time [s] from which on what is late is not caught up.
     """
 
-    def __init__(self, rate: float, stamp: int, now: float) -> None:
-        self._rate = rate
+    def __init__(self, rate: float, stamp: int, now: float, slip: float = SLIP) -> None:
+        self._rate, self._slip = rate, slip
         self._stamp, self._now = stamp, now
         self.late = 0
         """Ticks that came late."""
@@ -60,7 +65,7 @@ class Pace:
         """Note that a tick is made at wall time `now` [s]; far behind, machine time slips."""
         behind = now - self.due(stamp)
         self.late += behind > LATE
-        if behind > SLIP:
+        if behind > self._slip:
             self.resume(stamp, now)
 
     def resume(self, stamp: int, now: float) -> None:
@@ -86,6 +91,9 @@ class SimulatedMachineNode(ComponentNode):
         self._clock = node.create_publisher(ClockMessage, '/clock', publisher_qos(STREAM))
         self._done = False
         self._ticks = 0
+        self._told_time = 0.0
+        self._driven = bool(config.servo_axes)
+        self._gave_way = False
         self.sequencer: Sequencer | None = None
         self._pace: Pace | None = None
         if self.settings.lockstep:
@@ -138,10 +146,19 @@ class SimulatedMachineNode(ComponentNode):
         if stamp is None:
             return None
         self._ticks += 1
-        self._clock.publish(ClockMessage(clock=RCLPY.time(stamp)))
+        self._tell_time(stamp)
         self._work(stamp)
         self.publish(self.component.tick())
         return stamp
+
+    def _tell_time(self, stamp: int) -> None:
+        """Publish machine time, in real time not for every tick of the axes."""
+        if self.sequencer is None:
+            now = time.monotonic()
+            if now - self._told_time < CLOCK_PERIOD:
+                return
+            self._told_time = now
+        self._clock.publish(ClockMessage(clock=RCLPY.time(stamp)))
 
     def _tick_in_time(self) -> None:
         """Make the ticks that are due, once the nodes of the run are there."""
@@ -152,9 +169,13 @@ class SimulatedMachineNode(ComponentNode):
                 return
             config = self.component.configuration
             assert isinstance(config, SimulatedMachineConfig)
-            self._pace = Pace(config.rate, first, now)
-        until = now + CATCH_UP
-        while now < until:
+            self._pace = Pace(config.rate, first, now, SLIP_DRIVEN if self._driven else SLIP)
+        if self._driven and self._lets_commands_in(self._pace, now):
+            self._wake(0.0)
+            return
+        # axes that others drive: their commands get a turn between any two ticks
+        until = now + (0.0 if self._driven else CATCH_UP)
+        while now <= until:
             stamp = self.component.next_tick
             if stamp is None:
                 self._timer.cancel()
@@ -167,6 +188,16 @@ class SimulatedMachineNode(ComponentNode):
             now = time.monotonic()
         following = self.component.next_tick
         self._wake(0.0 if following is None else self._pace.due(following) - now)
+
+    def _lets_commands_in(self, pace: Pace, now: float) -> bool:
+        """Whether a late tick waits once for the commands that have come in meanwhile.
+
+        The executor calls timers before it takes messages.
+        """
+        stamp = self.component.next_tick
+        late = stamp is not None and now - pace.due(stamp) > SLIP_DRIVEN
+        self._gave_way = late and not self._gave_way
+        return self._gave_way
 
     def _wake(self, wait: float) -> None:
         """Have the timer call back once more, in `wait` [s] from now."""

@@ -5,6 +5,7 @@
 from rclpy.node import Node
 
 from fuzzycnc_msgs.srv import SetThermalReference
+from fuzzycnc_ros.components.component import Health
 from fuzzycnc_ros.components.temperature_acquisition import (
     TemperatureAcquisition,
     TemperatureAcquisitionConfig,
@@ -12,7 +13,7 @@ from fuzzycnc_ros.components.temperature_acquisition import (
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.host import ComponentNode
 from fuzzycnc_ros.nodes.parameters import ParameterError
-from fuzzycnc_ros.nodes.temperature_sources import open_source
+from fuzzycnc_ros.nodes.sources.open_source import open_source
 
 
 class TemperatureAcquisitionNode(ComponentNode):
@@ -30,6 +31,15 @@ class TemperatureAcquisitionNode(ComponentNode):
             )
         self._source = open_source(node, config, self.component.frame('machine'))
         node.create_service(SetThermalReference, 'set_thermal_reference', self._on_reference)
+
+    def stop(self) -> None:
+        """Release the driver, then the node."""
+        self._source.close()
+        super().stop()
+
+    def own_health(self) -> list[Health]:
+        """Report on what the driver reads."""
+        return self._source.health()
 
     def _on_reference(
         self, request: SetThermalReference.Request, response: SetThermalReference.Response

@@ -29,6 +29,7 @@ from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.core.thermal.model_document import SIZE_MAX
 from fuzzycnc_ros.nodes import run
+from fuzzycnc_ros.nodes.files import file_text
 from fuzzycnc_ros.nodes.host import ComponentNode
 from fuzzycnc_ros.nodes.parameters import ParameterError, changed, refusal
 from fuzzycnc_ros.nodes.timers import wall_timer
@@ -134,7 +135,7 @@ class ThermalPredictorNode(ComponentNode):
 
     def _load(self, file: str) -> None:
         try:
-            self.component.use_model(_model_text(file))
+            self.component.use_model(file_text(file, SIZE_MAX))
         except ValueError as error:
             raise ParameterError(f'parameter model: {file}: {error}') from error
 
@@ -147,7 +148,7 @@ class ThermalPredictorNode(ComponentNode):
             try:
                 # What else is set at once is checked first: all of it is taken, or nothing.
                 changed(self.component.configuration, parameters)
-                text = _model_text(file)
+                text = file_text(file, SIZE_MAX)
             except ValueError as error:
                 return refusal(f'model: {file}: {error}' if file else _NO_FILE)
             answer = self.request('use_model', {'model': text})
@@ -229,24 +230,6 @@ class ThermalPredictorNode(ComponentNode):
 def _same_work(one: tuple[str, str, int, int], other: tuple[str, str, int, int]) -> bool:
     """Whether two steps belong to one candidate, or to the one search for sensors."""
     return one[0] == other[0] and (one[1] == other[1] or one[0] == 'select_sensors')
-
-
-def _model_text(file: str) -> str:
-    """Return the text of a model file.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be read.
-    """
-    try:
-        with Path(file).expanduser().open(encoding='utf-8') as opened:
-            # One more than is allowed is refused by the model; an endless file ends here.
-            return opened.read(SIZE_MAX + 1)
-    except OSError as error:
-        raise ValueError(error.strerror) from error
-    except RuntimeError as error:  # a home folder that nobody has
-        raise ValueError(str(error)) from error
 
 
 def _of_default(model: ThermalModel, name: str) -> list[float]:

@@ -12,18 +12,18 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.servo.positioning import PositioningRun
 
 LABELS = {
-    'paper_literal': 'as published',
-    'static': 'published, floors raised',
-    'fixed_paper': 'fixed universe, published',
+    'variable_universe_paper': 'as published',
+    'variable_universe_static': 'published, floors raised',
+    'fixed_universe_paper': 'fixed universe, published',
     'pid': 'PID',
-    'model_free': 'variable, integral',
-    'production': 'variable, observer (default)',
-    'fixed': 'fixed, observer',
+    'variable_universe_model_free': 'variable, integral',
+    'variable_universe': 'variable, observer (default)',
+    'fixed_universe': 'fixed, observer',
     'cascade': 'P-PI cascade',
 }
-"""Controllers by name, as tables and plots call them."""
+"""Controllers by name, as tables and plots call them, in the order of a comparison."""
 
-DEFAULT = 'production'
+DEFAULT = 'variable_universe'
 """Name of the controller in use."""
 
 

@@ -11,14 +11,13 @@ from dataclasses import replace
 
 from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.graph import InProcessGraph, Sink
-from fuzzycnc_ros.components.records import Record
+from fuzzycnc_ros.components.graph import Sink
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
 from fuzzycnc_ros.scenario.contouring_log import ContouringLog, FollowedPath
+from fuzzycnc_ros.scenario.judged_graph import run_served
 
 CONTOURING_PATHS = ('infinity', 'trident', 'butterfly')
 """Curves of the interpolator literature that the machine can load."""
-
 
 SETTLE = 0.25
 """Rest where a rapid ends and a path begins [s]: the axes have arrived to less than 0.1 um."""
@@ -69,16 +68,7 @@ def run_contouring(
     )
     planner = FeedrateScheduler(scheduler or FeedrateSchedulerConfig(settle=SETTLE))
     log = ContouringLog()
-
-    def both(topic: str, record: Record) -> None:
-        log(topic, record)
-        if sink is not None:
-            sink(topic, record)
-
-    graph = InProcessGraph(mill, [planner], sink=both, provenance=sink is not None)
-    graph.request(planner.NAME, 'activate')
-    graph.run(progress)
-    if mill.failure:
-        said = '; '.join(item.message for item in planner.health())
-        raise ContouringError(f'{mill.failure} feedrate_scheduler: {said}')
+    failure = run_served(mill, planner, log, sink, progress)
+    if failure:
+        raise ContouringError(failure)
     return log.paths()

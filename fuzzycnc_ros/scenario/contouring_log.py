@@ -2,41 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a machine did on the paths that it was given, and how far from them it was."""
 
-import os
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.bags.runs import find_topic
 from fuzzycnc_ros.components.codes import TrajectoryStatus
 from fuzzycnc_ros.components.records import (
     SECOND,
     AxisState,
     ContourError,
     FeedSchedule,
-    Record,
     Trajectory,
     TrajectoryState,
     nanoseconds,
 )
-from fuzzycnc_ros.convert import decode
+from fuzzycnc_ros.scenario.record_log import RecordLog
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
-
-TOPICS: dict[str, type[Record]] = {
-    'trajectory': Trajectory,
-    'feed_schedule': FeedSchedule,
-    'trajectory_state': TrajectoryState,
-    'axis_state': AxisState,
-    'contour_error': ContourError,
-}
-"""Topics that a run along paths is judged by."""
 
 _SAME_PLACE = 1e-9
 """Way along the path [m] that is none."""
@@ -102,39 +89,19 @@ class FollowedPath:
         return float(on.mean()) if len(on) else np.nan
 
 
-class ContouringLog:
+class ContouringLog(RecordLog):
     """The records of a run along paths; a sink for `InProcessGraph`, or read from a bag."""
 
-    def __init__(self) -> None:
-        self._records: dict[str, list[Any]] = defaultdict(list)
-
-    def __call__(self, topic: str, record: Record) -> None:
-        """Take one published record."""
-        if topic in TOPICS:
-            self._records[topic].append(record)
-
-    @classmethod
-    def from_bag(
-        cls, path: str | os.PathLike[str], *, namespace: str | None = None
-    ) -> 'ContouringLog':
-        """Read the log of a recorded run.
-
-        Raises
-        ------
-        BagError
-            If the bag cannot be read or lacks `trajectory`, `axis_state` and `contour_error`.
-        """
-        log = cls()
-        with BagReader(path) as reader:
-            topic = find_topic(reader, 'contour_error', ContourError.TYPE, namespace)
-            space = topic.removesuffix('contour_error')
-            reader.require([topic, f'{space}trajectory', f'{space}axis_state'])
-            names = {f'{space}{name}': name for name in TOPICS}
-            there = [name for name in names if name in reader.connections]
-            for message in reader.messages(there):
-                name = names[message.topic]
-                log(name, decode(TOPICS[name], message.message))
-        return log
+    TOPICS = MappingProxyType(
+        {
+            'trajectory': Trajectory,
+            'feed_schedule': FeedSchedule,
+            'trajectory_state': TrajectoryState,
+            'axis_state': AxisState,
+            'contour_error': ContourError,
+        }
+    )
+    REQUIRED = ('contour_error', 'trajectory', 'axis_state')
 
     def paths(self) -> tuple[FollowedPath, ...]:
         """Return the paths in the order in which they were started."""
@@ -186,14 +153,6 @@ class ContouringLog:
             schedule=_joined(told),
             **rows,
         )
-
-    def _between(self, topic: str, start: int, until: int | None) -> list[Any]:
-        """Return the records of a topic with `start` <= stamp < `until` [ns]."""
-        return [
-            item
-            for item in self._records[topic]
-            if start <= item.stamp and (until is None or item.stamp < until)
-        ]
 
 
 def _span(parts: Sequence[Trajectory]) -> tuple[int, int]:

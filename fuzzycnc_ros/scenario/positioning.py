@@ -9,11 +9,11 @@ that both give the same outputs.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from fuzzycnc_ros.components.graph import InProcessGraph, Sink
-from fuzzycnc_ros.components.records import Record
+from fuzzycnc_ros.components.graph import Sink
 from fuzzycnc_ros.components.servo_controller import ServoController
 from fuzzycnc_ros.components.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
+from fuzzycnc_ros.scenario.judged_graph import run_served
 from fuzzycnc_ros.scenario.positioning_log import PositioningLog, PositioningMove
 
 
@@ -64,16 +64,7 @@ def run_positioning(
     axes = settings.servo_axes or config.axes
     driven = SimulatedMachine(replace(settings, duties=(), moves=tuple(moves), servo_axes=axes))
     log = PositioningLog()
-
-    def both(topic: str, record: Record) -> None:
-        log(topic, record)
-        if sink is not None:
-            sink(topic, record)
-
-    graph = InProcessGraph(driven, [controllers], sink=both, provenance=sink is not None)
-    graph.request(controllers.NAME, 'activate')
-    graph.run(progress)
-    if driven.failure:
-        said = '; '.join(item.message for item in controllers.health())
-        raise PositioningError(f'{driven.failure} servo_controller: {said}')
+    failure = run_served(driven, controllers, log, sink, progress)
+    if failure:
+        raise PositioningError(failure)
     return log.moves()

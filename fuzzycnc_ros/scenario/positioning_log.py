@@ -2,37 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """What driven axes did on the moves that they were given."""
 
-import os
-from collections import defaultdict
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.bags.runs import find_topic
 from fuzzycnc_ros.components.codes import ServoStatus
 from fuzzycnc_ros.components.records import (
     SECOND,
     AxisCommand,
     AxisState,
     PositionCommand,
-    Record,
     ServoState,
 )
-from fuzzycnc_ros.convert import decode
 from fuzzycnc_ros.core.servo.positioning import settle_times
+from fuzzycnc_ros.scenario.record_log import RecordLog
 
 Floats = NDArray[np.float64]
-
-TOPICS: dict[str, type[Record]] = {
-    'position_command': PositionCommand,
-    'axis_state': AxisState,
-    'axis_command': AxisCommand,
-    'servo_state': ServoState,
-}
-"""Topics that moves are judged by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,40 +80,18 @@ class PositioningMove:
         return float(abs(self.target - self.position[-1]))
 
 
-class PositioningLog:
+class PositioningLog(RecordLog):
     """The records of moves; a sink for `InProcessGraph`, or read from a bag."""
 
-    def __init__(self) -> None:
-        self._records: dict[str, list[Any]] = defaultdict(list)
-
-    def __call__(self, topic: str, record: Record) -> None:
-        """Take one published record."""
-        if topic in TOPICS:
-            self._records[topic].append(record)
-
-    @classmethod
-    def from_bag(
-        cls, path: str | os.PathLike[str], *, namespace: str | None = None
-    ) -> 'PositioningLog':
-        """Read the log of a recorded run.
-
-        Raises
-        ------
-        BagError
-            If the bag cannot be read or lacks `position_command`, `axis_state` and
-            `axis_command`.
-        """
-        log = cls()
-        with BagReader(path) as reader:
-            topic = find_topic(reader, 'position_command', PositionCommand.TYPE, namespace)
-            space = topic.removesuffix('position_command')
-            reader.require([topic, f'{space}axis_state', f'{space}axis_command'])
-            names = {f'{space}{name}': name for name in TOPICS}
-            there = [name for name in names if name in reader.connections]
-            for message in reader.messages(there):
-                name = names[message.topic]
-                log(name, decode(TOPICS[name], message.message))
-        return log
+    TOPICS = MappingProxyType(
+        {
+            'position_command': PositionCommand,
+            'axis_state': AxisState,
+            'axis_command': AxisCommand,
+            'servo_state': ServoState,
+        }
+    )
+    REQUIRED = ('position_command', 'axis_state', 'axis_command')
 
     def moves(self) -> tuple[PositioningMove, ...]:
         """Return the moves in the order of their commands, one per axis."""
@@ -135,20 +101,17 @@ class PositioningLog:
             self._move(name, command, until)
             for command, until in zip(commands, ends, strict=True)
             for name in command.axis
-            if any(name in state.axis for state in self._between('axis_state', command, until))
+            if self._of(name, 'axis_state', command, until)
         )
 
     def _move(self, name: str, command: PositionCommand, until: int | None) -> PositioningMove:
         """Return what became of one move, up to the next command at `until` [ns]."""
-        states = [
-            item for item in self._between('axis_state', command, until) if name in item.axis
-        ]
+        states = self._of(name, 'axis_state', command, until)
         duties = {
             item.stamp: item.duty[item.axis.index(name)]
-            for item in self._between('axis_command', command, until)
-            if name in item.axis
+            for item in self._of(name, 'axis_command', command, until)
         }
-        told = [item for item in self._between('servo_state', command, until) if name in item.axis]
+        told = self._of(name, 'servo_state', command, until)
         position = _column(states, name, 'position')
         faults = [item.reason for item in told if item.status == ServoStatus.FAULT]
         return PositioningMove(
@@ -166,13 +129,9 @@ class PositioningLog:
             fault=faults[0] if faults else '',
         )
 
-    def _between(self, topic: str, command: PositionCommand, until: int | None) -> list[Any]:
-        """Return the records of a topic from a command on up to `until` [ns]."""
-        return [
-            item
-            for item in self._records[topic]
-            if command.stamp <= item.stamp and (until is None or item.stamp < until)
-        ]
+    def _of(self, name: str, topic: str, command: PositionCommand, until: int | None) -> list[Any]:
+        """Return the records of a topic that tell of an axis, from a command to `until` [ns]."""
+        return [item for item in self._between(topic, command.stamp, until) if name in item.axis]
 
 
 def _times(records: list[Any], start: int) -> Floats:

@@ -15,47 +15,26 @@ from fuzzycnc_ros.core.machine.axis_batch import LatheAxes, random_moves
 from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
 from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
 from fuzzycnc_ros.core.servo import (
+    CONTROLLERS,
     AxisController,
-    CascadeController,
-    FixedUniverseController,
-    PidController,
     PositioningRun,
     Reference,
-    VariableUniverseController,
     point_to_point,
     position,
     position_many,
 )
 from fuzzycnc_ros.core.servo.profile import step_reference
 from fuzzycnc_ros.report.positioning_model import (
+    LABELS,
     ControllerFigures,
     RandomFigures,
     ServoComparison,
     StepFigures,
 )
 
-Make = Callable[[LinearAxis], AxisController]
+Make = Callable[..., AxisController]
 Tell = Callable[[str, int, int], None]
 
-
-def _paper_scales(axis: LinearAxis) -> AxisController:
-    """Return the published rules on the published universes, which do not contract."""
-    return FixedUniverseController(
-        axis, mode='static', error_range=0.19, rate_range=0.2587, output_gain=1.0
-    )
-
-
-CONTROLLERS: Mapping[str, Make] = {
-    'paper_literal': lambda axis: VariableUniverseController(axis, mode='paper_literal'),
-    'static': lambda axis: VariableUniverseController(axis, mode='static'),
-    'fixed_paper': _paper_scales,
-    'pid': PidController,
-    'model_free': lambda axis: VariableUniverseController(axis, observer=False),
-    'production': VariableUniverseController,
-    'fixed': FixedUniverseController,
-    'cascade': CascadeController,
-}
-"""Controllers of the lathe axis by name, as they are meant to be used there."""
 
 OFF_GRID = 2.9e-7
 """What targets lie beside the counts of the sensor, so that these do not flatter [m]."""
@@ -193,7 +172,7 @@ def drive_many(
 
 
 def compare_controllers(
-    names: Sequence[str] = tuple(CONTROLLERS),
+    names: Sequence[str] = tuple(LABELS),
     *,
     moves: int = 200,
     seed: int = 0,

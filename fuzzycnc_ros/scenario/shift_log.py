@@ -2,16 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was measured, predicted and compensated in a shift, duty by duty."""
 
-import os
-from collections import defaultdict
 from collections.abc import Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.bags.runs import find_topic
 from fuzzycnc_ros.components.codes import Status
 from fuzzycnc_ros.components.records import (
     SECOND,
@@ -26,67 +23,36 @@ from fuzzycnc_ros.components.records import (
     ThermalReference,
 )
 from fuzzycnc_ros.components.substitution import RiseSource
-from fuzzycnc_ros.convert import decode
 from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun
 from fuzzycnc_ros.report import CompensationRun
+from fuzzycnc_ros.scenario.record_log import RecordLog
 
 Floats = NDArray[np.float64]
 
 DEFAULT = 'default'
 """Name of the prediction that the component published."""
 
-TOPICS: dict[str, type[Record]] = {
-    'machine_state': MachineState,
-    'temperatures': Temperatures,
-    'thermal_reference': ThermalReference,
-    'sensor_selection': SensorSelection,
-    'displacement': Displacement,
-    'thermal_error': ThermalError,
-    'compensation': Compensation,
-    'compensation_applied': CompensationApplied,
-}
-"""Topics that a shift is judged by."""
 
-
-class ShiftLog:
+class ShiftLog(RecordLog):
     """The records of a shift by topic; a sink for `InProcessGraph`, or read from a bag."""
 
-    def __init__(self) -> None:
-        self._records: dict[str, list[Any]] = defaultdict(list)
-
-    def __call__(self, topic: str, record: Record) -> None:
-        """Take one published record."""
-        if topic in TOPICS:
-            self._records[topic].append(record)
-
-    @classmethod
-    def from_bag(cls, path: str | os.PathLike[str], *, namespace: str | None = None) -> 'ShiftLog':
-        """Read the log of a recorded shift.
-
-        Raises
-        ------
-        BagError
-            If the bag cannot be read or lacks `temperatures` and `displacement`.
-        """
-        log = cls()
-        with BagReader(path) as reader:
-            topic = find_topic(reader, 'temperatures', Temperatures.TYPE, namespace)
-            space = topic.removesuffix('temperatures')
-            reader.require([topic, f'{space}displacement'])
-            names = {f'{space}{name}': name for name in TOPICS}
-            there = [name for name in names if name in reader.connections]
-            for message in reader.messages(there):
-                name = names[message.topic]
-                log(name, decode(TOPICS[name], message.message))
-        return log
+    TOPICS = MappingProxyType(
+        {
+            'machine_state': MachineState,
+            'temperatures': Temperatures,
+            'thermal_reference': ThermalReference,
+            'sensor_selection': SensorSelection,
+            'displacement': Displacement,
+            'thermal_error': ThermalError,
+            'compensation': Compensation,
+            'compensation_applied': CompensationApplied,
+        }
+    )
+    REQUIRED = ('temperatures', 'displacement')
 
     def records(self, topic: str, start: int = 0, stop: int | None = None) -> list[Any]:
         """Return the records of a topic with `start` < stamp <= `stop` [ns]."""
-        return [
-            item
-            for item in self._records[topic]
-            if start < item.stamp and (stop is None or item.stamp <= stop)
-        ]
+        return self._between(topic, start + 1, None if stop is None else stop + 1)
 
     def spans(self) -> list[tuple[int, int]]:
         """Return the duties as machine time of their cold start and of their last state [ns]."""

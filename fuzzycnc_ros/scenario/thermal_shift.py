@@ -15,8 +15,7 @@ from typing import Any, TypeVar
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.compensator import Compensator, CompensatorConfig
 from fuzzycnc_ros.components.component import Answer
-from fuzzycnc_ros.components.graph import InProcessGraph, Sink
-from fuzzycnc_ros.components.records import Record
+from fuzzycnc_ros.components.graph import Sink
 from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.components.sensor_selector import SensorSelector, SensorSelectorConfig
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
@@ -28,6 +27,7 @@ from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalP
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.core.thermal import ThermalRun, load_model
 from fuzzycnc_ros.report import CompensationRun
+from fuzzycnc_ros.scenario.judged_graph import judged_graph
 from fuzzycnc_ros.scenario.published_bag import PublishedBag
 from fuzzycnc_ros.scenario.shift_log import ShiftLog, compensation_runs
 
@@ -122,13 +122,12 @@ def record_calibration(
         acquisition = TemperatureAcquisition(configured(TemperatureAcquisitionConfig, given))
         told = _labelled(progress, f'calibrating on {duty}')
         if folder is None:
-            InProcessGraph(machine, [acquisition], sink=log).run(told)
+            judged_graph(machine, [acquisition], log, None).run(told)
             bags.append(duty)
         else:
             path = Path(folder) / duty
             with PublishedBag(path) as bag:
-                sink = _both(log, bag)
-                InProcessGraph(machine, [acquisition], sink=sink, provenance=True).run(told)
+                judged_graph(machine, [acquisition], log, bag).run(told)
             bags.append(str(path))
         runs.append(log.thermal_run(duty))
     return Calibration(tuple(runs), tuple(bags))
@@ -191,7 +190,7 @@ def run_shift(
     limits = compensator.configuration
     assert isinstance(limits, CompensatorConfig)
     log = ShiftLog()
-    graph = InProcessGraph(
+    graph = judged_graph(
         machine,
         [
             TemperatureAcquisition(configured(TemperatureAcquisitionConfig, given)),
@@ -199,8 +198,8 @@ def run_shift(
             ThermalPredictor(configured(ThermalPredictorConfig, given)),
             compensator,
         ],
-        sink=log if sink is None else _both(log, sink),
-        provenance=sink is not None,
+        log,
+        sink,
     )
     if calibration is not None:
         bags = list(calibration.bags)
@@ -241,14 +240,6 @@ def configured(config: type[C], given: Parameters, **fixed: Any) -> C:
 def _accepted(answer: Answer) -> None:
     if not answer.success:
         raise ValueError(answer.message)
-
-
-def _both(first: Sink, second: Sink) -> Sink:
-    def sink(topic: str, record: Record) -> None:
-        first(topic, record)
-        second(topic, record)
-
-    return sink
 
 
 def _labelled(progress: Progress | None, text: str) -> Callable[[int, int], None] | None:

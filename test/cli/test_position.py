@@ -47,7 +47,9 @@ def test_what_is_set_of_the_axis_counts(fuzzycnc, tmp_path):
 
 
 def test_without_model_the_published_controller_sticks(fuzzycnc, tmp_path):
-    found, out = figures(fuzzycnc, tmp_path, '--to', '-50mm', '--controller', 'static')
+    found, out = figures(
+        fuzzycnc, tmp_path, '--to', '-50mm', '--controller', 'variable_universe_static'
+    )
     assert found['settle'] is None
     assert found['steady_error'] == pytest.approx(156e-6, rel=0.02)
     assert 'published, floors raised' in out
@@ -65,10 +67,12 @@ def test_ballscrew_goes_by_profile(fuzzycnc, tmp_path):
     found, _ = figures(fuzzycnc, tmp_path, '--axis', 'ballscrew', '--to', '50mm')
     assert found['overshoot'] < 1e-6
     assert found['steady_error'] < 1e-6
+    assert found['settle'] < 0.5  # the profile takes 0.43 s: it does not stick at its end
     step, _ = figures(fuzzycnc, tmp_path, '--axis', 'ballscrew', '--to', '50mm', '--step')
     assert step['overshoot'] > 1e-3  # the drive cannot brake that fast
     free, _ = figures(fuzzycnc, tmp_path, '--axis', 'ballscrew', '--to', '50mm', '--friction', '0')
-    assert free['settle'] < found['settle']
+    assert free['overshoot'] < 1e-6
+    assert free['settle'] != found['settle']
 
 
 def test_settings_of_a_file(fuzzycnc, tmp_path):
@@ -89,10 +93,13 @@ def test_settings_of_a_file(fuzzycnc, tmp_path):
         (('--to', '300mm'), ['--to', '250 mm', 'travel', "'300mm'"]),
         (('--to', '0mm'), ['--to', '1 um']),
         (('--to', '5mm', '--axis', 'mill'), ['--axis', 'lathe, ballscrew', "'mill'"]),
-        (('--to', '5mm', '--controller', 'magic'), ['--controller', 'production', "'magic'"]),
+        (
+            ('--to', '5mm', '--controller', 'magic'),
+            ['--controller', 'variable_universe', "'magic'"],
+        ),
         (
             ('--to', '5mm', '--axis', 'ballscrew', '--controller', 'pid'),
-            ['--controller', 'production', 'ballscrew', 'pid'],
+            ['--controller', 'variable_universe', 'ballscrew', 'pid'],
         ),
         (('--to', '5mm', '--gain', '0'), ['--gain', '0.01 to 100', '0']),
         (('--to', '5mm', '--gain', 'nan'), ['--gain', 'nan']),
@@ -110,11 +117,15 @@ def test_settings_of_a_file(fuzzycnc, tmp_path):
         (('--to', '5mm', '--seed', '-1'), ['--seed', '0 or more']),
         (('--to', '5mm', '--params', 'none.yaml'), ['none.yaml', 'nothing is there']),
         (('--to', '5mm', '--json', 'no/out.json'), ['no/out.json', 'folder']),
+        (('--to', '5mm', '--report', 'no/page.html'), ['no/page.html', 'folder']),
+        (('--to', '5ell'), ['--to', "'5ell'", 'mm']),
+        (('--to', '-251mm', '--axis', 'ballscrew'), ['--to', '250 mm', 'travel', "'-251mm'"]),
         ((), ['--to', 'fuzzycnc position --help']),
     ],
 )
-def test_wrong_calls_are_refused(refused, arguments, naming):
+def test_wrong_calls_are_refused_and_write_nothing(refused, tmp_path, arguments, naming):
     refused('position', *arguments, naming=naming)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -131,6 +142,8 @@ def test_wrong_calls_are_refused(refused, arguments, naming):
         ('rules: {values: [[1, 2]]}', ['rules', 'centres']),
         ('axis: ballscrew\nsettings: {output_gain: 2}', ['lathe axis', 'ballscrew axis']),
         ('settings: {output_gain: 2', ['YAML']),
+        ('settings: {output_gain: .nan}', ['output_gain', 'positive', 'nan']),
+        ('rules: {centres: [-1, 0, 1], values: [[1, 1], [0, 0], [-1, -1]]}', ['rules', '3 rows']),
     ],
 )
 def test_wrong_settings_are_refused(refused, tmp_path, content, naming):
@@ -142,11 +155,12 @@ def test_settings_are_for_some_controllers_alone(refused, tmp_path):
     (tmp_path / 's.yaml').write_text('settings: {output_gain: 2.5}\n')
     refused(
         'position', '--to', '5mm', '--params', 's.yaml', '--controller', 'pid',
-        naming=['--params', 'production', 'pid'],
+        naming=['--params', 'variable_universe', 'pid'],
     )  # fmt: skip
     (tmp_path / 's.yaml').write_text('settings: {disturbance: 1e-3}\n')
     refused(
-        'position', '--to', '5mm', '--params', 's.yaml', '--controller', 'model_free',
+        'position', '--to', '5mm', '--params', 's.yaml',
+        '--controller', 'variable_universe_model_free',
         naming=['s.yaml', 'disturbance', 'observer'],
     )  # fmt: skip
 

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from fuzzycnc_ros.cli.servo import COMMANDS
+from fuzzycnc_ros.cli.servo_bag import read_bag
 from fuzzycnc_ros.cli.servo_search import swinging
 from fuzzycnc_ros.components.codes import ServoStatus
 from fuzzycnc_ros.components.records import (
@@ -16,8 +17,17 @@ from fuzzycnc_ros.components.records import (
     AxisState,
     ServoState,
 )
+from fuzzycnc_ros.components.servo_controller_config import ServoControllerConfig
+from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
-from fuzzycnc_ros.core.servo import PidController, position
+from fuzzycnc_ros.core.servo import (
+    PidController,
+    VariableUniverseController,
+    VariableUniverseParams,
+    point_to_point,
+    position,
+)
+from fuzzycnc_ros.scenario.positioning import run_positioning
 from fuzzycnc_ros.scenario.published_bag import PublishedBag
 
 MILLISECOND = 10**6
@@ -89,13 +99,13 @@ def test_no_or_an_unknown_command(refused):
 
 def test_compare(fuzzycnc, tmp_path):
     outcome = fuzzycnc(
-        'servo', 'compare', '--controllers', 'production,static', '--moves', '2',
-        '--json', 'out.json', '--report', 'page.html',
+        'servo', 'compare', '--controllers', 'variable_universe,variable_universe_static',
+        '--moves', '2', '--json', 'out.json', '--report', 'page.html',
     )  # fmt: skip
     assert outcome.code == 0, outcome.err
     document = json.loads((tmp_path / 'out.json').read_text())
-    assert list(document['controllers']) == ['static', 'production']
-    found = document['controllers']['production']
+    assert list(document['controllers']) == ['variable_universe_static', 'variable_universe']
+    found = document['controllers']['variable_universe']
     assert len(found['steps']) == 8
     for name, move in found['steps'].items():
         assert move['settle'] < 1.3, name
@@ -106,7 +116,7 @@ def test_compare(fuzzycnc, tmp_path):
     assert found['sine']['rms'] < 20e-6
     assert found['circle']['rms'] < 22e-6
     assert set(found['random']) == {'moderate', 'hard'}
-    plain = document['controllers']['static']
+    plain = document['controllers']['variable_universe_static']
     assert plain['steps']['-50']['settle'] is None
     assert plain['steps']['-50']['steady_error'] == pytest.approx(156e-6, rel=0.02)
     assert plain['random'] == {}
@@ -114,6 +124,26 @@ def test_compare(fuzzycnc, tmp_path):
     page = (tmp_path / 'page.html').read_text()
     assert '<svg' in page
     assert 'variable, observer (default)' in page
+
+
+def test_seven_sets_may_be_learnt(fuzzycnc, tmp_path, moves):
+    write_csv(tmp_path / 'moves.csv', moves)
+    outcome = fuzzycnc(
+        'servo', 'learn', 'moves.csv', '--unit', 'mm', '--sets', '7', '--out', 'rules.yaml'
+    )
+    assert outcome.code == 0, outcome.err
+    assert 'of 49 cells' in outcome.out
+    assert len(yaml.safe_load((tmp_path / 'rules.yaml').read_text())['rules']['centres']) == 7
+    move = fuzzycnc('position', '--to', '-50mm', '--params', 'rules.yaml', '--json', 'move.json')
+    assert move.code == 0, move.err
+    assert json.loads((tmp_path / 'move.json').read_text())['settle'] < 0.6
+
+
+def test_rules_that_swing_off_the_nominal_gain_are_named(fuzzycnc, tmp_path, moves):
+    write_csv(tmp_path / 'moves.csv', moves)
+    outcome = fuzzycnc('servo', 'learn', 'moves.csv', '--unit', 'mm', '--out', 'rules.yaml')
+    assert outcome.code == 0, outcome.err
+    assert "note: at x1.5 of the axis' gain the loop swings, spectral radius 1.00" in outcome.out
 
 
 @pytest.mark.parametrize('source', ['csv', 'bag'])
@@ -139,6 +169,49 @@ def test_learnt_rules_position_the_axis(fuzzycnc, tmp_path, moves, source):
         assert fuzzycnc(*move, *options).code == 0
         settle.append(json.loads((tmp_path / 'move.json').read_text())['settle'])
     assert settle[0] <= 1.5 * settle[1]
+
+
+def record_run(path, targets, **limits):
+    """Record moves of the simulated machine under our PID; return their settling times [s]."""
+    servo = ServoControllerConfig(controller='pid', **limits)
+    machine = SimulatedMachineConfig(servo_axes=('X:lathe',), move_time=1.0)
+    with PublishedBag(path) as bag:
+        return [move.settle() for move in run_positioning(targets, servo, machine, sink=bag)]
+
+
+def test_rules_of_a_recorded_run_position_as_the_recorded_controller(fuzzycnc, tmp_path):
+    stepping = {'velocity_max': 10.0, 'acceleration_max': 1000.0, 'jerk_max': 1e6}
+    record_run(tmp_path / 'run', ('X:-0.19', 'X:0.0', 'X:0.05', 'X:0.0'), **stepping)
+    outcome = fuzzycnc('servo', 'learn', 'run', '--out', 'rules.yaml', '--json', 'out.json')
+    assert outcome.code == 0, outcome.err
+    document = json.loads((tmp_path / 'out.json').read_text())
+    # all of the four seconds, but for what is not certain at the end and rests on target
+    assert document['used'] > 3800
+    table = np.array(document['values'])
+    assert table == pytest.approx(-table[::-1, ::-1])
+    move = ('position', '--to', '-50mm', '--json', 'move.json')
+    settle = []
+    for options in (('--params', 'rules.yaml'), ('--controller', 'pid')):
+        assert fuzzycnc(*move, *options).code == 0
+        settle.append(json.loads((tmp_path / 'move.json').read_text())['settle'])
+    assert settle[0] <= 1.5 * settle[1]
+
+
+def test_moves_by_profile_are_said_to_teach_little(fuzzycnc, tmp_path):
+    record_run(tmp_path / 'run', ('X:-0.02', 'X:0.0'))
+    outcome = fuzzycnc('servo', 'learn', 'run', '--out', 'rules.yaml')
+    assert outcome.code == 0, outcome.err
+    assert 'record moves that step' in outcome.out
+
+
+def test_reference_of_a_bag_is_that_of_the_run(tmp_path):
+    record_run(tmp_path / 'run', ('X:-0.02', 'X:0.01'))
+    moves = read_bag(tmp_path / 'run', 'X')
+    assert 1e3 * np.diff(moves.time) == pytest.approx(1.0)
+    course = point_to_point(0.0, -0.02).sample(1e-3).position
+    assert moves.reference[: len(course)] == pytest.approx(course, abs=1e-6)
+    assert moves.reference[-1] == 0.01
+    assert np.abs(moves.position - moves.reference).max() < 1e-3
 
 
 def test_rows_in_a_fault_do_not_count(fuzzycnc, tmp_path, moves):
@@ -178,8 +251,10 @@ def test_tune_writes_settings_that_can_be_used(fuzzycnc, tmp_path):
 
 
 def test_settings_that_swing_off_the_nominal_gain_are_named():
-    assert swinging({}) == []
-    (line,) = swinging({'error_floor': 0.025744, 'error_exponent': 0.56426})
+    axis = LatheAxis().linear()
+    assert swinging(VariableUniverseController(axis)) == []
+    sharp = VariableUniverseParams(error_floor=0.025744, error_exponent=0.56426)
+    (line,) = swinging(VariableUniverseController(axis, sharp))
     assert 'x1.5' in line
     assert 'swings' in line
 
@@ -193,7 +268,10 @@ def test_stability(fuzzycnc, tmp_path):
     assert radius['1.75'] == pytest.approx(1.014, abs=5e-4)
     assert '1.0139 swings' in outcome.out
     assert '<svg' in (tmp_path / 'page.html').read_text()
-    for options in (('--controller', 'static'), ('--axis', 'ballscrew', '--gains', '1')):
+    for options in (
+        ('--controller', 'variable_universe_static'),
+        ('--axis', 'ballscrew', '--gains', '1'),
+    ):
         assert fuzzycnc('servo', 'stability', *options).code == 0
 
 
@@ -216,7 +294,7 @@ def test_stability(fuzzycnc, tmp_path):
         (('stability', '--gains', '0'), ['--gains', "'0'"]),
         (('stability', '--gains', 'x'), ['--gains', "'x'"]),
         (('stability', '--gains', ','), ['--gains', 'found none']),
-        (('stability', '--controller', 'pid'), ['--controller', 'production', "'pid'"]),
+        (('stability', '--controller', 'pid'), ['--controller', 'variable_universe', "'pid'"]),
         (('stability', '--axis', 'mill'), ['--axis', "'mill'"]),
         (('stability', '--params', 'none.yaml'), ['none.yaml']),
         (('learn', 'none', '--out', 'r.yaml'), ['none', 'nothing is there']),
@@ -236,12 +314,39 @@ def test_stability(fuzzycnc, tmp_path):
         (('learn', 'good.csv', '--unit', 'mm', '--out', 'here.yaml'), ['here.yaml', 'exists']),
         (('learn', 'good.csv', '--unit', 'mm', '--axis', 'c', '--out', 'r.yaml'), ['--axis']),
         (('learn', 'here.yaml', '--out', 'r.yaml'), ['here.yaml']),
+        (('learn', 'good.csv', '--unit', 'mm', '--sets', '5', '--out', 'r.yaml'), ['--sets', '5']),
+        (('learn', 'good.csv', '--unit', 'mm', '--out', 'no/r.yaml'), ['no/r.yaml', 'folder']),
+        (
+            ('learn', 'good.csv', '--unit', 'mm', '--out', 'r.yaml', '--json', 'no/j.json'),
+            ['no/j.json', 'folder'],
+        ),
+        (('learn', 'empty', '--out', 'r.yaml'), ['empty', 'expected a bag']),
+        (('learn', 'damaged.mcap', '--out', 'r.yaml'), ['damaged.mcap', 'MCAP']),
+        (('learn', 'damaged.csv', '--unit', 'mm', '--out', 'r.yaml'), ['damaged.csv', 'text']),
+        (('tune', '--out', 'no/s.yaml'), ['no/s.yaml', 'folder']),
+        (('tune', '--out', 's.yaml', '--json', 'no/j.json'), ['no/j.json', 'folder']),
+        (('tune', '--out', 's.yaml', '--seed', '-1'), ['--seed', '0 or more', '-1']),
+        (('tune', '--out', 's.yaml', '--population', '0'), ['--population', '1 or more']),
+        (('stability', '--params', 'damaged.csv'), ['damaged.csv', 'settings']),
+        (('stability', '--params', 'here.yaml'), ['here.yaml', "'settings' or 'rules'"]),
+        (('stability', '--params', 'oblong.yaml'), ['oblong.yaml', 'rules', '3 rows of length 2']),
+        (('stability', '--report', 'no/page.html'), ['no/page.html', 'folder']),
+        (('compare', '--json', 'no/j.json'), ['no/j.json', 'folder']),
+        (('compare', '--seed', '-1'), ['--seed', '0 or more', '-1']),
+        (('compare', '--controllers', ','), ['--controllers', 'found none']),
     ],
 )
-def test_wrong_calls_are_refused(refused, tmp_path, moves, arguments, naming):
+def test_wrong_calls_are_refused_and_write_nothing(refused, tmp_path, moves, arguments, naming):
     write_csv(tmp_path / 'good.csv', moves[:1000])
     (tmp_path / 'here.yaml').write_text('')
+    (tmp_path / 'empty').mkdir()
+    for name in ('damaged.csv', 'damaged.mcap'):
+        (tmp_path / name).write_bytes(bytes(range(255, 0, -1)))
+    table = 'rules: {centres: [-1, 0, 1], values: [[1, 1], [0, 0], [-1, -1]]}'
+    (tmp_path / 'oblong.yaml').write_text(table)
+    before = sorted(tmp_path.rglob('*'))
     refused('servo', *arguments, naming=naming)
+    assert sorted(tmp_path.rglob('*')) == before
 
 
 @pytest.mark.parametrize(

@@ -193,16 +193,16 @@ def test_commands_and_options_exist(page):
     )
     from fuzzycnc_ros.cli.main import app
 
-    known = typer.main.get_command(app).commands
     for line in used:
-        words = line.split()
-        if words[1].startswith('--'):
+        command, words = typer.main.get_command(app), line.split()[1:]
+        # down to the command itself: `servo tune` is one of `servo`
+        while words and not words[0].startswith('--') and hasattr(command, 'commands'):
+            assert words[0] in command.commands, line
+            command, words = command.commands[words[0]], words[1:]
+        if hasattr(command, 'commands'):
             continue
-        assert words[1] in known, line
-        options = {
-            o for item in known[words[1]].params for o in (*item.opts, *item.secondary_opts)
-        }
-        given = {word.partition('=')[0] for word in words[2:] if word.startswith('--')}
+        options = {o for item in command.params for o in (*item.opts, *item.secondary_opts)}
+        given = {word.partition('=')[0] for word in words if word.startswith('--')}
         assert given <= options | {'--help', '--debug'}, line
 
 

@@ -49,7 +49,19 @@ ROS = {
     'std_msgs',
 }
 WITHOUT_ROS = ('core', 'components', 'convert', 'bags', 'report', 'scenario')
-LOADED_ON_USE = {'jinja2', 'matplotlib', 'mcap', 'rich', 'rosbags', 'sklearn', 'typer', 'yaml'}
+LOADED_ON_USE = {
+    'asyncua',
+    'cryptography',
+    'jinja2',
+    'matplotlib',
+    'mcap',
+    'pymodbus',
+    'rich',
+    'rosbags',
+    'sklearn',
+    'typer',
+    'yaml',
+}
 IMPURE = {
     'asyncio',
     'datetime',
@@ -206,7 +218,9 @@ NODE_START = """
 import importlib, sys
 for name in sys.argv[1:]:
     importlib.import_module('fuzzycnc_ros.nodes.' + name)
-on_use = ('sklearn', 'typer', 'rich', 'mcap', 'rosbags', 'matplotlib', 'jinja2')
+on_use = (
+    'asyncua', 'jinja2', 'matplotlib', 'mcap', 'pymodbus', 'rich', 'rosbags', 'sklearn', 'typer'
+)
 print(*[name for name in on_use if name in sys.modules])
 """
 

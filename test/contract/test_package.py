@@ -35,6 +35,7 @@ ROSDEP_KEYS = {
     'sensor_msgs',
     'std_msgs',
     'std_srvs',
+    'python3-cryptography',
     'python3-hypothesis',
     'python3-jinja2',
     'python3-matplotlib',
@@ -47,6 +48,7 @@ ROSDEP_KEYS = {
     'python3-yaml',
 }
 KEY_OF_MODULE = {
+    'cryptography': 'python3-cryptography',
     'jinja2': 'python3-jinja2',
     'matplotlib': 'python3-matplotlib',
     'numpy': 'python3-numpy',
@@ -58,7 +60,8 @@ KEY_OF_MODULE = {
     'yaml': 'python3-yaml',
 }
 DISTRIBUTION_OF_MODULE = {'sklearn': 'scikit-learn', 'yaml': 'pyyaml'}
-WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard'}  # the documented pip extra `bags`
+# The documented pip extras `bags`, `modbus` and `opcua`
+WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard', 'pymodbus', 'asyncua'}
 
 
 @pytest.fixture(scope='module')
@@ -249,9 +252,9 @@ def test_package_data_is_installed(setup_arguments):
     assert others == held
 
 
-def test_readme_names_the_extra_without_rosdep_keys():
+def test_readme_names_the_extras_without_rosdep_keys():
     text = (ROOT / 'README.md').read_text()
-    assert 'fuzzycnc_ros[bags]' in text
+    assert 'fuzzycnc_ros[bags,modbus,opcua]' in text
     assert all(name in text for name in WITHOUT_KEY)
 
 

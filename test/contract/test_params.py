@@ -32,6 +32,7 @@ SI_UNITS = {
     'degC',
     'K',
     'K/s',
+    'rad',
     'rad/s',
 }
 ABBREVIATIONS = {'cfg', 'freq', 'idx', 'max_len', 'num', 'temp', 'tmp', 'vel'}

@@ -3,6 +3,7 @@
 """Random paths and what a trajectory makes of its limits, for tests of feedrates."""
 
 import numpy as np
+from path_parts import joined_path, straight_lines
 from scipy.interpolate import BSpline, make_interp_spline
 
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
@@ -47,7 +48,7 @@ def line_arc_line(rng: np.random.Generator, axes: int) -> list[PathGeometry]:
         at = middle.coefficient[k, 5 * -k]
         other = middle.coefficient[k, 1 + 3 * -k]
         away = (at - other) / np.linalg.norm(at - other) * rng.uniform(0.001, 0.1)
-        ends.append(PathGeometry.from_polyline([at + away, at] if k == 0 else [at, at + away]))
+        ends.append(straight_lines([at + away, at] if k == 0 else [at, at + away]))
     return [ends[0], middle, ends[1]]
 
 
@@ -57,17 +58,15 @@ def random_path(rng: np.random.Generator, kind: str, axes: int) -> PathGeometry:
         return sampled(quintic(rng, axes), np.linspace(0.0, 1.0, int(rng.integers(20, 200))))
     if kind == 'polyline':
         steps = rng.normal(size=(int(rng.integers(2, 12)), axes)) * 10.0 ** rng.uniform(-4, -1.5)
-        return PathGeometry.from_polyline(np.cumsum(steps, axis=0))
+        return straight_lines(np.cumsum(steps, axis=0))
     if kind == 'reversals':
         points = np.outer([0.0, 0.05, 0.02, 0.03, -0.04, 0.1], rng.normal(size=axes))
-        return PathGeometry.from_polyline(points * 10.0 ** rng.uniform(-1.0, 0.0) + 5.0)
+        return straight_lines(points * 10.0 ** rng.uniform(-1.0, 0.0) + 5.0)
     parts = line_arc_line(rng, axes)
     if kind == 'arcs':
-        return PathGeometry.join(parts)
+        return joined_path(parts)
     corner = parts[-1].coefficient[-1, -1]
-    return PathGeometry.join(
-        [*parts, PathGeometry.from_polyline([corner, corner + 0.02 * rng.normal(size=axes)])]
-    )
+    return joined_path([*parts, straight_lines([corner, corner + 0.02 * rng.normal(size=axes)])])
 
 
 def random_limits(rng: np.random.Generator, axes: int, jerk: bool) -> MotionLimits:

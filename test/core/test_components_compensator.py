@@ -401,5 +401,6 @@ def test_first_channel_speaks_for_an_axis_with_several():
             axis=('Y', 'Y', 'Z'),
             channel=('y1', 'y2', 'z'),
             error=np.array([1.0, 9.0, 3.0]) * MICRON,
+            standard_deviation=np.full(3, MICRON),
         )
     np.testing.assert_array_equal(command.offset, [-1 * MICRON, -3 * MICRON])

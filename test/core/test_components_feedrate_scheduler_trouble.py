@@ -398,3 +398,11 @@ def test_configuration_of_another_kind():
 
     with pytest.raises(TypeError, match='expected FeedrateSchedulerConfig but found Config'):
         Rig().component.reconfigure(Config())
+
+
+def test_status_of_a_newer_machine_is_told_as_a_number():
+    rig = Rig()
+    rig.run(path_of(SMALL), until=lambda: bool(rig.records()) and rig.records()[-1].last)
+    rig.push('trajectory_state', replace(rig.trajectory_state(), stamp=rig.time + 1, status=77))
+    rig.bench.until(rig.time / SECOND + 20.0)
+    assert 'did not say that it has finished: status 77' in rig.bench.health()

@@ -126,7 +126,9 @@ def test_request_reaches_the_component_at_its_machine_time():
 def test_one_driving_input_and_one_writer_a_topic():
     """What merge and turns rest on."""
     writers = [item.name for c in COMPONENTS.values() for item in c.OUTPUTS]
-    assert len(writers) == len(set(writers))
+    # Paths have as many sources as there are ways to make them; a run uses one.
+    several = {name for name in writers if writers.count(name) > 1}
+    assert several <= {'tool_path'}
     for component in COMPONENTS.values():
         assert sum(item.driving for item in component.INPUTS) <= 1
         names = [item.name for item in component.INPUTS]

@@ -14,6 +14,10 @@ from fuzzycnc_ros.components.records import (
     AxisCommand,
     nanoseconds,
 )
+from fuzzycnc_ros.components.servo_controller_config import (
+    ServoControllerConfig,
+    make_controllers,
+)
 from fuzzycnc_ros.components.simulated_machine import (
     DAY_START,
     SimulatedMachine,
@@ -190,10 +194,12 @@ def test_axis_at_any_duty_stops_within_its_travel(gain, duty):
     assert max(places) <= 0.03
     assert abs(places[-1]) > 0.015
     assert 'X would leave its travel of -20 to 30 mm' in machine.health()
+    assert machine.records('machine_state')[-1].state == MachineMode.FAULT
     machine.run(5, -0.5 * duty)
     assert places[-1] == pytest.approx(machine.plant.position, abs=1e-5)
     machine.run(30, -0.5 * duty, epoch=2)  # a new owner takes it back
     assert abs(machine.plant.position) < abs(places[-1]) - 2e-4
+    assert machine.records('machine_state')[-1].state == MachineMode.RUNNING
 
 
 def test_emergency_stop_takes_the_drives_to_zero_at_once():
@@ -263,3 +269,42 @@ def test_built_in_loops_take_no_notice_of_drives():
     bench.emitted += bench.merger.advance(stamp)
     bench.emitted += list(bench.component.tick())
     assert bench.records('axis_state')[-1].position.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_contour_error_of_driven_axes_is_told_as_of_those_with_loops_of_their_own():
+    names = ('X', 'Y', 'Z')
+    machine = Machine(
+        servo_axes=tuple(f'{name}:lathe' for name in names), moves=(), paths=('trident',)
+    )
+    controllers = make_controllers(
+        ServoControllerConfig(axes=machine.component._config.servo_axes)
+    )
+    plants = machine.component._motion._plants
+    machine.run(20, 0.0, 0.0, 0.0)
+    coming = parts(line, start=machine.merger.time + 50 * PERIOD, path_id='trident')
+    away = []
+    while len(coming) or machine.component._motion.busy:
+        while coming and coming[0].start - 40 * PERIOD <= machine.merger.time:
+            machine.push('trajectory', record(coming.pop(0), machine.merger.time))
+        state = machine.records('axis_state')[-1]
+        machine.tick(
+            *(
+                controllers[name].step(place, reading)
+                for name, place, reading in zip(
+                    names, state.reference, state.position, strict=True
+                )
+            )
+        )
+        away.append(np.linalg.norm([plant.position for plant in plants] - state.reference))
+        assert len(away) < 5000
+    told = machine.records('contour_error')
+    assert {item.path_id for item in told} == {'trident'}
+    assert {item.period for item in told} == {1e-3}
+    assert max(len(item.error) for item in told) == 100
+    error = np.concatenate([item.error for item in told])
+    way = np.concatenate([item.arc_length for item in told])
+    assert np.isfinite(error).all()
+    assert way[0] < 1e-3
+    assert way[-1] == pytest.approx(0.05, abs=1e-4)
+    # along a straight line the error across it is far less than the lag along it
+    assert 0.0 < error.max() < max(away)

@@ -190,3 +190,14 @@ def test_sensors_that_the_stream_lacks_are_missing_mates(model, run):
         assert rise is not None
         assert source.substituted == model.inputs[:1]
     assert source.voted_out == ()
+
+
+@pytest.mark.parametrize('temperature', [1e300, -1e9, 1500.0])
+def test_an_impossible_rise_is_substituted(model, run, temperature):
+    source = source_of(model, run, watch=SensorWatch(model.watch))
+    row = run.temperature[-1].copy()
+    first = model.inputs[0]
+    row[run.sensor.index(first)] = temperature
+    rise = source.rise(row, good_without(run))
+    assert source.substituted == (first,)
+    assert np.abs(rise).max() < 100.0

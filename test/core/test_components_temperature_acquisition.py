@@ -214,12 +214,13 @@ def test_values_that_do_not_fit_the_names_are_refused():
     bench.give('sensor_readings', readings(12.0, [1.0], ('T1', 'T2')))
     bench.give('sensor_readings', readings(24.0, [], ()))
     assert bench.emitted == []
-    assert 'ERROR readings: 0 values for 0 sensor names' in bench.health()
+    assert 'ERROR readings: expected readings of sensors but found no sensor' in bench.health()
     feed(bench, 5, [20.0, 21.0], start=24.0)
     before = len(bench.emitted)
     bench.give('sensor_readings', readings(96.0, [1.0, 2.0, 3.0], ('T1', 'T2')))
     assert len(bench.emitted) == before
-    assert 'ERROR readings: 3 values for 2 sensor names' in bench.health()
+    refusal = bench.merger.counts['sensor_readings'].refusal
+    assert refusal == 'temperature: expected 2 values, parallel to sensor, but found 3'
 
 
 def cold_start(bench: Bench, time: float, count: int, temperature) -> None:
@@ -341,3 +342,22 @@ def test_nothing_is_emitted_between_samples():
     bench = bench_of()
     assert feed(bench, 4, [20.0]) == []
     assert bench.emitted == []
+
+
+def test_a_cold_start_in_the_future_is_not_believed():
+    """Its reference would be taken warm, and no true cold start would replace it for years."""
+    bench = bench_of()
+    bench.push('machine_state', machine_state(1.0, cold_since=nanoseconds(1e9)))
+    feed(bench, 40, [35.0, 36.0], start=1.0)
+    assert not bench.records('thermal_reference')
+    cold_start(bench, 3600.0, 40, [20.0, 21.0])
+    (reference,) = bench.records('thermal_reference')
+    assert reference.cold_since == nanoseconds(3600.0)
+
+
+def test_an_infinite_reading_is_none():
+    bench = bench_of()
+    feed(bench, 12, [np.inf, 21.0], start=12.0)
+    newest = bench.records('temperatures')[-1]
+    assert np.isnan(newest.temperature[0])
+    assert newest.status.tolist() == [Status.MISSING, Status.OK]

@@ -139,3 +139,12 @@ def test_field_without_a_default_is_refused():
 
     with pytest.raises(TypeError, match='length has no default'):
         Bare(length=1.0)
+
+
+@pytest.mark.parametrize('name', ['length', 'gains'])
+def test_whole_number_beyond_all_doubles_is_refused(name):
+    huge = 10**400
+    with pytest.raises(ValueError, match=rf'{name}: expected a number but found one beyond'):
+        Example(**{name: [1.0, huge] if name == 'gains' else huge})
+    with pytest.raises(ValueError, match=r'count = 10+ is outside'):
+        Example(count=huge)

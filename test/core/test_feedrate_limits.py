@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits, SpeedStream, reachable_speed
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits, reachable_speed
 
 
 def schedule(seed, n):
@@ -60,45 +60,6 @@ def test_laws(seed, n, most):
     assert (faster >= found - 1e-7).all()
 
 
-@pytest.mark.parametrize('chunk', [1, 7, 500, 10**6])
-@pytest.mark.parametrize('stops', [False, True])
-def test_streaming_equals_the_whole(chunk, stops):
-    n = 3000 if chunk == 1 else 30000
-    place, speed, stop = schedule(3, n)
-    stop &= stops
-    stream = SpeedStream(1.5, start=0.05, end=0.1)
-    found, waiting = [], 0
-    for k in range(0, n, chunk):
-        part = slice(k, k + chunk)
-        found.append(stream.push(place[part], speed[part], stop[part]))
-        waiting = max(waiting, stream.waiting)
-    found.append(stream.finish())
-    whole = reachable_speed(place, speed, 1.5, start=0.05, end=0.1, stop=stop)
-    np.testing.assert_allclose(np.concatenate(found), whole, rtol=0.0, atol=1e-9)
-    # 0.3 m/s stop within 30 mm, which are 316 of these points on average.
-    assert waiting <= 450 or chunk == 10**6
-    assert stream.waiting == 0
-
-
-def test_refused_chunk_leaves_the_stream_as_it_was():
-    place, speed, _ = schedule(4, 200)
-    stream, twin = SpeedStream(1.5), SpeedStream(1.5)
-    first = stream.push(place[:100], speed[:100])
-    np.testing.assert_array_equal(first, twin.push(place[:100], speed[:100]))
-    for bad, text in (
-        (([0.0], [0.1]), 'where the last points ended'),
-        ((place[100:], np.append(speed[101:], np.nan)), 'speed: expected finite'),
-    ):
-        with pytest.raises(ValueError, match=text):
-            stream.push(*bad)
-    np.testing.assert_array_equal(
-        np.append(stream.push(place[100:], speed[100:]), stream.finish()),
-        np.append(twin.push(place[100:], speed[100:]), twin.finish()),
-    )
-    assert SpeedStream(1.0).finish().shape == (0,)
-    assert SpeedStream(1.0).push([], []).shape == (0,)
-
-
 @pytest.mark.parametrize(
     ('arguments', 'text'),
     [
@@ -120,8 +81,6 @@ def test_bad_speeds_at_the_ends_are_refused():
     for name in ('start', 'end'):
         with pytest.raises(ValueError, match=f'{name}: expected a speed'):
             reachable_speed([0.0, 1.0], [1.0, 1.0], 1.0, **{name: -0.1})
-    with pytest.raises(ValueError, match='positive acceleration'):
-        SpeedStream(0.0)
 
 
 @pytest.mark.parametrize(

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+from path_parts import straight_lines
 from random_paths import KINDS, arc, random_limits, random_path
 from reference_parts import reference_parts
 
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.stream import MotionStream, default_window
 from fuzzycnc_ros.core.feedrate.motion.trajectory import Trajectory, limit_motion
-from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 PLAIN = MotionLimits(path_velocity=0.2, path_acceleration=2.0)
 SMOOTH = MotionLimits(path_velocity=0.2, path_acceleration=2.0, path_jerk=40.0)
-CORNER = PathGeometry.from_polyline([[0.0, 0.0], [0.1, 0.0], [0.1, 0.2]])
+CORNER = straight_lines([[0.0, 0.0], [0.1, 0.0], [0.1, 0.2]])
 
 
 def streamed(geometry, speed, stream, chunk, **path):
@@ -114,13 +114,17 @@ def test_rests_at_the_ends_are_kept():
 
 
 def test_desired_speeds_may_jump_at_nodes():
-    line = PathGeometry.from_polyline([[0.0, 0.0], [0.1, 0.0], [0.2, 0.0]])
+    line = straight_lines([[0.0, 0.0], [0.1, 0.0], [0.2, 0.0]])
     ends = np.array([[0.05, 0.05], [0.15, 0.15]])
     whole = limit_motion(line, ends, PLAIN, feed_max=0.15)
     np.testing.assert_allclose(whole.speed_at([0.05, 0.15]), [0.05, 0.15])
     stream = MotionStream(PLAIN, 2, feed_max=0.15)
     found = stream.push(reference_parts(line, 2)[0], ends) + stream.finish()
     np.testing.assert_allclose(joined(found, line, 0.0).speed, whole.speed, rtol=0.0, atol=1e-9)
+
+
+def test_no_path_gives_no_motion():
+    assert MotionStream(PLAIN, 2, feed_max=0.2).finish() == []
 
 
 def test_window_is_chosen_from_the_limits():

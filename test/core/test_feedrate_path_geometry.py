@@ -9,21 +9,10 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+from path_parts import joined_path
 from random_paths import KINDS, arc, line_arc_line, random_path
 
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
-
-L_SHAPE = [[0.0, 0.0], [0.1, 0.0], [0.1, 0.0], [0.2, 0.0], [0.2, 0.3], [0.2, 0.1]]
-
-
-def test_polyline_stops_at_turns_and_reversals_only():
-    path = PathGeometry.from_polyline(L_SHAPE)
-    np.testing.assert_array_equal(path.stop, [False, False, True, True, False])
-    np.testing.assert_allclose(path.node, [0.0, 0.1, 0.2, 0.5, 0.7])
-    np.testing.assert_allclose(
-        path.evaluate([0.05, 0.4, 0.7]), [[0.05, 0], [0.2, 0.2], [0.2, 0.1]]
-    )
-    assert path.length == pytest.approx(0.7)
 
 
 def test_samples_of_an_arc_give_the_arc():
@@ -63,7 +52,7 @@ def test_tangent_joins_are_smooth_and_stay_within_the_easing():
     for seed in range(10):
         parts = line_arc_line(np.random.default_rng(seed), 2)
         for easing in (1e-7, 1e-5):
-            path = PathGeometry.join(parts, easing=easing)
+            path = joined_path(parts, easing)
             assert not path.stop.any()
             seams = path.node[1:-1]
             for order in (1, 2):
@@ -78,29 +67,20 @@ def test_tangent_joins_are_smooth_and_stay_within_the_easing():
             assert len(seams) >= len(parts[1].coefficient) + 1
 
 
-def test_corner_between_parts_is_a_stop():
-    parts = [PathGeometry.from_polyline(points) for points in (L_SHAPE[:2], L_SHAPE[2:5])]
-    path = PathGeometry.join(parts)
-    np.testing.assert_array_equal(path.stop, [False, False, True, False])
-    bent = PathGeometry.from_polyline([[0.2, 0.3], [0.0, 0.3]])
-    assert PathGeometry.join([path, bent]).stop[-2]
-
-
 @pytest.mark.parametrize(
     ('points', 'text'),
     [
         ([[0.0, 0.0]], r'points: expected shape \(n, 2\) or \(n, 3\)'),
         ([[0.0, 0.0, 0.0, 0.0]] * 3, r'found \(3, 4\)'),
         ([[0.0, 0.0], [np.nan, 0.0]], 'found .* in row 1'),
-        ([[1.0, 0.0], [1.0, 0.0]], 'expected at least 2 that differ'),
     ],
 )
 def test_bad_points_are_refused(points, text):
     with pytest.raises(ValueError, match=text):
-        PathGeometry.from_polyline(points)
+        PathGeometry.from_samples(points, points, points)
 
 
-def test_bad_samples_and_joins_are_refused():
+def test_bad_samples_are_refused():
     line = np.array([[0.0, 0.0], [0.1, 0.0]])
     along, bend = np.array([[1.0, 0.0]] * 2), np.zeros((2, 2))
     for arguments, text in (
@@ -112,13 +92,3 @@ def test_bad_samples_and_joins_are_refused():
     ):
         with pytest.raises(ValueError, match=text):
             PathGeometry.from_samples(*arguments)
-    path = PathGeometry.from_polyline(line)
-    for parts, text in (
-        ([], 'expected at least one'),
-        ([path, path], 'found a gap of 0.1 m behind part 0'),
-        ([path, PathGeometry.from_polyline([[0.1] * 3, [0.2] * 3])], 'same axes'),
-    ):
-        with pytest.raises(ValueError, match=text):
-            PathGeometry.join(parts)
-    with pytest.raises(ValueError, match='easing: expected a positive length'):
-        PathGeometry.join([path], easing=0.0)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+from path_parts import straight_lines
 from random_paths import KINDS, arc, random_limits, random_path
 from reference_parts import reference_parts
 
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
-from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.planner.feeds import FeedPlan, desired_feed
 from fuzzycnc_ros.core.feedrate.planner.planned_motion import PlannedSamples
 from fuzzycnc_ros.core.feedrate.planner.planner import Planner, PlannerSettings
@@ -25,7 +25,7 @@ from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed, ConstantNo
 
 PLAIN = MotionLimits(path_velocity=0.2, path_acceleration=2.0)
 SMOOTH = MotionLimits(path_velocity=0.2, path_acceleration=2.0, path_jerk=40.0)
-CORNER = PathGeometry.from_polyline([[0.0, 0.0], [0.1, 0.0], [0.1, 0.2]])
+CORNER = straight_lines([[0.0, 0.0], [0.1, 0.0], [0.1, 0.2]])
 FAST = ConstantNormalAcceleration(feed_max=0.2, normal_acceleration=1.0)
 STANDARD = PlannerSettings(scheduler=FAST, limits=PLAIN)
 
@@ -237,7 +237,7 @@ def test_tails_do_not_change_the_planner():
 
 
 def test_lowered_feed_brakes_with_the_larger_acceleration():
-    line = PathGeometry.from_polyline([[0.0, 0.0], [1.0, 0.0]])
+    line = straight_lines([[0.0, 0.0], [1.0, 0.0]])
     for acceleration in (0.5, 8.0):
         planner = planner_of(line)
         planner.take(1000)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+from path_parts import straight_lines
 from reference_segments import (
     arc,
     curvatures,
@@ -27,7 +28,6 @@ from reference_segments import (
 
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.reference.reference_path import (
     EASING,
     PathBuilder,
@@ -101,7 +101,7 @@ def test_lines_are_exact_and_corners_stop():
     np.testing.assert_array_equal(path.stop, [True, False, True, True, True])
     np.testing.assert_allclose(path.geometry.node, [0.0, 0.0004, 0.001, 0.002, 0.003])
     np.testing.assert_array_equal(path.curvature, np.zeros(5))
-    twin = PathGeometry.from_polyline(L_SHAPE)
+    twin = straight_lines(L_SHAPE)
     np.testing.assert_allclose(path.geometry.coefficient, twin.coefficient, atol=1e-18)
     np.testing.assert_array_equal(path.geometry.stop, twin.stop)
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+from path_parts import joined_path, straight_lines
 from random_paths import KINDS, random_limits, random_path, used
 
 from fuzzycnc_ros.core.feedrate.motion.average import range_minimum
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
-from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 SQUARE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.1]])
 PLAIN = MotionLimits(path_velocity=0.2, path_acceleration=2.0)
@@ -45,9 +45,9 @@ def test_no_sample_exceeds_a_limit(kind, axes):
 
 @pytest.mark.parametrize('limits', [PLAIN, SMOOTH])
 def test_follows_desired_speeds_and_stops_at_corners(limits):
-    geometry = PathGeometry.join(
-        [PathGeometry.from_polyline(SQUARE[k : k + 2]) for k in range(3)]
-    ).split(np.array([5, 5, 5]))
+    geometry = joined_path([straight_lines(SQUARE[k : k + 2]) for k in range(3)]).split(
+        np.array([5, 5, 5])
+    )
     assert geometry.stop.sum() == 2
     wanted = np.random.default_rng(0).uniform(0.03, 0.3, 16)
     found = limit_motion(geometry, wanted, limits)
@@ -65,10 +65,10 @@ def test_follows_desired_speeds_and_stops_at_corners(limits):
 
 
 def test_line_takes_the_time_of_the_closed_form():
-    geometry = PathGeometry.from_polyline([[0.0, 0.0, 1.0], [0.3, 0.4, 1.0]])
+    geometry = straight_lines([[0.0, 0.0, 1.0], [0.3, 0.4, 1.0]])
     found = limit_motion(geometry, 0.2, PLAIN)
     assert 2.6 <= found.duration <= 1.01 * 2.6  # 0.5 m at 0.2 m/s and 0.1 s of speeding up
-    short = PathGeometry.from_polyline([[0.0, 0.0], [1e-4, 0.0]])
+    short = straight_lines([[0.0, 0.0], [1e-4, 0.0]])
     assert limit_motion(short, 0.2, PLAIN).duration == pytest.approx(2.0 * np.sqrt(5e-5))
     # With jerk, the average over tau adds tau, and a = j tau / 2 = 1 m/s^2 for speeding up.
     smooth = limit_motion(geometry, 0.2, SMOOTH, window=0.05)
@@ -76,7 +76,7 @@ def test_line_takes_the_time_of_the_closed_form():
 
 
 def test_axes_alone_limit_the_speed_of_a_diagonal():
-    geometry = PathGeometry.from_polyline([[0.0, 0.0], [0.3, 0.4]])
+    geometry = straight_lines([[0.0, 0.0], [0.3, 0.4]])
     limits = MotionLimits(velocity=(0.06, 0.2), acceleration=(1.0, 0.8))
     motion = limit_motion(geometry, 5.0, limits).sample(1e-3)
     assert motion.speed.max() == pytest.approx(0.1)
@@ -84,7 +84,7 @@ def test_axes_alone_limit_the_speed_of_a_diagonal():
 
 
 def test_speeds_at_the_ends_are_kept():
-    geometry = PathGeometry.from_polyline([[0.0, 0.0], [0.1, 0.0]])
+    geometry = straight_lines([[0.0, 0.0], [0.1, 0.0]])
     found = limit_motion(geometry, 0.2, PLAIN, start=0.1, end=0.05)
     np.testing.assert_allclose(found.speed_at([0.0, 0.1]), [0.1, 0.05])
     with pytest.raises(ValueError, match=r'expected 0 m/s where jerk is limited, but found 0\.1'):
@@ -127,7 +127,7 @@ def test_a_longer_time_of_averaging_lowers_the_jerk_only():
     ],
 )
 def test_bad_input_is_refused(change, text):
-    geometry = PathGeometry.from_polyline([[0.0, 0.0], [0.1, 0.0]])
+    geometry = straight_lines([[0.0, 0.0], [0.1, 0.0]])
     with pytest.raises(ValueError, match=text):
         limit_motion(**({'geometry': geometry, 'speed': 0.1, 'limits': SMOOTH} | change))
     with pytest.raises(ValueError, match='period: expected a positive number of s'):

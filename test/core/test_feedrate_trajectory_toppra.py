@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+from path_parts import straight_lines
 from random_paths import quintic, sampled
 
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
-from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 GRID = 1001
 
@@ -80,5 +80,5 @@ def test_lines_take_the_same_time():
             lambda u, k, by=step: np.multiply.outer(np.full(np.shape(u), k == 1), by),
             limits,
         )
-        found = limit_motion(PathGeometry.from_polyline([np.zeros(3), step]), 10.0, limits)
+        found = limit_motion(straight_lines([np.zeros(3), step]), 10.0, limits)
         assert found.duration == pytest.approx(expected, rel=0.03)

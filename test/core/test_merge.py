@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from fuzzycnc_ros.components.component import LATCHED, Component, Emission, Input, Output
 from fuzzycnc_ros.components.merge import Merger
 from fuzzycnc_ros.components.records import SECOND, Record
+from fuzzycnc_ros.components.well_formed import STAMP_MAX
 from fuzzycnc_ros.core.config import Config
 
 
@@ -278,3 +279,16 @@ def test_a_quiet_input_causes_nothing_by_itself():
     merger.push('whisper', Note(stamp=1))
     with pytest.raises(RuntimeError, match='input whisper as quiet but emitted entry'):
         merger.advance(1)
+
+
+@pytest.mark.parametrize('stamp', [-1, STAMP_MAX + 1, (2**31 - 1) * SECOND])
+@pytest.mark.parametrize('name', ['first', 'drive', 'latched'])
+def test_impossible_stamps_are_refused(name, stamp):
+    """What follows from them could not be published: a message counts whole seconds to 2038."""
+    merger = Merger(Journal())
+    assert not merger.push(name, Note(stamp=stamp))
+    assert merger.counts[name].refused == 1
+    assert merger.counts[name].refusal.startswith('stamp: expected 0 to 2147397248 s of machine')
+    assert merger.push(name, Note(stamp=SECOND))
+    assert merger.counts[name].refusal == ''
+    assert merger.counts[name].refused == 1

@@ -91,14 +91,16 @@ def test_error_axis_shows_the_band_and_all_errors(rows):
 def test_page_of_a_move_is_whole_and_always_the_same():
     pytest.importorskip('matplotlib')
     run = make_run()
-    table = positioning.positioning_table(run, 'production', 'a move')
+    table = positioning.positioning_table(run, 'variable_universe', 'a move')
     pages = [
-        render_page(positioning.positioning_page(run, 'production', table, {'Axis': 'lathe'}))
+        render_page(
+            positioning.positioning_page(run, 'variable_universe', table, {'Axis': 'lathe'})
+        )
         for _ in range(2)
     ]
     assert pages[0] == pages[1]
     assert '<svg' in pages[0]
-    assert LABELS['production'] in pages[0]
+    assert LABELS['variable_universe'] in pages[0]
 
 
 def comparison(moves=10):
@@ -116,8 +118,8 @@ def comparison(moves=10):
         )
 
     found = {
-        'static': figures(bad, {}, 'lost'),
-        'production': figures(good, random if moves else {}),
+        'variable_universe_static': figures(bad, {}, 'lost'),
+        'variable_universe': figures(good, random if moves else {}),
     }
     return ServoComparison(cases, found, moves, 0)
 
@@ -133,11 +135,11 @@ def test_tables_of_a_comparison():
     assert others.rows[1][4] == '98.5 / 100.0 / 17.0'
     assert others.rows[0][4:] == ('', '')
     lines = positioning_compare.comparison_remarks(made)
-    assert 'static gave up on: 20 um' in lines
-    assert 'production gave up on 4 random moves' in lines
+    assert 'variable_universe_static gave up on: 20 um' in lines
+    assert 'variable_universe gave up on 4 random moves' in lines
     assert len(positioning_compare.others_table(comparison(moves=0)).columns) == 4
     document = positioning_compare.comparison_document(made)
-    assert document['controllers']['production']['random']['hard']['within_1'] == 0.985
+    assert document['controllers']['variable_universe']['random']['hard']['within_1'] == 0.985
 
 
 def test_page_of_a_comparison_draws_those_that_settle():
@@ -147,13 +149,15 @@ def test_page_of_a_comparison_draws_those_that_settle():
     page = render_page(positioning_compare.comparison_page(made, tables, ['a remark'], {}))
     assert 'a remark' in page
     svg = page[page.index('<svg') : page.index('</svg>')]
-    assert LABELS['production'] in svg
-    assert LABELS['static'] not in svg
+    assert LABELS['variable_universe'] in svg
+    assert LABELS['variable_universe_static'] not in svg
 
 
 def test_page_of_a_comparison_of_which_none_settles_has_no_courses():
     made = comparison()
-    alone = ServoComparison(made.cases, {'static': made.figures['static']}, 0, 0)
+    alone = ServoComparison(
+        made.cases, {'variable_universe_static': made.figures['variable_universe_static']}, 0, 0
+    )
     page = positioning_compare.comparison_page(
         alone, [positioning_compare.moves_table(alone)], [], {}
     )
@@ -189,9 +193,11 @@ def test_cases_side_by_side_are_those_one_by_one():
     cases, axis = servo_cases(), LatheAxis().linear()
     for name in ('20 um', 'circle X'):
         case = cases[name]
-        (batch,) = drive_many([CONTROLLERS['production'](axis)], [case], seed=3)
+        (batch,) = drive_many([CONTROLLERS['variable_universe'](axis)], [case], seed=3)
         plant = LatheAxis(LatheAxisConfig(seed=3, **case.knobs), position=case.start)
-        alone = position(CONTROLLERS['production'](axis), plant, case.reference, case.duration)
+        alone = position(
+            CONTROLLERS['variable_universe'](axis), plant, case.reference, case.duration
+        )
         assert len(batch.time) == len(alone.time)
         np.testing.assert_allclose(batch.position, alone.position, atol=2e-7)
 

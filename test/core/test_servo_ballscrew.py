@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.machine import BallscrewAxis, BallscrewAxisConfig, LatheAxis
-from fuzzycnc_ros.core.servo.ballscrew import BallscrewController, ballscrew_params, observer_noise
-from fuzzycnc_ros.core.servo.observer import ObserverDesign
+from fuzzycnc_ros.core.servo import point_to_point, position
+from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
+from fuzzycnc_ros.core.servo.observer import ObserverDesign, ObserverNoise
 
 AXIS = BallscrewAxis().linear()
 FORCE = BallscrewAxisConfig().force_max
@@ -39,7 +40,7 @@ def test_settings_without_meaning_are_refused(knobs, message):
 
 @pytest.mark.parametrize('bandwidth', [30.0, 60.0])
 def test_the_gains_close_a_critically_damped_loop(bandwidth):
-    params = ballscrew_params(AXIS, bandwidth)
+    params = BallscrewController(bandwidth=bandwidth).params
     # duty feeds back position and velocity: s^2 + s (1 + k gain) / lag + k gain / lag
     stiffness = params.error_gain * AXIS.gain / AXIS.lag
     damping = (1.0 + params.rate_gain * AXIS.gain) / AXIS.lag
@@ -51,7 +52,7 @@ def test_the_gains_close_a_critically_damped_loop(bandwidth):
 @pytest.mark.parametrize('axis', [AXIS, LatheAxis().linear()], ids=['ballscrew', 'lathe'])
 def test_the_observer_does_not_depend_on_the_assumed_error_of_the_sensor(axis):
     fine, coarse = (
-        ObserverDesign.of(axis, observer_noise(axis, 150.0, sensor)).gain
+        ObserverDesign.of(axis, ObserverNoise.of_bandwidth(axis, 150.0, sensor)).gain
         for sensor in (1e-9, 1e-6)
     )
     np.testing.assert_allclose(fine, coarse, rtol=1e-6)
@@ -60,7 +61,7 @@ def test_the_observer_does_not_depend_on_the_assumed_error_of_the_sensor(axis):
 def test_a_faster_observer_has_faster_poles():
     radius = []
     for bandwidth in (60.0, 120.0, 240.0):
-        design = ObserverDesign.of(AXIS, observer_noise(AXIS, bandwidth))
+        design = ObserverDesign.of(AXIS, ObserverNoise.of_bandwidth(AXIS, bandwidth))
         left = design.dynamics - np.outer(design.gain, design.reading)
         radius.append(np.abs(np.linalg.eigvals(left)).max())
     rates = -np.log(radius) / AXIS.period
@@ -113,6 +114,28 @@ def test_a_step_does_not_overshoot(step):
         left.append((step - axis.position) * math.copysign(1.0, step))
     assert min(left) > -1e-6
     assert np.abs(left[300:]).max() < 1e-6
+
+
+MOVES = {
+    'nominal': ({}, 0.05),
+    'mass +30 %': ({'mass_factor': 1.3}, 0.2),
+    'friction x0.5': ({'friction_factor': 0.5}, 0.1),
+    'friction x2': ({'friction_factor': 2.0}, 0.4),
+    'noise': ({'noise': 1e-7}, 0.05),
+    'breakaway 1.3': ({'breakaway_ratio': 1.3}, 0.3),
+    'breakaway 1.5': ({'breakaway_ratio': 1.5}, 0.7),
+}
+
+
+@pytest.mark.parametrize('target', [0.05, -0.05])
+@pytest.mark.parametrize('name', MOVES)
+def test_a_profile_does_not_end_stuck_short_of_its_target(name, target):
+    knobs, patience = MOVES[name]
+    profile = point_to_point(0.0, target)
+    plant = BallscrewAxis(BallscrewAxisConfig(**knobs))
+    run = position(BallscrewController(), plant, profile.sample(1e-3), 2.5)
+    assert run.settle() - profile.duration < patience
+    assert not run.fault
 
 
 def test_a_missing_reading_while_friction_is_fed_forward_is_bridged():

@@ -20,6 +20,7 @@ from fuzzycnc_ros.core.servo import (
     point_to_point,
     position,
 )
+from fuzzycnc_ros.core.servo.filtered_rate import Integrator
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning
 
 AXIS = LatheAxis().linear()
@@ -104,6 +105,27 @@ def test_saturation_winds_nothing_up(name):
     found = run(name, 0.15, 2.5, more={'duty_max': 0.5})
     assert found.overshoot < 80e-6
     assert found.settle(5e-6) < 2.0
+
+
+def test_integral_goes_on_where_the_axis_is_stuck_beyond_its_band():
+    integral = Integrator(1000.0, 1e-3, dead_zone=1e-6, band=1e-4, still=2e-3)
+    added = []
+    for error, speed in ((5e-7, 0.0), (5e-5, 0.1), (2e-4, 0.1), (2e-4, 1e-3), (-2e-4, -1e-3)):
+        integral.reset(0.0)
+        integral.add(error, speed, False, 0.1)
+        added.append(integral.value)
+    assert added == pytest.approx([0.0, 5e-5, 0.0, 2e-4, -2e-4])
+    integral.reset(0.0)
+    integral.add(2e-4, 0.0, True, 1.0)  # would be cut even more
+    assert integral.value == 0.0
+
+
+@pytest.mark.parametrize('name', ['pid', 'model_free'])
+def test_a_load_that_pushes_the_axis_out_of_the_band_is_made_up_for(name):
+    # the error that the load alone asks for is larger than the band, and friction holds the axis
+    found = run(name, 5e-3, 3.0, load=0.15, coulomb=0.03, breakaway=0.045)
+    assert np.abs(found.error[-500:]).max() < 10e-6
+    assert not found.fault
 
 
 def test_status_says_what_happened():

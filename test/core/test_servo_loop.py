@@ -15,6 +15,7 @@ from fuzzycnc_ros.core.servo import (
     DisturbanceObserver,
     FeedbackLimits,
     ObserverNoise,
+    PidController,
     PositioningRun,
     StickSlipParams,
     VariableUniverseController,
@@ -27,26 +28,59 @@ from fuzzycnc_ros.core.servo import (
 )
 from fuzzycnc_ros.core.servo.observer import ObserverDesign
 from fuzzycnc_ros.core.servo.params import response_lag, settles, ultimate_gain
-from fuzzycnc_ros.core.servo.tuning import move_costs, production, tuning_moves
+from fuzzycnc_ros.core.servo.predictor import predictor
+from fuzzycnc_ros.core.servo.stability import spectral_radii
+from fuzzycnc_ros.core.servo.tuning import (
+    GAIN_SPREAD,
+    move_costs,
+    production,
+    swing_cost,
+    tuning_moves,
+)
 
 AXIS = LatheAxis().linear()
 SMOOTH = {'coulomb': 0.0, 'breakaway': 0.0}
 
 
-@pytest.mark.parametrize('axis', [AXIS, BallscrewAxis().linear()], ids=['lathe', 'ballscrew'])
-def test_predictor_is_the_product_with_its_matrix(axis):
-    observer = DisturbanceObserver(axis)
+CHAINS = {
+    'lathe': AXIS,
+    'ballscrew': BallscrewAxis().linear(),
+    'one lag': LinearAxis.chain(-0.3, {'drive': 2e-3}, 0.02, period=1e-3),
+    'one lag and sensor': LinearAxis.chain(
+        0.3, {'drive': 2e-3}, 0.02, sensor_lag=3e-3, period=2e-3
+    ),
+    'six states': LinearAxis.chain(
+        0.3, {'a': 1e-3, 'b': 2e-3, 'c': 4e-3}, 0.02, sensor_lag=3e-3, period=1e-3
+    ),
+}
+
+
+@pytest.mark.parametrize('name', CHAINS)
+def test_predictor_is_the_product_with_its_matrices(name):
+    observer = DisturbanceObserver(CHAINS[name])
     design = observer.design
     observer.reset(0.02, 0.1)
     state = np.array(observer.state)
     rng = np.random.default_rng(0)
     for duty, reading in rng.normal(0.0, 0.1, (50, 2)).tolist():
-        state = design.corrected @ np.append(state, [duty, reading])
+        off = reading - design.reading @ state
+        state = design.dynamics @ state + design.duty * duty + design.gain * off
         observer.advance(duty, reading)
-        assert observer.state == pytest.approx(state, rel=1e-12, abs=1e-14)
+        assert observer.state == pytest.approx(state, rel=1e-12, abs=1e-12)
     observer.coast(0.3)
-    state = design.uncorrected @ np.append(state, [0.3, 0.0])
-    assert observer.state == pytest.approx(state, rel=1e-12, abs=1e-14)
+    state = design.dynamics @ state + design.duty * 0.3
+    assert observer.state == pytest.approx(state, rel=1e-12, abs=1e-12)
+
+
+def test_predictor_takes_models_that_are_no_chain():
+    rng = np.random.default_rng(1)
+    for size in (3, 5, 8):
+        dynamics = rng.normal(0.0, 0.3, (size, size))
+        duty, reading, gain = rng.normal(0.0, 0.3, (3, size))
+        step = predictor(dynamics, duty, reading, gain)
+        state = rng.normal(0.0, 1.0, size)
+        expected = dynamics @ state + duty * 0.7 + gain * (0.2 - reading @ state)
+        assert step(tuple(state.tolist()), 0.7, 0.2) == pytest.approx(expected, abs=1e-12)
 
 
 def test_gain_solves_the_riccati_equation():
@@ -306,6 +340,50 @@ def test_tuning_covers_the_spread_of_the_gain():
     factors = {move.config.gain_factor for move in tuning_moves()}
     assert min(factors) == 0.5
     assert max(factors) == 1.5
+
+
+SHARP = {'error_floor': 0.025744, 'error_exponent': 0.56426}
+"""Settings whose loop swings at x1.5 of the axis' gain, which friction hides."""
+
+
+def test_a_gain_at_which_the_loop_swings_costs_as_much_as_a_move_that_does_not_settle():
+    assert swing_cost(production(AXIS, {}), 1.5) == 0.0
+    sharp = production(AXIS, SHARP)
+    radii = spectral_radii(sharp, GAIN_SPREAD)
+    assert [gain for gain, radius in radii.items() if radius >= 1.0] == [1.5]
+    assert swing_cost(sharp, 1.5) == pytest.approx(3.0 + 100.0 * (radii[1.5] - 1.0))
+    assert swing_cost(PidController(AXIS), 1.5) == 0.0  # by its moves alone
+
+
+def test_tuning_counts_what_friction_hides():
+    # one sticky move at the nominal gain, in which both settle
+    moves = [LatheMove(LatheAxisConfig(), 2e-3)]
+    bounds = {'error_exponent': (0.56425, 0.56427)}
+    around = {name: value for name, value in SHARP.items() if name not in bounds}
+    found = tune(
+        lambda axis, settings: production(axis, {**around, **settings}),
+        bounds,
+        moves,
+        generations=1,
+        population=5,
+        duration=0.4,
+    )
+    (cost,) = move_costs(position_many([production(AXIS, SHARP)], moves, 0.4))
+    assert found.cost > cost + 0.7
+
+
+def test_moves_share_a_design_where_their_axes_are_alike():
+    moves = [LatheMove(LatheAxisConfig(seed=1, gain_factor=factor), 1e-3) for factor in (0.5, 1.5)]
+    moves.append(LatheMove(LatheAxisConfig(direction=-1.0), 1e-3))
+    made = []
+
+    def make(axis, settings):
+        made.append(axis.gain)
+        return production(axis, settings)
+
+    options = {'generations': 1, 'population': 5, 'duration': 0.1}
+    tune(make, {'output_gain': (2.0, 3.0)}, moves, **options)
+    assert made == [0.286, -0.286] * 10
 
 
 def test_refusals_of_tuning():

@@ -19,10 +19,13 @@ from fuzzycnc_ros.core.servo.rule_learning import (
 )
 from fuzzycnc_ros.core.servo.rule_table import (
     CENTRES,
+    CENTRES_WITH_ZERO,
+    PRINTED_MEDIUM,
+    SETS_WITH_ZERO,
     RuleTable,
     RuleTableWarning,
-    printed_rules,
     published_rules,
+    rules_with_zero,
 )
 
 RULES = published_rules()
@@ -49,8 +52,44 @@ def test_surface_meets_the_table_at_the_centres():
 
 
 def test_printed_consequents_are_a_variant_of_their_own():
-    assert printed_rules().values[0][4] == 0.677
+    assert published_rules(PRINTED_MEDIUM).values[0][4] == 0.677
     assert published_rules(2 / 3).values[0][4] == 2 / 3
+
+
+def test_seven_sets_carry_the_published_surface():
+    rules = rules_with_zero()
+    grid = np.linspace(-1.0, 1.0, 201)
+    apart = rules.surface(grid[:, np.newaxis], grid) - RULES.surface(grid[:, np.newaxis], grid)
+    assert np.abs(apart).max() < 0.005
+    assert rules.is_odd
+    assert rules(0.0, 0.0) == 0.0
+    assert rules.slopes == pytest.approx(RULES.slopes, rel=0.011)
+    assert len(SETS_WITH_ZERO) == len(rules.centres)
+
+
+@pytest.mark.parametrize(('centres', 'bound'), [(CENTRES, 0.180), (CENTRES_WITH_ZERO, 0.046)])
+def test_only_seven_sets_keep_the_bound_that_the_source_asks_for(centres, bound):
+    # a surface with the second derivatives of the source, 1.96 and 1.35
+    def bent(x, y):
+        return 0.49 * np.asarray(x) ** 2 + 0.3375 * np.asarray(y) ** 2
+
+    grid = np.array(centres)
+    values = bent(grid[:, np.newaxis], grid)
+    with pytest.warns(RuleTableWarning):
+        table = RuleTable(centres, tuple(tuple(row) for row in values.tolist()))
+    fine = np.linspace(-1.0, 1.0, 1201)
+    off = np.abs(table.surface(fine[:, np.newaxis], fine) - bent(fine[:, np.newaxis], fine)).max()
+    assert 2.0 * off == pytest.approx(bound, abs=0.001)  # the table cannot hold the whole of it
+
+
+def test_rules_are_learnt_on_seven_sets_too():
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(-1.0, 1.0, (2, 4000))
+    rules = rules_with_zero()
+    records = np.column_stack([x, y, rules.surface(x, y)])
+    found = learn_rules(records, 'lsq', centres=CENTRES_WITH_ZERO, smoothing=1e-6)
+    assert found.values == pytest.approx(np.array(rules.values), abs=1e-5)
+    assert learn_rules(records, centres=CENTRES_WITH_ZERO).complete().table().is_odd
 
 
 @pytest.mark.parametrize(

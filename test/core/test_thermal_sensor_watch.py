@@ -3,15 +3,19 @@
 """Watch over slow sensor faults: what is learnt, what is found, what is never held against one."""
 
 import json
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.thermal import ThermalRun
-from fuzzycnc_ros.core.thermal.document import ModelFileError, Node
+sys.path.insert(0, str(Path(__file__).parent))
+from watch_rig import SENSORS, STEP, recordings, rises
+
+from fuzzycnc_ros.core.thermal.document import Node
 from fuzzycnc_ros.core.thermal.mates import (
     Leverage,
     agreed,
@@ -30,37 +34,10 @@ from fuzzycnc_ros.core.thermal.sensor_watch import (
 )
 from fuzzycnc_ros.core.thermal.watch_training import learn_watch
 
-SENSORS = tuple(f's{number}' for number in range(8))
-STEP = 60.0
-
-
-def rises(samples=200, seed=0, phase=0.0, noise=0.05):
-    """Return rises (n, 8) [K] that mix two slow courses, with noise."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(samples) / 60.0
-    courses = np.column_stack(
-        [8.0 * (1.0 - np.exp(-time)), 3.0 * np.sin(time + phase) - 3.0 * np.sin(phase)]
-    )
-    mixing = np.random.default_rng(1).uniform(0.3, 1.0, (2, len(SENSORS)))
-    return courses @ mixing + rng.normal(0.0, noise, (samples, len(SENSORS)))
-
-
-def recording(name, seed, phase):
-    rise = rises(seed=seed, phase=phase)
-    return ThermalRun(
-        name=name,
-        time=STEP * np.arange(len(rise)),
-        sensor=SENSORS,
-        temperature=20.0 + rise,
-        channel=('Y',),
-        axis=('Y',),
-        displacement=1e-6 * rise[:, :1],
-    )
-
 
 @pytest.fixture(scope='module')
 def runs():
-    return [recording('a', 1, 0.0), recording('b', 2, 0.7), recording('c', 3, 1.4)]
+    return recordings()
 
 
 @pytest.fixture(scope='module')
@@ -75,45 +52,6 @@ def play(watch, rise, step=STEP):
         watch.update(sample, step)
         declared.append(watch.faulty)
     return np.array(declared)
-
-
-# Refusals
-
-
-@pytest.mark.parametrize(
-    ('changes', 'message'),
-    [
-        ({'sensor': ('s0',) * 8}, 'sensor: expected each sensor once'),
-        ({'input': ('s0', 'x')}, 'input: expected inputs among .* but found x'),
-        ({'moment': np.eye(3)}, 'moment: expected finite numbers of shape'),
-        ({'moment': np.triu(np.ones((8, 8)))}, 'moment: expected a symmetric matrix'),
-        ({'moment': -np.eye(8)}, 'moment: expected a symmetric matrix'),
-        ({'missed': np.full(8, np.nan)}, 'missed: expected finite numbers'),
-        ({'missed': np.full(8, -0.1)}, 'missed: expected 0 K or more'),
-        ({'leverage': np.zeros(8)}, 'leverage: expected positive numbers'),
-    ],
-)
-def test_parts_that_do_not_belong_together_are_refused(model, changes, message):
-    with pytest.raises(ValueError, match=message):
-        replace(model, **changes)
-
-
-def test_a_damaged_document_is_refused(model):
-    document = model.document()
-    for key in document:
-        with pytest.raises(ModelFileError, match=f"an object with '{key}'"):
-            SensorWatchModel.read(Node({k: v for k, v in document.items() if k != key}, 'watch'))
-    short = document | {'moment': document['moment'][1:]}
-    with pytest.raises(ModelFileError, match='watch, moment: expected 36 numbers'):
-        SensorWatchModel.read(Node(short, 'watch'))
-
-
-@pytest.mark.parametrize('state', [np.zeros(3), np.full(32, np.nan)])
-def test_a_state_of_another_model_is_refused(model, state):
-    watch = SensorWatch(model)
-    with pytest.raises(ValueError, match='state: expected 32 finite numbers'):
-        watch.state = state
-    assert not watch.state.any()
 
 
 # What mates say

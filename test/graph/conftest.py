@@ -36,7 +36,7 @@ from fuzzycnc_ros.cli.up import node_specs
 from fuzzycnc_ros.components.component import Durability
 from fuzzycnc_ros.convert import decode, encode
 from fuzzycnc_ros.core.thermal import train_model
-from fuzzycnc_ros.nodes.environment import limit_to_this_host, prepare_environment
+from fuzzycnc_ros.nodes.environment import prepare_environment
 from fuzzycnc_ros.nodes.messages import message_class
 from fuzzycnc_ros.nodes.qos import subscription_qos
 from fuzzycnc_ros.nodes.run import run
@@ -54,7 +54,6 @@ CLOSE_TIMEOUT = 3.0
 STREAM, LATCHED = Durability.STREAM, Durability.LATCHED
 
 prepare_environment()
-limit_to_this_host()
 _turn = count()
 
 

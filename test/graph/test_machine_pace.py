@@ -49,3 +49,12 @@ def test_time_goes_on_from_the_last_tick_where_a_long_one_is_broken_off(pace_of)
     pace.resume(0, 107.0)
     assert pace.due(1_000_000) == pytest.approx(107.001)
     assert pace.due(12 * SECOND) == pytest.approx(119.0)
+
+
+def test_where_others_drive_the_axes_next_to_nothing_is_caught_up(pace_of):
+    """A tick that follows at once is one that nobody can answer."""
+    pace = pace_of(1.0, 0, 100.0, slip=5e-4)
+    pace.count(1_000_000, 100.0013)
+    assert pace.due(2_000_000) == pytest.approx(100.002)
+    pace.count(2_000_000, 100.0027)
+    assert pace.due(3_000_000) == pytest.approx(100.0037)

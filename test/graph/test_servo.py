@@ -2,6 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A move controlled live at 1 kHz: the same as in one process, and what goes wrong on a graph."""
 
+import os
+import resource
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -22,12 +26,16 @@ pytestmark = pytest.mark.ros
 
 OUTPUTS = ('position_command', 'axis_state', 'axis_command', 'servo_state', 'machine_state')
 TARGET = -0.05
+PRIORITY = 20
 
 
-def start(graph, *, bag=None, lockstep=True, **machine):
+def start(graph, *, bag=None, lockstep=True, priority=0, **machine):
     """Start the controller, a recorder and the machine, which asks for a move of 1.2 s."""
     clock = {'use_sim_time': not lockstep}
-    servo = graph.start('servo_controller', {'lockstep': lockstep, 'autostart': True, **clock})
+    servo = graph.start(
+        'servo_controller',
+        {'lockstep': lockstep, 'autostart': True, 'realtime_priority': priority, **clock},
+    )
     if bag is not None:
         graph.start('recorder', {'lockstep': lockstep, 'output': str(bag), **clock})
     machine = graph.start(
@@ -66,20 +74,27 @@ def test_live_and_replayed_equal_in_process(graph, tmp_path):
 
 @pytest.mark.slow
 def test_arrives_in_real_time_and_counts_what_was_missed(graph, observer):
-    """Where the clock does not wait; at a quarter of real time, which a busy host can keep up."""
+    """Where the clock does not wait: machine time slips on a busy host, but rushes nothing.
+
+    Without a priority a busy host leaves a process alone for longer than feedback may be missing.
+    """
+    _, highest = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    may = os.geteuid() == 0 or highest >= PRIORITY
+    pace = {'rate': 1.0, 'priority': PRIORITY} if may else {'rate': 0.25}
     states = observer.records('servo_state', ServoState)
     axes = observer.records('axis_state', AxisState)
     commands = observer.records('axis_command', AxisCommand)
-    _, machine = start(graph, lockstep=False, rate=0.25)
+    _, machine = start(graph, lockstep=False, move_time=2.0, **pace)
     assert observer.until_ended(machine) == 0
-    assert len(axes) == 1201
+    assert machine.outcome['ticks'] == 2001
     assert axes[-1].position[0] == pytest.approx(TARGET, abs=5e-6)
     assert all(item.status != ServoStatus.FAULT for item in states)
+    # of what was heard here from the beginning on
+    begin = max(axes[0].stamp, commands[0].stamp)
+    first, *_, last = (item for item in states if item.stamp >= begin)
     answered = {item.stamp for item in commands}
-    unanswered = sum(states[0].stamp < item.stamp < states[-1].stamp for item in axes) - sum(
-        states[0].stamp < stamp < states[-1].stamp for stamp in answered
-    )
-    assert states[-1].missed == unanswered
+    passed = {item.stamp for item in axes if first.stamp < item.stamp <= last.stamp}
+    assert last.missed - first.missed == len(passed - answered)
 
 
 @pytest.mark.slow
@@ -108,9 +123,9 @@ def test_drives_go_to_zero_when_the_controller_dies(graph, observer):
     stopped = [item for item in axes if item.stamp > last.valid_until + 200_000_000]
     place = np.array([item.position[0] for item in stopped])
     assert np.ptp(place) < 3e-6
-    # valid for 10 ms, then coasting, from no more than full speed
+    # valid for 20 ms, then coasting, from no more than full speed
     then = next(item for item in axes if item.stamp >= last.stamp)
-    assert abs(place[-1] - then.position[0]) < 0.286 * (0.01 + 0.0203)
+    assert abs(place[-1] - then.position[0]) < 0.286 * (0.02 + 0.0203)
     assert min(item.position[0] for item in axes) > TARGET - 5e-3
 
 
@@ -127,7 +142,7 @@ FAULTS = {
     'sign is wrong': ({'servo_plant': ['X:direction:-1']}, 'runs away'),
     'count changes': (
         {'servo_plant': ['X:count_factor:8', 'X:count_change_time:0.2']},
-        'steps of 8 counts',
+        'rougher than the sensor',
     ),
 }
 
@@ -156,3 +171,21 @@ def test_fault_takes_the_axis_to_zero(graph, observer, name):
     readings = readings[np.isfinite(readings)]
     assert readings.min() > TARGET - 1e-5
     assert readings.max() < 2e-3
+
+
+@pytest.mark.slow
+def test_priority_in_real_time_is_taken_or_its_refusal_told(graph, observer):
+    """All threads have it, those of DDS too; where it is not allowed, diagnostics say so."""
+    observer.watch_diagnostics()
+    servo = graph.start('servo_controller', {'realtime_priority': 20})
+    threads = Path(f'/proc/{servo.process.pid}/task')
+
+    def taken():
+        found = {os.sched_getscheduler(int(thread.name)) for thread in threads.iterdir()}
+        return found == {os.SCHED_FIFO}
+
+    def refused():
+        return observer.told('mill/servo_controller: priority', 'realtime_priority: 20')
+
+    observer.until(lambda: taken() or refused(), f'priority, found {observer.statuses}')
+    assert taken() != refused()

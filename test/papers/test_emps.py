@@ -12,12 +12,8 @@ import pytest
 from scipy.io import loadmat
 
 from fuzzycnc_ros.core.machine import BallscrewAxis, BallscrewAxisConfig
-from fuzzycnc_ros.core.servo.ballscrew import (
-    OBSERVER_BANDWIDTH,
-    BallscrewController,
-    observer_noise,
-)
-from fuzzycnc_ros.core.servo.observer import ObserverDesign
+from fuzzycnc_ros.core.servo.ballscrew import OBSERVER_BANDWIDTH, BallscrewController
+from fuzzycnc_ros.core.servo.observer import ObserverDesign, ObserverNoise
 
 pytestmark = pytest.mark.paper
 
@@ -186,7 +182,7 @@ def test_the_settings_keep_the_margins_of_the_recorded_loop(recording):
 
     recorded = states(dynamics, duty) @ [kv, kp * kv] / BallscrewAxisConfig().voltage_max
     params = BallscrewController().params
-    design = ObserverDesign.of(model, observer_noise(model, OBSERVER_BANDWIDTH))
+    design = ObserverDesign.of(model, ObserverNoise.of_bandwidth(model, OBSERVER_BANDWIDTH))
     row = np.array([-params.rate_gain, -params.error_gain, 1.0])
     estimator = (
         design.dynamics - np.outer(design.gain, design.reading) + np.outer(design.duty, row)

@@ -20,7 +20,9 @@ from fuzzycnc_ros.core.deformation.stitch_path import ARC, LINE, SheetMaterial, 
 REFERENCE_LENGTH = 50e-3
 """Feed that a model's output is meant for [m]: it gives millimetres per 50 mm."""
 
-_SAMPLE_LENGTH = {ARC: 30e-3, LINE: REFERENCE_LENGTH}  # of the samples behind a model [m]
+SAMPLE_LENGTH = {ARC: 30e-3, LINE: REFERENCE_LENGTH}
+"""Lengths of the samples behind a model, by kind [m]."""
+
 _MM = 1e-3
 _FOLD_FROM = np.radians(-30.0)  # directions are folded into half a turn from here on
 
@@ -264,7 +266,7 @@ def _initial_rate_factor(path: StitchPath, config: CompensationConfig) -> Array:
     for kind, step in {*zip(path.kind.tolist(), path.step.tolist(), strict=True)}:
         of_kind = (path.kind == kind) & (path.step == step)
         factor[of_kind] = initial_rate_factor(
-            _SAMPLE_LENGTH[int(kind)], step, config.leak_length, config.prompt_length
+            SAMPLE_LENGTH[int(kind)], step, config.leak_length, config.prompt_length
         )
     return factor
 

@@ -14,8 +14,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.estimator import check_matrix
+from fuzzycnc_ros.core.arrays import Array, check_matrix
 
 PROCESS_VALUES = ('direction', 'depth', 'kind', 'step', 'thickness')
 """Columns of x."""
@@ -51,12 +50,13 @@ class FeatureSet(NamedTuple):
     loaded: bool
 
 
-def load(depth: Quantity, thickness: Quantity) -> Quantity:
-    """Return depth / (h (h - depth)) in 1/mm, to which the drag of a pressed sheet is about equal.
+def load(depth: Quantity, step: Quantity, thickness: Quantity) -> Quantity:
+    """Return depth / (h (h - depth) step) in 1/mm^2, to which drift per feed is about equal.
 
-    The foot's force goes as depth over the thickness that remains, the compliance as 1/h.
+    The foot's force goes as depth over the thickness that remains and the compliance as 1/h;
+    each stitch locks its share of the drag, so that twice as many stitches drift twice as far.
     """
-    return depth / (thickness * (thickness - depth))
+    return depth / (thickness * (thickness - depth) * step)
 
 
 def _physical(x: Array) -> Array:
@@ -74,18 +74,18 @@ def _physical_one(x: Sequence[float]) -> Sequence[float]:
 
 def _logarithmic(x: Array) -> Array:
     inputs = _physical(x)
-    inputs[:, 3] = np.log(x[:, 4])
+    inputs[:, 3], inputs[:, 5] = np.log(x[:, 4]), np.log(x[:, 3])
     return inputs
 
 
 def _logarithmic_one(x: Sequence[float]) -> Sequence[float]:
     turn = radians(x[0])
-    return cos(turn), sin(turn), x[1] / x[4], log(x[4]), x[2], 1.0 / x[3]
+    return cos(turn), sin(turn), x[1] / x[4], log(x[4]), x[2], log(x[3])
 
 
 FEATURE_SETS = {
     'load': FeatureSet(
-        ('cos', 'sin', 'depth_ratio', 'log_thickness', 'kind', 'inverse_step'),
+        ('cos', 'sin', 'depth_ratio', 'log_thickness', 'kind', 'log_step'),
         _logarithmic,
         _logarithmic_one,
         True,

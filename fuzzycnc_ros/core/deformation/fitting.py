@@ -24,11 +24,15 @@ from fuzzycnc_ros.core.fuzzy.gustafson_kessel import (
     grow_clusters,
 )
 
-STARTS = 2
+STARTS = 1
 """Random starts of the clustering: at 10 rules they end within 3 % of each other."""
 
-TOLERANCE = 1e-3
-"""Change of a membership that ends the clustering; 1e-5 takes longer for the same error."""
+TOLERANCE = 1e-2
+"""Change of a membership that ends the clustering.
+
+The clustering takes most of a training: with two starts and 1e-3 it is twice as long, and the
+held-out error, mean of data seeds 20 to 29, 0.287 instead of 0.277 mm.
+"""
 
 
 @dataclass(frozen=True)
@@ -193,7 +197,7 @@ def choose_ridge(
     """Return the penalty with the least error on parts that are held out in turn.
 
     The middle three are compared, then further ones as long as the error falls.  A single member
-    from a single start of the clustering is trained for each.
+    is trained for each.
 
     Parameters
     ----------
@@ -208,7 +212,7 @@ def choose_ridge(
     seed : int
         Seed of all trainings: penalties are compared from the same random weights.
     """
-    recipe = replace(recipe, members=1, starts=1)
+    recipe = replace(recipe, members=1)
     parts = [
         (rows.take(part), cluster(rows.take(~part), recipe, np.random.default_rng(seed)))
         for part in held_out

@@ -96,7 +96,7 @@ class DeformationModel:
         values, support = self.network.one(inputs)
         values *= self.gain.value
         if features.loaded:
-            values *= load(x[1], x[4])
+            values *= load(x[1], x[3], x[4])
         return values, support
 
     def adapted(self, x: ArrayLike, measured: ArrayLike) -> 'DeformationModel':
@@ -142,7 +142,7 @@ class DeformationModel:
         for part in _chunks(len(rows)):
             values[part] = self.network.values(self._inputs(rows[part]))
         if self._features.loaded:
-            values *= load(rows[:, 1], rows[:, 4])[:, np.newaxis]
+            values *= load(*rows[:, [1, 3, 4]].T)[:, np.newaxis]
         return values
 
 

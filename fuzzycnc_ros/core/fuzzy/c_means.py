@@ -8,19 +8,16 @@ References
 .. [2] X. L. Xie, G. Beni, "A validity measure for fuzzy clustering", 1991.
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array, Seed
-from fuzzycnc_ros.core.estimator import ClusterEstimator, check_features, check_fitted
-
-FUZZIFIER_MAX = 50.0
-"""Largest fuzzifier; far above any use, and the powers of small memberships stay numbers."""
+from fuzzycnc_ros.core.fuzzy.partition import FuzzyPartition, memberships_by_distance
 
 
-class FuzzyCMeans(ClusterEstimator):
+class FuzzyCMeans(FuzzyPartition):
     """Fuzzy c-means, [1]_; method sheet 001 eqs. (7)-(9).
 
     Parameters
@@ -70,6 +67,8 @@ class FuzzyCMeans(ClusterEstimator):
     [0.05, 5.05]
     """
 
+    _DISTINCT: ClassVar = False
+
     def __init__(
         self,
         n_clusters: int = 5,
@@ -107,69 +106,27 @@ class FuzzyCMeans(ClusterEstimator):
         ValueError
             If a parameter is out of range, or there are fewer samples than clusters.
         """
-        samples = check_features(self, X, reset=True)
-        self._check_parameters(len(samples))
-        mean = samples.mean(axis=0)
-        points = samples - mean
+        centred, mean, rng = self._begin(X)
+        points = centred
         if points.shape[1] > points.shape[0]:
             points = np.transpose(np.linalg.qr(points.T, mode='r'))
-        rng = np.random.default_rng(self.random_state)
         starts = rng.dirichlet(np.ones(self.n_clusters), (self.n_init, len(points)))
         membership, history = _iterate(
             points, starts.transpose(0, 2, 1), self.m, self.max_iter, self.tol
         )
         weight = membership**self.m
-        centers = weight @ (samples - mean) / weight.sum(axis=1, keepdims=True)
-        self.membership_ = membership.T
-        self.cluster_centers_ = centers + mean
-        self.labels_: NDArray[np.int64] = membership.argmax(axis=0)
-        self.objective_history_ = history
-        self.objective_ = float(history[-1])
-        self.n_iter_ = len(history)
+        centers = weight @ centred / weight.sum(axis=1, keepdims=True)
+        self._keep(membership, centers + mean, history)
         self.partition_coefficient_ = float((membership**2).sum() / len(points))
         self.xie_beni_ = _xie_beni(self.objective_, centers, len(points))
         return self
 
-    def predict_membership(self, X: ArrayLike) -> Array:  # noqa: N803
-        """Return the membership of new samples in the learnt clusters, eq. (7).
-
-        Parameters
-        ----------
-        X : array_like, shape (n, p)
-            Samples by rows.
-
-        Returns
-        -------
-        ndarray, shape (n, n_clusters)
-            Memberships [-]; rows sum to 1.
-        """
-        check_fitted(self, 'cluster_centers_')
-        samples = check_features(self, X, reset=False)
+    def _squared_distances(self, samples: Array) -> Array:
         # Centred so that samples far from the origin keep their digits.
         mean = self.cluster_centers_.mean(axis=0)
-        distance = _squared_distance(samples - mean, (self.cluster_centers_ - mean)[np.newaxis])
-        return np.asarray(_membership(distance, self.m)[0].T)
-
-    def predict(self, X: ArrayLike) -> NDArray[np.int64]:  # noqa: N803
-        """Return the cluster of highest membership of each sample, shape (n,)."""
-        return np.asarray(self.predict_membership(X).argmax(axis=1), dtype=np.int64)
-
-    def _check_parameters(self, samples: int) -> None:
-        if not 1 <= self.n_clusters <= samples:
-            raise ValueError(
-                f'n_clusters: expected 1 to {samples} (the number of samples; n_samples='
-                f'{samples}), but found {self.n_clusters}'
-            )
-        if not 1.0 < self.m <= FUZZIFIER_MAX:
-            raise ValueError(
-                f'm: expected a fuzzifier above 1 and at most {FUZZIFIER_MAX:g}, '
-                f'but found {self.m}'
-            )
-        for name, value in (('n_init', self.n_init), ('max_iter', self.max_iter)):
-            if value < 1:
-                raise ValueError(f'{name}: expected at least 1, but found {value}')
-        if not self.tol >= 0.0:
-            raise ValueError(f'tol: expected 0 or more, but found {self.tol}')
+        return np.asarray(
+            _squared_distance(samples - mean, (self.cluster_centers_ - mean)[np.newaxis])[0]
+        )
 
 
 def _iterate(
@@ -184,7 +141,7 @@ def _iterate(
         weight = membership**m
         centers = weight @ points / weight.sum(axis=2, keepdims=True)
         distance = _squared_distance(points, centers)
-        updated = _membership(distance, m)
+        updated = memberships_by_distance(distance, m)
         objective = np.einsum('rcn,rcn->r', updated**m, distance)
         change = np.abs(updated - membership).max(axis=(1, 2))
         membership = updated
@@ -211,14 +168,6 @@ def _squared_distance(points: Array, centers: Array) -> Array:
     # centre from dividing by zero, and lets centres that coincide share it equally.
     floor = np.finfo(np.float64).eps * max(float(square.max(initial=0.0)), 1e-300)
     return np.asarray(np.maximum(distance, floor))
-
-
-def _membership(distance: Array, m: float) -> Array:
-    """Return the memberships of eq. (7) for squared distances (r, c, n)."""
-    nearness = distance.min(axis=1, keepdims=True) / distance
-    if m != 2.0:
-        nearness **= 1.0 / (m - 1.0)
-    return np.asarray(nearness / nearness.sum(axis=1, keepdims=True))
 
 
 def _xie_beni(objective: float, centers: Array, samples: int) -> float:

@@ -9,14 +9,13 @@ References
    Gustafson-Kessel clustering", 2002.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array, Seed
-from fuzzycnc_ros.core.estimator import ClusterEstimator, check_features, check_fitted
-from fuzzycnc_ros.core.fuzzy.c_means import FUZZIFIER_MAX
+from fuzzycnc_ros.core.fuzzy.partition import FuzzyPartition, memberships_by_distance
 
 CONDITION_MAX = 1e8
 """Largest ratio of the eigenvalues of a cluster's covariance, [2]_."""
@@ -25,7 +24,7 @@ DISTANCE_MIN = 1e-12
 """Floor of the squared distances: a sample may lie on a centre."""
 
 
-class GustafsonKessel(ClusterEstimator):
+class GustafsonKessel(FuzzyPartition):
     """Regularised Gustafson-Kessel clustering, [1]_ with [2]_; method sheet 000 section 3.1.
 
     Parameters
@@ -78,6 +77,8 @@ class GustafsonKessel(ClusterEstimator):
     [[2.0, 0.0], [2.0, 12.0]]
     """
 
+    _DISTINCT: ClassVar = True
+
     def __init__(
         self,
         n_clusters: int = 10,
@@ -117,57 +118,26 @@ class GustafsonKessel(ClusterEstimator):
         ValueError
             If a parameter is out of range, or there are fewer distinct samples than clusters.
         """
-        samples = check_features(self, X, reset=True)
-        self._check_parameters(samples)
-        rng = np.random.default_rng(self.random_state)
-        mean = samples.mean(axis=0)
-        points = samples - mean
+        points, mean, rng = self._begin(X)
         seeds = np.stack([_spread_seeds(points, self.n_clusters, rng) for _ in range(self.n_init)])
         found = _iterate(
             points, seeds, self.m, _round_covariance(points, self.regularisation),
             self.regularisation, self.max_iter, self.tol,
         )  # fmt: skip
-        self.membership_ = found.membership.T
-        self.cluster_centers_ = found.center + mean
+        self._keep(found.membership, found.center + mean, found.history)
         self.norm_matrices_ = found.norm
-        self.labels_: NDArray[np.int64] = found.membership.argmax(axis=0)
-        self.objective_history_ = found.history
-        self.objective_ = float(found.history[-1])
-        self.n_iter_ = len(found.history)
         self.converged_ = found.converged
         return self
 
-    def predict_membership(self, X: ArrayLike) -> Array:  # noqa: N803
-        """Return the memberships of samples, shape (n, n_clusters); rows sum to 1."""
-        check_fitted(self, 'cluster_centers_')
-        samples = check_features(self, X, reset=False)
+    def _squared_distances(self, samples: Array) -> Array:
         apart = samples - self.cluster_centers_[:, np.newaxis]
         distance = np.einsum('cnp,cpq,cnq->cn', apart, self.norm_matrices_, apart)
-        return np.asarray(_membership(np.maximum(distance, DISTANCE_MIN), self.m).T)
-
-    def predict(self, X: ArrayLike) -> NDArray[np.int64]:  # noqa: N803
-        """Return the cluster of highest membership of each sample, shape (n,)."""
-        return np.asarray(self.predict_membership(X).argmax(axis=1), dtype=np.int64)
+        return np.asarray(np.maximum(distance, DISTANCE_MIN))
 
     def _check_parameters(self, samples: Array) -> None:
-        distinct = len(np.unique(samples, axis=0))
-        if not 1 <= self.n_clusters <= distinct:
-            raise ValueError(
-                f'n_clusters: expected 1 to {distinct} (the number of distinct samples; '
-                f'n_samples={len(samples)}), but found {self.n_clusters}'
-            )
-        if not 1.0 < self.m <= FUZZIFIER_MAX:
-            raise ValueError(
-                f'm: expected a fuzzifier above 1 and at most {FUZZIFIER_MAX:g}, '
-                f'but found {self.m}'
-            )
+        super()._check_parameters(samples)
         if not 0.0 <= self.regularisation <= 1.0:
             raise ValueError(f'regularisation: expected 0 to 1, but found {self.regularisation}')
-        for name, value in (('n_init', self.n_init), ('max_iter', self.max_iter)):
-            if value < 1:
-                raise ValueError(f'{name}: expected at least 1, but found {value}')
-        if not self.tol >= 0.0:
-            raise ValueError(f'tol: expected 0 or more, but found {self.tol}')
 
 
 class ClassValues(NamedTuple):
@@ -261,7 +231,7 @@ def _iterate(
     """Alternate the equations of section 3.1 from centres (r, c, p); return the best start."""
     apart = points - seeds[:, :, np.newaxis]
     distance = (apart**2).sum(axis=-1)
-    membership = _membership(np.maximum(distance, DISTANCE_MIN), m)
+    membership = memberships_by_distance(np.maximum(distance, DISTANCE_MIN), m)
     starts = len(seeds)
     active = np.arange(starts)
     history: list[list[float]] = [[] for _ in range(starts)]
@@ -274,7 +244,7 @@ def _iterate(
         scatter = (weight[..., np.newaxis] * apart).swapaxes(-1, -2) @ apart
         factor = _norm_factor((1.0 - share) * scatter / total[..., np.newaxis] + mixed)
         distance = np.maximum(((apart @ factor) ** 2).sum(axis=-1), DISTANCE_MIN)
-        updated = _membership(distance, m)
+        updated = memberships_by_distance(distance, m)
         objective = (updated**m * distance).sum(axis=(1, 2))
         change = np.abs(updated - membership).max(axis=(1, 2))
         for at, start in enumerate(active):
@@ -297,11 +267,3 @@ def _norm_factor(covariance: Array) -> Array:
     value = np.maximum(value, largest / CONDITION_MAX)
     volume = np.exp(0.5 * np.log(value).mean(axis=-1, keepdims=True))
     return np.asarray(vector * (volume / np.sqrt(value))[..., np.newaxis, :])
-
-
-def _membership(distance: Array, m: float) -> Array:
-    """Return the memberships for squared distances (..., c, n)."""
-    nearness = distance.min(axis=-2, keepdims=True) / distance
-    if m != 2.0:
-        nearness **= 1.0 / (m - 1.0)
-    return np.asarray(nearness / nearness.sum(axis=-2, keepdims=True))

@@ -20,7 +20,8 @@ ARC, LINE = 1, 2
 _ANGLES = (0.0, 15.0, 30.0, 45.0, 60.0)
 _THICKNESSES = (5.0, 15.0, 20.0, 25.0, 35.0)
 _SAMPLES_EACH, _DRAWN_ANGLES = 53, 3
-_LINE_LENGTH, _ARC_LENGTH, _ARC_RADIUS = 50e-3, 30e-3, 25e-3
+LINE_LENGTH, ARC_LENGTH, ARC_RADIUS = 50e-3, 30e-3, 25e-3
+"""Of the primitives that samples are taken from [m]."""
 _REFERENCE_LENGTH_MM = 50.0
 
 
@@ -124,7 +125,7 @@ def _sample(
     if kind not in (ARC, LINE):
         raise ValueError(f'type: expected 1 (arc) or 2 (line) but found {kind:g}')
     sheet = FoamSheet(1e-3 * thickness, friction=friction * FoamSheet.friction)
-    length = _LINE_LENGTH if kind == LINE else _ARC_LENGTH
+    length = LINE_LENGTH if kind == LINE else ARC_LENGTH
     steps = round(length / (1e-3 * step)) if step > 0.0 else 0
     if steps < 1:
         raise ValueError(
@@ -147,7 +148,7 @@ def _course(kind: float, angle: float, steps: int) -> Array:
     """Return points of a sample whose middle is the origin, shape (steps + 1, 2) [m]."""
     along = np.array([cos(angle), sin(angle)])
     if kind == LINE:
-        return np.outer(np.linspace(-0.5, 0.5, steps + 1) * _LINE_LENGTH, along)
+        return np.outer(np.linspace(-0.5, 0.5, steps + 1) * LINE_LENGTH, along)
     left = np.array([-along[1], along[0]])
-    turned = np.linspace(-0.5, 0.5, steps + 1) * _ARC_LENGTH / _ARC_RADIUS
-    return _ARC_RADIUS * (np.outer(np.sin(turned), along) + np.outer(1.0 - np.cos(turned), left))
+    turned = np.linspace(-0.5, 0.5, steps + 1) * ARC_LENGTH / ARC_RADIUS
+    return ARC_RADIUS * (np.outer(np.sin(turned), along) + np.outer(1.0 - np.cos(turned), left))

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         PidController,
     )
     from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
+    from fuzzycnc_ros.core.servo.controllers import CONTROLLERS, make_controller
     from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
     from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise
     from fuzzycnc_ros.core.servo.params import VariableUniverseParams
@@ -33,13 +34,14 @@ if TYPE_CHECKING:
         point_to_point,
     )
     from fuzzycnc_ros.core.servo.rule_learning import LearnedRules, learn_rules
-    from fuzzycnc_ros.core.servo.rule_table import RuleTable, published_rules
+    from fuzzycnc_ros.core.servo.rule_table import RuleTable, published_rules, rules_with_zero
     from fuzzycnc_ros.core.servo.stability import StabilityReport, stability_report
     from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
     from fuzzycnc_ros.core.servo.tuning import TuningResult, tune
     from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 
 __all__ = [
+    'CONTROLLERS',
     'AxisController',
     'BallscrewController',
     'CascadeController',
@@ -62,10 +64,12 @@ __all__ = [
     'VariableUniverseController',
     'VariableUniverseParams',
     'learn_rules',
+    'make_controller',
     'point_to_point',
     'position',
     'position_many',
     'published_rules',
+    'rules_with_zero',
     'stability_report',
     'tune',
 ]
@@ -74,13 +78,14 @@ _MODULES = {
     'ballscrew': ('BallscrewController',),
     'baselines': ('CascadeController', 'FixedUniverseController', 'PidController'),
     'controller': ('AxisController', 'ControllerStatus'),
+    'controllers': ('CONTROLLERS', 'make_controller'),
     'feedback_watch': ('FeedbackLimits',),
     'observer': ('DisturbanceObserver', 'ObserverNoise'),
     'params': ('VariableUniverseParams',),
     'positioning': ('PositioningBatch', 'PositioningRun', 'position', 'position_many'),
     'profile': ('Profile', 'ProfileLimits', 'Reference', 'point_to_point'),
     'rule_learning': ('LearnedRules', 'learn_rules'),
-    'rule_table': ('RuleTable', 'published_rules'),
+    'rule_table': ('RuleTable', 'published_rules', 'rules_with_zero'),
     'stability': ('StabilityReport', 'stability_report'),
     'stick_slip': ('StickSlipParams',),
     'tuning': ('TuningResult', 'tune'),

@@ -10,19 +10,15 @@ settings of the sheet's own comparators are not known.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import isfinite
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
 from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
-from fuzzycnc_ros.core.servo.filtered_rate import FilteredRate, Integrator
+from fuzzycnc_ros.core.servo.filtered_rate import STILL, FilteredRate, Integrator
 from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise
 from fuzzycnc_ros.core.servo.params import VariableUniverseParams
+from fuzzycnc_ros.core.servo.surface import FixedSurface
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 
 
@@ -77,6 +73,7 @@ class PidController(AxisController):
             axis.period,
             dead_zone=1.12 * self.watch.limits.count,
             band=integral_band,
+            still=STILL,
         )
         self._per_velocity = 1.0 / axis.gain if feedforward else 0.0
         self._per_acceleration = axis.lag * self._per_velocity
@@ -105,7 +102,7 @@ class PidController(AxisController):
         )
 
     def _commit(self, duty: float, position: float) -> None:
-        self._integral.add(self._error, self._saturated, duty)
+        self._integral.add(self._error, self._rate.value, self._saturated, duty)
 
     def _bridge(self, duty: float) -> None:
         self._rate.coast()
@@ -145,20 +142,8 @@ class FixedUniverseController(VariableUniverseController):
     def _check_params(self) -> None:
         """Floors and exponents are of no use here, so nothing is said about them."""
 
-    def contracted(self, error: ArrayLike, rate: ArrayLike) -> tuple[Array, Array]:
-        """Return errors [m] and error rates [m/s] on their fixed universes [-]."""
-        p = self.params
-        return (
-            np.clip(np.asarray(error, dtype=np.float64) / p.error_range, -1.0, 1.0),
-            np.clip(np.asarray(rate, dtype=np.float64) / p.rate_range, -1.0, 1.0),
-        )
-
-    def _contracted(self) -> Callable[[float, float], float]:
-        p = self.params
-        rules = p.rules
-        per_error, per_rate = 1.0 / p.error_range, 1.0 / p.rate_range
-        scale = -self._direction * p.output_gain
-        return lambda error, rate: scale * rules(error * per_error, rate * per_rate)
+    def _on_universes(self) -> FixedSurface:
+        return FixedSurface(self.params, self._direction)
 
 
 class CascadeController(AxisController):

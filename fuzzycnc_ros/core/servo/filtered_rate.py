@@ -6,6 +6,9 @@ from __future__ import annotations
 
 from math import exp, inf, isfinite
 
+STILL = 2e-3
+"""Speed up to which an axis off its target counts as stuck [m/s]: three counts per period."""
+
 
 class FilteredRate:
     """Rate of a reading, from its differences through a first-order filter.
@@ -48,6 +51,11 @@ class FilteredRate:
         self._value += (change - self._value) * self.share
         return self._value
 
+    @property
+    def value(self) -> float:
+        """Rate after the last reading [m/s]."""
+        return self._value
+
     def coast(self) -> None:
         """Go on without a reading, at the same rate."""
         self._last += self._value * self._period
@@ -65,8 +73,11 @@ class Integrator:
     dead_zone : float
         Error within which nothing is added [m].
     band : float
-        Error beyond which nothing is added [m]: on a long way there is always an error.  A band
-        smaller than the dip under a load leaves an offset for good.
+        Error beyond which nothing is added while the axis moves [m]: on a long way there is
+        always an error.
+    still : float
+        Speed up to which an axis counts as stuck, so that errors beyond the band are added too
+        [m/s].  Without that a load that pushes it out of the band leaves an offset for good.
 
     Attributes
     ----------
@@ -77,7 +88,13 @@ class Integrator:
     """
 
     def __init__(
-        self, gain: float, period: float, *, dead_zone: float = 0.0, band: float = inf
+        self,
+        gain: float,
+        period: float,
+        *,
+        dead_zone: float = 0.0,
+        band: float = inf,
+        still: float = 0.0,
     ) -> None:
         if not isfinite(gain):
             raise ValueError(f'integral_gain: expected a finite number but found {gain} 1/(m s)')
@@ -87,16 +104,17 @@ class Integrator:
                 f'integral_band: expected more than the dead zone, {dead_zone} m, but found '
                 f'{band} m'
             )
-        self._dead_zone, self._band = dead_zone, band
+        self._dead_zone, self._band, self._still = dead_zone, band, still
         self.value = 0.0
 
     def reset(self, value: float) -> None:
         """Start from a value [-], as duty."""
         self.value = value
 
-    def add(self, error: float, saturated: bool, duty: float) -> None:
-        """Add an error [m], unless the duty [-] was cut and it would be cut even more."""
-        if not self._dead_zone < abs(error) <= self._band:
+    def add(self, error: float, speed: float, saturated: bool, duty: float) -> None:
+        """Add an error [m] at a speed [m/s], unless that took a cut duty [-] even further."""
+        size = abs(error)
+        if size <= self._dead_zone or (size > self._band and abs(speed) > self._still):
             return
         growth = self.gain * error
         if not saturated or growth * duty < 0.0:

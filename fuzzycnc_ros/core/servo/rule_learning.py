@@ -208,6 +208,7 @@ def records_of_run(
     controller: VariableUniverseController,
     *,
     velocity: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
 ) -> Array:
     """Return records for `learn_rules` from the recorded run of any controller.
 
@@ -217,10 +218,11 @@ def records_of_run(
         Reference and reading [m] and duty [-], one per control period.
     controller : VariableUniverseController
         Controller that is to use the rules.  Errors and rates are those that it would have seen
-        and on its contracted universes, duties are less the disturbance that it would have made
-        up for, divided by its output gain, and signs are those of its table.
-    velocity : array_like, shape (n,), optional
-        Rate of the reference [m/s]; by default it rests.
+        and on its contracted universes, duties are less the disturbance and the motion of the
+        reference that it would have made up for, divided by its output gain, and signs are those
+        of its table.
+    velocity, acceleration : array_like, shape (n,), optional
+        Derivatives of the reference [m/s, m/s^2]; by default it rests.
 
     Returns
     -------
@@ -233,9 +235,9 @@ def records_of_run(
         If the shapes differ or a number is not finite.
     """
     columns = [np.asarray(part, dtype=np.float64) for part in (reference, position, duty)]
-    columns.append(
-        np.zeros(len(columns[0])) if velocity is None else np.asarray(velocity, dtype=np.float64)
-    )
+    for motion in (velocity, acceleration):
+        still = np.zeros(len(columns[0]))
+        columns.append(still if motion is None else np.asarray(motion, dtype=np.float64))
     if len({column.shape for column in columns}) > 1 or columns[0].ndim != 1:
         raise ValueError(
             'records_of_run: expected one reference, position and duty per period but found the '
@@ -243,11 +245,12 @@ def records_of_run(
         )
     if not np.isfinite(columns).all():
         raise ValueError('records_of_run: expected finite numbers only; cut the gaps out')
-    target, reading, driven, speed = columns
+    target, reading, driven, speed, change = columns
     place, rate, disturbance = controller.estimates(reading, driven)
     x, y = controller.contracted(target - place, speed - rate)
     sign = -1.0 if controller.axis.gain > 0.0 else 1.0
-    output = sign * (driven - disturbance) / controller.params.output_gain
+    made_up = disturbance + controller.feedforward(speed, change)
+    output = sign * (driven - made_up) / controller.params.output_gain
     cut = np.abs(driven) >= _CUT * controller.duty_max
     return np.column_stack([x, y, np.clip(output, -1.0, 1.0), cut])[1:]
 

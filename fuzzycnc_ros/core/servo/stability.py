@@ -100,9 +100,7 @@ def stability_report(
     >>> {gain: round(radius, 3) for gain, radius in report.spectral_radius.items()}
     {1.0: 0.968, 1.75: 1.014}
     """
-    for gain in gains:
-        if not 0.0 < gain < inf:
-            raise ValueError(f'gains: expected positive factors but found {gain}')
+    radii = spectral_radii(controller, gains)
     params, axis = controller.params, controller.axis
     linear = params.error_gain, params.rate_gain
     most = ultimate_gain(axis)
@@ -116,12 +114,34 @@ def stability_report(
         gain_margin=margin,
         phase_margin=phase,
         crossover=crossover,
-        spectral_radius={
-            gain: float(np.abs(_eigenvalues(controller, *linear, gain)).max()) for gain in gains
-        },
+        spectral_radius=radii,
         limit_cycle=amplitude,
         limit_cycle_frequency=frequency,
     )
+
+
+def spectral_radii(
+    controller: VariableUniverseController, gains: Sequence[float]
+) -> dict[float, float]:
+    """Return the largest magnitude of an eigenvalue of the loop near the target, by gain.
+
+    Parameters
+    ----------
+    controller : VariableUniverseController
+        Controller; its state is of no matter.
+    gains : sequence of float
+        Gain factors of the axis, positive.
+
+    Raises
+    ------
+    ValueError
+        If a gain factor is not positive.
+    """
+    for gain in gains:
+        if not 0.0 < gain < inf:
+            raise ValueError(f'gains: expected positive factors but found {gain}')
+    linear = controller.params.error_gain, controller.params.rate_gain
+    return {gain: float(np.abs(_eigenvalues(controller, *linear, gain)).max()) for gain in gains}
 
 
 def _changed(axis: LinearAxis, factor: float) -> LinearAxis:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -24,6 +25,7 @@ from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.observer import ObserverNoise
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning, VariableUniverseParams
 from fuzzycnc_ros.core.servo.positioning import PositioningBatch, position_many
+from fuzzycnc_ros.core.servo.stability import spectral_radii
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 
 _TOLERANCE = 2e-6
@@ -31,6 +33,12 @@ _TOLERANCE = 2e-6
 
 _SUBSTEPS = 5
 """Steps of the simulation per period; exact to 0.6 um of a second's motion."""
+
+GAIN_SPREAD = (0.5, 0.75, 1.0, 1.25, 1.5)
+"""Gains of the axis, as multiples of the nominal one, at which the loop has to settle."""
+
+_PER_RADIUS = 100.0
+"""Cost of what a spectral radius exceeds 1 by [-], which leads the search back."""
 
 Progress = Callable[[int, int, float], None]
 """Told after every generation: generation, their largest number, best cost so far."""
@@ -124,7 +132,8 @@ def tune(
     """Search for settings that settle fast, do not overshoot and stay on target.
 
     Every generation makes all moves with all candidates side by side, so the cost of a candidate
-    does not depend on the others and the result on nothing but the seed.
+    does not depend on the others and the result on nothing but the seed.  The cost is that of the
+    moves (`move_costs`) and of gains at which the linear loop swings (`swing_cost`).
 
     Parameters
     ----------
@@ -161,7 +170,7 @@ def tune(
     if not ranges or not cases:
         raise ValueError('expected one setting to search and one move or more but found none')
     coarse = [replace(m, config=replace(m.config, substeps=_SUBSTEPS)) for m in cases]
-    axes = [LatheAxis(replace(m.config, gain_factor=1.0)).linear() for m in coarse]
+    axes, places = _nominal(coarse)
     names = list(ranges)
     logarithmic = np.array([0.0 < low and 10.0 * low <= high for low, high in ranges.values()])
     ends = np.array(list(ranges.values()))
@@ -176,9 +185,12 @@ def tune(
         with warnings.catch_warnings():
             # candidates that do not settle are what the search is to find out
             warnings.simplefilter('ignore', ServoParamsWarning)
-            controllers = [make(axis, settings(point)) for point in columns for axis in axes]
+            made = [[make(axis, settings(point)) for axis in axes] for point in columns]
+        # designing one takes longer than copying it
+        controllers = [deepcopy(ones[place]) for ones in made for place in places]
         batch = position_many(controllers, coarse * len(columns), duration)
         total = np.asarray(move_costs(batch).reshape(len(columns), len(coarse)).sum(axis=1))
+        total += [max(swing_cost(one, duration) for one in ones) for ones in made]
         seen.append(float(total.min()))
         tried.append(len(columns))
         return total
@@ -208,6 +220,35 @@ def tune(
     return TuningResult(
         settings(found.x), float(found.fun), tuple(history), sum(tried), tuple(cases)
     )
+
+
+def _nominal(moves: Sequence[LatheMove]) -> tuple[list[LinearAxis], list[int]]:
+    """Return the nominal models of the moves' axes, each once, and which one a move has."""
+    found: dict[tuple[bytes, ...], int] = {}
+    axes: list[LinearAxis] = []
+    places = []
+    for move in moves:
+        axis = LatheAxis(replace(move.config, gain_factor=1.0)).linear()
+        key = axis.a.tobytes(), axis.b.tobytes(), axis.c.tobytes()
+        if key not in found:
+            found[key] = len(axes)
+            axes.append(axis)
+        places.append(found[key])
+    return axes, places
+
+
+def swing_cost(controller: AxisController, duration: float) -> float:
+    """Return what it costs that a loop swings at a gain of `GAIN_SPREAD` [-].
+
+    Friction hides a slow swing in moves that are over soon.  So each gain at which the spectral
+    radius is 1 or more costs as much as a move of that duration [s] that does not settle, and
+    what the radius exceeds 1 by in addition.  Controllers other than the variable-universe one
+    are judged by their moves alone.
+    """
+    if not isinstance(controller, VariableUniverseController):
+        return 0.0
+    radii = np.array(list(spectral_radii(controller, GAIN_SPREAD).values()))
+    return float((2.0 * duration + _PER_RADIUS * (radii - 1.0))[radii >= 1.0].sum())
 
 
 def move_costs(batch: PositioningBatch) -> Array:

@@ -9,7 +9,6 @@ same 36 rules zoom in near the target.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable
 from copy import copy
 from math import inf
 
@@ -20,10 +19,11 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
 from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
-from fuzzycnc_ros.core.servo.filtered_rate import FilteredRate, Integrator
+from fuzzycnc_ros.core.servo.filtered_rate import STILL, FilteredRate, Integrator
 from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise
 from fuzzycnc_ros.core.servo.params import VariableUniverseParams, default_crossover
 from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams, StickSlipRelief
+from fuzzycnc_ros.core.servo.surface import ContractedSurface
 
 MODES = ('production', 'static', 'paper_literal')
 """Modes of the controller; the first is the default."""
@@ -134,14 +134,17 @@ class VariableUniverseController(AxisController):
             axis.period,
             dead_zone=1.12 * self.watch.limits.count,
             band=integral_band,
+            still=STILL,
         )
         self._relief = (
             StickSlipRelief(stick_slip, axis.period) if production and stick_slip else None
         )
-        self.law = self._contracted()
+        self._surface = self._on_universes()
+        self.law = self._surface.law
         self._per_velocity = 1.0 / axis.gain if production else 0.0
         self._per_acceleration = axis.lag * self._per_velocity
         self._error = self._error_rate = self._disturbance = self._output = 0.0
+        self._friction = 0.0  # what is fed forward of it, in the modes that know it
         self._first = True
 
     @classmethod
@@ -227,9 +230,11 @@ class VariableUniverseController(AxisController):
         ndarray
             Duties [-] in the shape of the inputs.
         """
-        x, y = self.contracted(error, rate)
-        scale = -self._direction * self.params.output_gain
-        return np.asarray(scale * self.params.rules.surface(x, y))
+        return self._surface.duty(error, rate)
+
+    def feedforward(self, velocity: Array, acceleration: Array) -> Array:
+        """Return the duties [-] for motions of the reference [m/s, m/s^2]; 0 in other modes."""
+        return velocity * self._per_velocity + acceleration * self._per_acceleration
 
     def estimates(self, position: Array, duty: Array) -> tuple[Array, Array, Array]:
         """Return what the controller would have seen of a recorded run; its own state is kept.
@@ -294,37 +299,16 @@ class VariableUniverseController(AxisController):
 
     def contracted(self, error: ArrayLike, rate: ArrayLike) -> tuple[Array, Array]:
         """Return errors [m] and error rates [m/s] on their contracted universes [-]."""
-        p = self.params
-        e = np.clip(np.asarray(error, dtype=np.float64) / p.error_range, -1.0, 1.0)
-        c = np.clip(np.asarray(rate, dtype=np.float64) / p.rate_range, -1.0, 1.0)
-        return (
-            np.asarray(e / (np.abs(e) ** p.error_exponent + p.error_floor)),
-            np.asarray(c / (np.abs(c) ** p.rate_exponent + p.rate_floor)),
-        )
+        return self._surface.inputs(error, rate)
 
     def _check_params(self) -> None:
         """Warn of parameters that do not suit the axis; the published ones are known not to."""
         if self.mode != 'paper_literal':
             self.params.warn_about(self.axis)
 
-    def _contracted(self) -> Callable[[float, float], float]:
-        """Return the surface as a function of two numbers, error [m] and rate [m/s]."""
-        p = self.params
-        infer = p.rules.infer
-        per_error, per_rate = 1.0 / p.error_range, 1.0 / p.rate_range
-        error_exponent, rate_exponent = p.error_exponent, p.rate_exponent
-        error_floor, rate_floor = p.error_floor, p.rate_floor
-        scale = -self._direction * p.output_gain
-
-        def law(error: float, rate: float) -> float:
-            e = error * per_error
-            e = 1.0 if e > 1.0 else -1.0 if e < -1.0 else e
-            c = rate * per_rate
-            c = 1.0 if c > 1.0 else -1.0 if c < -1.0 else c
-            x = e / (abs(e) ** error_exponent + error_floor)
-            return scale * infer(x, c / (abs(c) ** rate_exponent + rate_floor))
-
-        return law
+    def _on_universes(self) -> ContractedSurface:
+        """Return the rules on the universes of the parameters."""
+        return ContractedSurface(self.params, self._direction)
 
     def _restart(self, position: float, duty: float) -> None:
         """Begin at rest at a position [m] that a duty [-] holds."""
@@ -355,7 +339,7 @@ class VariableUniverseController(AxisController):
             rate = self._error_rate = velocity - state[observer.velocity_place]
             disturbance = state[-1]
         self._disturbance = disturbance
-        wanted = self.law(error, rate) + disturbance
+        wanted = self.law(error, rate) + disturbance + self._friction
         relief = self._relief
         if velocity or acceleration:
             if relief is not None:
@@ -386,7 +370,7 @@ class VariableUniverseController(AxisController):
         if self._observer is not None:
             self._observer.advance(duty, position)
         else:
-            self._integral.add(self._error, self._saturated, duty)
+            self._integral.add(self._error, self._rate.value, self._saturated, duty)
 
     def _bridge(self, duty: float) -> None:
         """Go on to the next period without a reading."""

@@ -121,7 +121,7 @@ def reachable_speed(
     ValueError
         If shapes differ, a value is not finite or negative, or arc length falls.
     """
-    place, cap, rise = checked_pass(arc_length, speed, acceleration, stop)
+    place, cap, rise = _checked_pass(arc_length, speed, acceleration, stop)
     for name, value in (('start', start), ('end', end)):
         if not 0.0 <= value < np.inf:
             raise ValueError(f'{name}: expected a speed of 0 m/s or more, but found {value}')
@@ -132,7 +132,7 @@ def reachable_speed(
     return np.sqrt(sweep(sweep(cap[::-1], rise[::-1])[::-1], rise))
 
 
-def checked_pass(
+def _checked_pass(
     arc_length: ArrayLike,
     speed: ArrayLike,
     acceleration: ArrayLike,
@@ -191,93 +191,3 @@ def sweep(cap: Array, rise: Array) -> Array:
         given = found[row, -1] + total[row, -1]
     found += total
     return np.asarray(np.minimum(found.reshape(-1)[: len(cap)], cap))
-
-
-class SpeedStream:
-    """`reachable_speed` for a path that arrives in chunks, with bounded memory.
-
-    Speeds leave as soon as no continuation of the path can change them: where braking for a stop
-    right behind the last point and not braking at all give the same.  So what waits inside is no
-    longer than the stopping distance.
-
-    Parameters
-    ----------
-    acceleration : float
-        Largest change of speed along the path [m/s^2].
-    start, end : float
-        Speeds at the ends of the whole path [m/s].
-    """
-
-    def __init__(self, acceleration: float, *, start: float = 0.0, end: float = 0.0) -> None:
-        if not (0.0 < acceleration < np.inf and 0.0 <= start < np.inf and 0.0 <= end < np.inf):
-            raise ValueError(
-                'expected a positive acceleration [m/s^2] and speeds of 0 or more [m/s], but '
-                f'found {acceleration}, {start} and {end}'
-            )
-        self._acceleration = acceleration
-        self._end = end
-        self._place = np.empty(0)
-        self._cap = np.empty(0)
-        self._entry = start**2  # squared speed that the motion so far allows at the first waiting
-        self._last_place = -np.inf  # of the point before the first waiting
-
-    @property
-    def waiting(self) -> int:
-        """Number of points that have arrived and not yet left."""
-        return len(self._place)
-
-    def push(
-        self, arc_length: ArrayLike, speed: ArrayLike, stop: ArrayLike | None = None
-    ) -> Array:
-        """Take the next points; return the speeds that are final now, in order [m/s].
-
-        Raises
-        ------
-        ValueError
-            As `reachable_speed`; or if the points begin before those already here end.  Nothing
-            is taken then.
-        """
-        place, cap, _ = checked_pass(arc_length, speed, self._acceleration, stop)
-        before = self._place[-1] if len(self._place) else self._last_place
-        if len(place) and place[0] < before:
-            raise ValueError(
-                f'arc_length: expected {before} m or more, where the last points ended, but '
-                f'found {place[0]}'
-            )
-        self._place = np.append(self._place, place)
-        self._cap = np.append(self._cap, cap)
-        if not len(self._place):
-            return np.empty(0)
-        low, high = self._braked(0.0), self._braked(np.inf)
-        agreed = np.flatnonzero(low == high)
-        # The last point stays: the next one's distance counts from it.
-        return self._leave(high, min(int(agreed[-1]) + 1, len(low) - 1) if len(agreed) else 0)
-
-    def finish(self) -> Array:
-        """Return the speeds of the points still waiting: the path ends at the last of them."""
-        if not len(self._place):
-            return np.empty(0)
-        return self._leave(self._braked(self._end**2), len(self._place))
-
-    def _braked(self, end: float) -> Array:
-        """Squared speeds after the backward sweep, with squared speed `end` at the last point."""
-        cap = self._cap.copy()
-        cap[-1] = min(cap[-1], end)
-        return sweep(cap[::-1], self._rise()[::-1])[::-1]
-
-    def _rise(self) -> Array:
-        return np.asarray(2.0 * self._acceleration * np.diff(self._place))
-
-    def _leave(self, braked: Array, count: int) -> Array:
-        """Sweep the first `count` forward, drop them, and note what they hand over."""
-        if count == 0:
-            return np.empty(0)
-        rise = self._rise()
-        braked = braked[:count].copy()
-        braked[0] = min(braked[0], self._entry)
-        found = sweep(braked, rise[: count - 1])
-        if count < len(self._place):
-            self._entry = float(found[-1] + rise[count - 1])
-        self._last_place = float(self._place[count - 1])
-        self._place, self._cap = self._place[count:], self._cap[count:]
-        return np.sqrt(found)

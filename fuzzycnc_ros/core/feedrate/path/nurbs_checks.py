@@ -9,6 +9,14 @@ from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
 
+COORDINATE_MAX = 1e3
+"""Largest coordinate [m]: of no machine, and far from what doubles lose digits at."""
+DEGREE_MAX = 15
+WEIGHTS_MAX = 1e6
+"""Largest ratio of two weights of a curve: beyond it, digits of its points are lost."""
+SPAN_MIN = 1e-9
+"""Least distance of two knots that differ, as a share of the domain."""
+
 
 def read_only(name: str, value: ArrayLike) -> Array:
     """Return a read-only copy as doubles; refuse what is not finite."""
@@ -93,3 +101,43 @@ def check_knots(knot: Array, points: int, degree: int) -> None:
             f'expected the knot {value[index]:g} at most {allowed[index]} times for degree '
             f'{degree} but found it {count[index]} times; the curve tears there: split it'
         )
+
+
+def check_machinable(control: Array, weight: Array, knot: Array, degree: int) -> None:
+    """Refuse a curve that no machine follows, and whose motion would take for ever to find.
+
+    Parameters
+    ----------
+    control : ndarray, shape (n, 3)
+        Control points [m].
+    weight : ndarray, shape (n,)
+        Weights, all positive.
+    knot : ndarray, shape (n + degree + 1,)
+        Knots that never fall.
+    degree : int
+        Degree.
+
+    Raises
+    ------
+    ValueError
+        If it is.
+    """
+    if degree > DEGREE_MAX:
+        raise ValueError(f'expected a degree from 1 to {DEGREE_MAX} but found {degree}')
+    far = float(np.abs(control).max())
+    if far > COORDINATE_MAX:
+        raise ValueError(f'expected coordinates up to {COORDINATE_MAX:g} m but found {far:g} m')
+    if weight.max() > WEIGHTS_MAX * weight.min():
+        raise ValueError(
+            f'expected weights no more than {WEIGHTS_MAX:g} times each other but found '
+            f'{weight.min():g} and {weight.max():g}'
+        )
+    width = knot[len(control)] - knot[degree]
+    step = np.diff(np.unique(knot))
+    if not (step >= SPAN_MIN * width).all() or np.abs(knot).max() > width / SPAN_MIN:
+        raise ValueError(
+            f'expected knots that are equal or {SPAN_MIN:g} of the domain apart, not far from 0, '
+            f'but found steps down to {step.min():g} over {width:g}'
+        )
+    if not np.ptp(control, axis=0).max() > 0.0:
+        raise ValueError('expected points that differ but found one and the same')

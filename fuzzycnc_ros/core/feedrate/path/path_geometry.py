@@ -10,10 +10,8 @@ those of a Bernstein polynomial lie within its coefficients.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from math import comb, perm
 
 import numpy as np
@@ -49,31 +47,6 @@ class PathGeometry:
     coefficient: Array
     node: Array
     stop: NDArray[np.bool_]
-
-    @classmethod
-    def from_polyline(cls, points: ArrayLike) -> PathGeometry:
-        """Return the straight lines through `points`, shape (n, 2) or (n, 3) [m].
-
-        Repeated points are dropped.  Every turn above `CORNER_ANGLE` is a corner.
-
-        Raises
-        ------
-        ValueError
-            If the shape is another, a value is not finite, or less than two points differ.
-        """
-        point = _checked(points, 'points')
-        step = np.linalg.norm(np.diff(point, axis=0), axis=1)
-        point = point[np.append(True, step > 0.0)]
-        if len(point) < 2:
-            raise ValueError('points: expected at least 2 that differ, but found 1')
-        edge = np.diff(point, axis=0)
-        share = np.linspace(0.0, 1.0, _DEGREE + 1)[:, np.newaxis]
-        coefficient = point[:-1, np.newaxis] + share * edge[:, np.newaxis]
-        coefficient[:, -1] = point[1:]  # exactly, not by a sum
-        length = np.linalg.norm(edge, axis=1)
-        stop = np.zeros(len(point), bool)
-        stop[1:-1] = turn_angles(edge[:-1], edge[1:]) > CORNER_ANGLE
-        return cls(coefficient, np.append(0.0, np.cumsum(length)), stop)
 
     @classmethod
     def from_samples(
@@ -140,68 +113,6 @@ class PathGeometry:
             np.append(0.0, np.cumsum(length)),
             np.zeros(len(point), bool),
         )
-
-    @classmethod
-    def join(
-        cls, parts: Sequence[PathGeometry], *, gap: float = 1e-9, easing: float = 1e-6
-    ) -> PathGeometry:
-        """Return one path of several, each beginning where the one before ends.
-
-        A turn between two parts is a corner.  Where the tangent goes on but the curvature jumps,
-        as from a line to an arc, the curvature goes from one to the other within a short piece
-        on each side, which moves the path by no more than `easing`.
-
-        Raises
-        ------
-        ValueError
-            If there is no part, the parts differ in axes, a gap between two exceeds `gap` [m],
-            or `easing` [m] is not positive.
-        """
-        if not parts or len({part.axes for part in parts}) != 1:
-            raise ValueError(
-                f'parts: expected at least one, all with the same axes, but found '
-                f'{[part.axes for part in parts]}'
-            )
-        if not easing > 0.0:
-            raise ValueError(f'easing: expected a positive length [m], but found {easing}')
-        first = np.array([part.coefficient[0] for part in parts])
-        last = np.array([part.coefficient[-1] for part in parts])
-        apart = _size(first[1:, 0] - last[:-1, 5])
-        if (apart > gap).any():
-            at = int(np.argmax(apart > gap))
-            raise ValueError(
-                f'parts: expected each to begin where the one before ends, but found a gap of '
-                f'{apart[at]} m behind part {at}; put a line between them'
-            )
-        corner = turn_angles(last[:-1, 5] - last[:-1, 4], first[1:, 1] - first[1:, 0])
-        corner_at = corner > CORNER_ANGLE
-        bend = np.array([[part.derivative(2)[k, 3 * k] for part in parts] for k in (0, -1)])
-        mean = 0.5 * (bend[1][:-1] + bend[0][1:])
-        jump = _size(bend[0][1:] - bend[1][:-1])
-        eased = ~corner_at & (jump > 1e-9)
-        with np.errstate(divide='ignore'):
-            # u^2 (1 - u)^3 / 2, the quintic of half the jump, is at most 0.0173.
-            piece = np.where(eased, np.sqrt(easing / (0.5 * 0.0173 * jump)), np.inf)
-        ends = np.concatenate([[np.inf], piece, [np.inf]])
-        cut = [part._cut(*ends[k : k + 2]) for k, part in enumerate(parts)]
-        coefficient = np.concatenate([part.coefficient for part in cut])
-        length = np.concatenate([np.diff(part.node) for part in cut])
-        stop = np.concatenate([part.stop[:-1] for part in cut] + [np.zeros(1, bool)])
-        seam = np.cumsum([len(part.coefficient) for part in cut])[:-1]
-        stop[seam] = corner_at
-        after, mean = seam[eased], mean[eased]
-        before = after - 1
-        coefficient[before, 3] = (
-            2.0 * coefficient[before, 4]
-            - coefficient[before, 5]
-            + length[before, np.newaxis] ** 2 / 20.0 * mean
-        )
-        coefficient[after, 2] = (
-            2.0 * coefficient[after, 1]
-            - coefficient[after, 0]
-            + length[after, np.newaxis] ** 2 / 20.0 * mean
-        )
-        return cls(coefficient, np.append(0.0, np.cumsum(length)), stop)
 
     @property
     def length(self) -> float:
@@ -298,30 +209,6 @@ class PathGeometry:
         stop = np.zeros(len(node), bool)
         stop[first] = self.stop
         return PathGeometry(found, node, stop)
-
-    def _cut(self, head: float, tail: float) -> PathGeometry:
-        """Return the path with its first and last segment no longer than `head` and `tail` [m]."""
-        length = np.diff(self.node)
-        shares = [np.array([0.0, 1.0])] * len(length)
-        if head < length[0]:
-            shares[0] = np.array([0.0, head / length[0], 1.0])
-        if tail < length[-1]:
-            left = shares[-1][:-1]
-            mark = max(1.0 - tail / length[-1], 0.5 * (1.0 + left[-1]))
-            shares[-1] = np.concatenate([left, [mark, 1.0]])
-        if all(len(share) == 2 for share in shares):
-            return self
-        found = [
-            _restriction(low, high) @ segment
-            for share, segment in zip(shares, self.coefficient, strict=True)
-            for low, high in pairwise(share)
-        ]
-        piece = np.concatenate(
-            [np.diff(share) * size for share, size in zip(shares, length, strict=True)]
-        )
-        stop = np.zeros(len(found) + 1, bool)
-        stop[np.append(0, np.cumsum([len(share) - 1 for share in shares]))] = self.stop
-        return PathGeometry(np.array(found), np.append(0.0, np.cumsum(piece)), stop)
 
 
 def bernstein(degree: int, share: Array) -> Array:

@@ -5,7 +5,7 @@
 from fuzzycnc_ros.core.feedrate.program.blocks import Block, Note, Program, Role
 from fuzzycnc_ros.core.feedrate.program.lexer import ProgramError
 from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader, read_program
-from fuzzycnc_ros.core.feedrate.program.sampling import SampledPath, sample_path
+from fuzzycnc_ros.core.feedrate.program.sampling import ProgramPoints, sample_path
 from fuzzycnc_ros.core.feedrate.program.segments import (
     ArcSegment,
     DwellSegment,
@@ -24,9 +24,9 @@ __all__ = [
     'NurbsSegment',
     'Program',
     'ProgramError',
+    'ProgramPoints',
     'ProgramReader',
     'Role',
-    'SampledPath',
     'Segment',
     'read_program',
     'sample_path',

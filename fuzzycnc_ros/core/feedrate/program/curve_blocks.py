@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.nurbs_checks import check_machinable
 from fuzzycnc_ros.core.feedrate.program.arcs import ABSOLUTE_MISFIT, PLANES
 from fuzzycnc_ros.core.feedrate.program.lexer import ProgramError, Word
 from fuzzycnc_ros.core.feedrate.program.modal import State
@@ -71,7 +72,9 @@ class CurveBlock(ABC):
                 'with G0 or G1 before it',
             )
         try:
-            return NurbsCurve(self.control, self.weight, knot, degree)
+            curve = NurbsCurve(self.control, self.weight, knot, degree)
+            check_machinable(curve.control, curve.weight, curve.knot, degree)
+            return curve
         except ValueError as error:
             raise ProgramError(self.line, f'no NURBS curve begins here: {error}') from error
 

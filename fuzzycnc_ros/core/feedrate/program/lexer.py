@@ -10,6 +10,9 @@ import math
 import re
 from typing import NamedTuple
 
+LENGTH_MAX = 1e6
+"""Longest way or radius in a program [mm or inch]: a kilometre and more is of no machine."""
+
 
 class ProgramError(ValueError):
     """A part program that says something impossible; names its line.
@@ -140,6 +143,11 @@ def _word(match: re.Match[str], number: int) -> Word:
     value = float(match[2])
     if not math.isfinite(value):
         raise ProgramError(number, f'expected a finite number but found {match[0][:30]!r}...')
+    if abs(value) > LENGTH_MAX and match[1].upper() in 'XYZIJKR':
+        raise ProgramError(
+            number,
+            f'expected lengths up to {LENGTH_MAX:g} but found {match[0][:30]!r}; of no machine',
+        )
     return Word(match[1].upper(), value, match.start(), match.end())
 
 

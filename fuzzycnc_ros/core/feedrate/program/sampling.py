@@ -16,8 +16,8 @@ _GAP = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class SampledPath:
-    """Points along a path.
+class ProgramPoints:
+    """Points along the path of a program.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class SampledPath:
     curvature: Array
 
 
-def sample_path(segments: Sequence[Segment], spacing: float) -> SampledPath:
+def sample_path(segments: Sequence[Segment], spacing: float) -> ProgramPoints:
     r"""Return points along segments that follow each other, all ends included.
 
     Parameters
@@ -48,7 +48,7 @@ def sample_path(segments: Sequence[Segment], spacing: float) -> SampledPath:
 
     Returns
     -------
-    SampledPath
+    ProgramPoints
         Points in equal steps inside each segment; no two in a row are the same.
 
     Raises
@@ -97,4 +97,4 @@ def sample_path(segments: Sequence[Segment], spacing: float) -> SampledPath:
             bent = segment.curvatures(steps)
             curvature[own] = np.maximum(curvature[own], bent[:-1])
             curvature[own.stop] = bent[-1]
-    return SampledPath(point, np.append(moving[owner], moving[-1]), curvature)
+    return ProgramPoints(point, np.append(moving[owner], moving[-1]), curvature)

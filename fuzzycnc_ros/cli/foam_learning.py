@@ -1,0 +1,146 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Offsets of one track from its recorded runs, for `fuzzycnc foam learn`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fuzzycnc_ros.core.deformation.compensation import CompensatedPath
+from fuzzycnc_ros.core.deformation.iterative import learn_offsets
+from fuzzycnc_ros.core.deformation.offset_file import SAME_POINT, StitchOffsets
+from fuzzycnc_ros.core.deformation.samples import RecordedPath
+
+
+@dataclass(frozen=True, eq=False)
+class Learnt:
+    """Offsets of the next cycle, and what the recorded one left.
+
+    Attributes
+    ----------
+    offsets : StitchOffsets
+        The offsets.
+    runs : int
+        Runs that they were learnt from.
+    rms_deviation, max_deviation : float
+        Distance of the stitches, means of the runs, from their places [m].
+    limited : int
+        Steps at which a limit was at work on the new offsets.
+    """
+
+    offsets: StitchOffsets
+    runs: int
+    rms_deviation: float
+    max_deviation: float
+    limited: int
+
+    @property
+    def largest(self) -> float:
+        """Largest offset [m]."""
+        return float(np.hypot(*self.offsets.offset.T).max())
+
+    def lines(self) -> list[str]:
+        """Return it in words."""
+        lines = [
+            f'{self.runs} run{"s" if self.runs > 1 else ""} of {len(self.offsets.nominal):,} '
+            f'points: deviation {1e3 * self.rms_deviation:.3f} mm rms, '
+            f'{1e3 * self.max_deviation:.3f} mm at most; largest new offset '
+            f'{1e3 * self.largest:.3f} mm'
+        ]
+        if self.limited:
+            lines.append(f'note: {self.limited} steps are limited; the track is not learnt there')
+        return lines
+
+    def document(self) -> dict[str, Any]:
+        """Return it in SI."""
+        return {
+            'path_id': self.offsets.path_id,
+            'material': self.offsets.material,
+            'runs': self.runs,
+            'rms_deviation': self.rms_deviation,
+            'max_deviation': self.max_deviation,
+            'largest_offset': self.largest,
+            'limited': self.limited,
+        }
+
+
+def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float) -> Learnt:
+    """Return the offsets of the next cycle of one track.
+
+    Parameters
+    ----------
+    paths : sequence of RecordedPath
+        Recorded runs, at least one.
+    path_id : str, optional
+        Name of the track; needed where there are several.
+    gain : float
+        Share of the deviation to be taken away [-].
+
+    Raises
+    ------
+    ValueError
+        If there is no such track, or the runs are not of one cycle of one track on one material.
+    """
+    known = sorted({path.path_id for path in paths})
+    if path_id is not None and path_id not in known:
+        raise ValueError(
+            f'--path: expected one of the stitched paths {", ".join(known)} but found {path_id!r}'
+        )
+    if path_id is None and len(known) > 1:
+        raise ValueError(
+            f'{_other(paths).source}: expected runs of one track but found '
+            f'{", ".join(known)}; choose one by --path'
+        )
+    runs = [path for path in paths if path_id is None or path.path_id == path_id]
+    first = runs[0]
+    track = StitchOffsets(first.path_id, first.material.name, first.nominal, first.offset)
+    for run in runs[1:]:
+        _check_same(track, first, run)
+    stitched = np.stack([run.stitched for run in runs])
+    before = CompensatedPath.unchanged(first.nominal)
+    commanded = CompensatedPath(
+        first.nominal, first.offset, before.compensation, before.support, before.flag
+    )
+    after = learn_offsets(commanded, stitched, gain=gain, size=first.material.size)
+    deviation = np.hypot(*(stitched.mean(axis=0) - first.nominal).T)
+    return Learnt(
+        StitchOffsets(track.path_id, track.material, track.nominal, after.offset),
+        len(runs),
+        float(np.sqrt(np.mean(deviation**2))),
+        float(deviation.max()),
+        int((after.flag != 0).sum()),
+    )
+
+
+def _check_same(track: StitchOffsets, first: RecordedPath, run: RecordedPath) -> None:
+    """Refuse a run that does not belong to the first one."""
+    reason = track.mismatch(run.path_id, run.material.name, run.nominal)
+    if not reason:
+        for what, one, other in (
+            ('thickness', first.material.thickness, run.material.thickness),
+            ('feed depth', first.depth, run.depth),
+        ):
+            if np.abs(np.subtract(one, other)).max() > SAME_POINT:
+                low, high = 1e3 * np.max(one), 1e3 * np.max(other)
+                reason = f'a {what} of {low:g} mm, not of {high:g} mm'
+                break
+    if reason:
+        raise ValueError(
+            f'{run.source}: expected a run like {first.source} but that has {reason}; learn each '
+            'track on each material by itself'
+        )
+    apart = float(np.abs(run.offset - first.offset).max())
+    if apart > SAME_POINT:
+        raise ValueError(
+            f'{run.source}: expected the offsets of {first.source} but found others by up to '
+            f'{1e3 * apart:.3f} mm; give the runs of the last cycle alone'
+        )
+
+
+def _other(paths: Sequence[RecordedPath]) -> RecordedPath:
+    """Return the first run of another track than the first."""
+    return next(path for path in paths if path.path_id != paths[0].path_id)

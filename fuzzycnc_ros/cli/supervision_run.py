@@ -1,0 +1,138 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bring graphs up in order, watch them until they are over or interrupted, take them down."""
+
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from fuzzycnc_ros.cli.graph_processes import GraphProcesses, NodeSpec, process_name
+from fuzzycnc_ros.cli.supervision import TIME_SOURCES, State, Supervised, Supervisor
+from fuzzycnc_ros.cli.supervision_view import View
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.cli.supervision_monitor import Monitor
+
+ACTIVE_TIMEOUT = 20.0
+"""Wall time [s] until a managed node must be active."""
+GIVEN_UP = 1
+"""Exit code where a node was given up."""
+
+Plan = Sequence[tuple[NodeSpec, ...]]
+"""Processes of one machine, each with one node or several composed ones."""
+
+
+def supervise(
+    console: Console,
+    graphs: Sequence[GraphProcesses],
+    plans: Sequence[Plan],
+) -> dict[str, Any]:
+    """Run the processes of some graphs until they are over or interrupted; return how it went."""
+    # Here, so that `fuzzycnc --help` works where ROS is not installed.
+    from fuzzycnc_ros.cli.supervision_monitor import Monitor
+
+    monitor = Monitor([graph.machine for graph in graphs])
+    try:
+        with View(console) as view:
+            supervisor = Supervisor(view.tell, monitor)
+            try:
+                _bring_up(supervisor, monitor, view, graphs, plans)
+                view.tell(f'all started: {_names(supervisor)}; Ctrl-C ends them')
+                while not supervisor.over:
+                    _watch(supervisor, monitor, view)
+            except KeyboardInterrupt:
+                view.tell('ending all nodes')
+            _end(graphs)
+    finally:
+        monitor.close()
+    document: dict[str, Any] = {
+        'nodes': [spec.name for group in plans[0] for spec in group],
+        'exit_code': GIVEN_UP if supervisor.given_up else 0,
+        'restarts': supervisor.restarts,
+        'given_up': supervisor.given_up,
+    }
+    told = {
+        graph.machine: _outcome(graph, plan) for graph, plan in zip(graphs, plans, strict=True)
+    }
+    if len(graphs) == 1:
+        return {**document, **told[graphs[0].machine]}
+    return {**document, 'machines': told}
+
+
+def _watch(supervisor: Supervisor, monitor: 'Monitor', view: View) -> None:
+    """Listen for a moment, look after the processes, show it."""
+    monitor.spin()
+    supervisor.poll(time.monotonic())
+    view.update(supervisor.processes, monitor)
+
+
+def _bring_up(
+    supervisor: Supervisor,
+    monitor: 'Monitor',
+    view: View,
+    graphs: Sequence[GraphProcesses],
+    plans: Sequence[Plan],
+) -> None:
+    """Start what serves, then the managed nodes one after the other, then what makes time."""
+    waiting: list[tuple[GraphProcesses, tuple[NodeSpec, ...]]] = []
+    managed: list[tuple[GraphProcesses, tuple[NodeSpec, ...]]] = []
+    for graph, plan in zip(graphs, plans, strict=True):
+        for group in plan:
+            if any(spec.parameters.get('autostart') for spec in group):
+                managed.append((graph, group))
+            elif any(spec.name in TIME_SOURCES for spec in group):
+                waiting.append((graph, group))
+            else:
+                supervisor.start(graph, group)
+    for graph, group in managed:
+        process = supervisor.start(graph, group)
+        for spec in group:
+            if spec.parameters.get('autostart'):
+                _await_active(supervisor, monitor, view, process, spec.name)
+    for graph, group in waiting:
+        supervisor.start(graph, group)
+
+
+def _await_active(
+    supervisor: Supervisor, monitor: 'Monitor', view: View, process: Supervised, node: str
+) -> None:
+    """Wait until a managed node is active; say why if it does not get so far."""
+    machine = process.graph.machine
+    until = time.monotonic() + ACTIVE_TIMEOUT
+    while not monitor.was_active(machine, node):
+        _watch(supervisor, monitor, view)
+        late = time.monotonic() > until
+        if late or process.state in (State.GIVEN_UP, State.ENDED):
+            state = monitor.lifecycle(machine, node) or 'not heard of'
+            why = process.reason or '; '.join(monitor.view(machine, node).trouble)
+            why = why or process.graph.last_words(process.name)
+            view.tell(f'{machine}/{node} did not become active, it is {state}: {why}')
+            return
+
+
+def _end(graphs: Sequence[GraphProcesses]) -> None:
+    """End all nodes; the recorders last, so that they hear the others out."""
+    for late in (False, True):
+        asked = [
+            (graph, graph.interrupt(name))
+            for graph in graphs
+            for name in graph.names
+            if late or name != 'recorder'
+        ]
+        for graph, names in asked:
+            graph.wait_ended(names)
+
+
+def _names(supervisor: Supervisor) -> str:
+    titles = [process.title for process in supervisor.processes]
+    return ', '.join(titles)
+
+
+def _outcome(graph: GraphProcesses, plan: Plan) -> dict[str, Any]:
+    """Return what the simulated machine of a graph said of its run."""
+    for group in plan:
+        if any(spec.name in TIME_SOURCES for spec in group):
+            return graph.outcome(process_name(group))
+    return {}

@@ -1,0 +1,123 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Offsets of one track, learnt from its recorded runs, as JSON documents."""
+
+import json
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.document import ModelFileError, Node
+
+FORMAT = 'fuzzycnc stitch offsets'
+"""What the file says it is."""
+
+VERSION = 1
+"""Version of the layout."""
+
+SIZE_MAX = 64 * 1024 * 1024
+"""Largest document that is read [characters]; a stitch takes about 80."""
+
+SAME_POINT = 1e-6
+"""Nominal points that differ by no more are the same [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class StitchOffsets:
+    """Offsets of one track on one material.
+
+    Parameters
+    ----------
+    path_id : str
+        Name of the pattern.
+    material : str
+        Name of the material.
+    nominal : ndarray, shape (n + 1, 2)
+        Nominal points that the offsets are for [m].
+    offset : ndarray, shape (n + 1, 2)
+        Offsets to be added [m].
+    """
+
+    path_id: str
+    material: str
+    nominal: Array
+    offset: Array
+
+    def mismatch(self, path_id: str, material: str, nominal: Array) -> str:
+        """Return why the offsets are not for a track, or nothing if they are.
+
+        Parameters
+        ----------
+        path_id, material : str
+            Name of the pattern and of its material.
+        nominal : ndarray, shape (k + 1, 2)
+            Nominal points of the track [m].
+        """
+        if path_id != self.path_id:
+            return f'offsets of the pattern {self.path_id!r}, not of {path_id!r}'
+        if material != self.material:
+            return f'offsets for the material {self.material!r}, not for {material!r}'
+        if nominal.shape != self.nominal.shape:
+            return f'offsets of {len(self.nominal)} points, not of {len(nominal)}'
+        apart = np.hypot(*(nominal - self.nominal).T)
+        if not (apart <= SAME_POINT).all():
+            at = int(np.nanargmax(apart)) if np.isfinite(apart).any() else 0
+            return (
+                f'offsets of other points: number {at} lies {1e6 * apart[at]:.0f} um from '
+                'the one they were learnt at'
+            )
+        return ''
+
+
+def write_offsets(offsets: StitchOffsets) -> str:
+    """Return offsets as a JSON document; equal offsets give equal text."""
+    document = {
+        'format': FORMAT,
+        'version': VERSION,
+        'path_id': offsets.path_id,
+        'material': offsets.material,
+        'nominal': offsets.nominal.tolist(),
+        'offset': offsets.offset.tolist(),
+    }
+    return json.dumps(document, allow_nan=False) + '\n'
+
+
+def read_offsets(text: str) -> StitchOffsets:
+    """Return the offsets that `write_offsets` wrote.
+
+    Raises
+    ------
+    ModelFileError
+        If the text is too large, no JSON, of another format or version, or holds points that are
+        not finite or not parallel.
+    """
+    if len(text) > SIZE_MAX:
+        raise ModelFileError(
+            f'offsets file: expected at most {SIZE_MAX} characters, but found {len(text)}'
+        )
+    try:
+        root = Node(json.loads(text, parse_constant=_no_constant), 'offsets file')
+    except ModelFileError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise ModelFileError(f'offsets file: expected JSON, but found {error}') from error
+    if root.get('format').text() != FORMAT:
+        root.get('format').refuse(f'the format {FORMAT!r}')
+    version = root.get('version')
+    if type(version.value) is not int or version.value != VERSION:
+        version.refuse(f'version {VERSION}; learn the offsets anew')
+    path_id = root.get('path_id')
+    if not path_id.text():
+        path_id.refuse('the name of a pattern')
+    nominal, offset = root.get('nominal').matrix(2), root.get('offset').matrix(2)
+    if len(nominal) < 2:
+        root.get('nominal').refuse('two points or more')
+    if len(offset) != len(nominal):
+        root.get('offset').refuse(f'as many as there are nominal points, {len(nominal)}')
+    return StitchOffsets(path_id.text(), root.get('material').text(), nominal, offset)
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ModelFileError(f'offsets file: expected finite numbers, but found {name}')

@@ -1,0 +1,262 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Samples for training and adapting, taken from recorded paths and their stitches."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.deformation.compensation import (
+    REFERENCE_LENGTH,
+    SAMPLE_LENGTH,
+    feature_rows,
+    initial_rate_factor,
+)
+from fuzzycnc_ros.core.deformation.features import DEPTH_RATIO_MAX, PROCESS_VALUES
+from fuzzycnc_ros.core.deformation.relaxation import Relaxation, identify_relaxation
+from fuzzycnc_ros.core.deformation.stitch_path import LINE, SheetMaterial, StitchPath
+
+SHORTEST = 0.9
+"""Least length of a single primitive, as a share of the length that a sample is meant for."""
+
+SAME_POINT = 1e-6
+"""Offsets below that are none [m]."""
+
+RESIDUAL_MAX = 0.1
+"""What fading drift may leave of the drift, root mean squares, to be believed [-]."""
+
+_STEPS_MIN = 4  # of a side that fading can be told from
+_MM = 1e-3
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RecordedPath:
+    """A path as it was commanded and stitched; n steps.
+
+    Attributes
+    ----------
+    path_id : str
+        Name of the pattern.
+    material : SheetMaterial
+        The sheet.
+    nominal, offset, stitched : ndarray, shape (n + 1, 2)
+        Nominal points, offsets that were added, and where the stitches lie [m].
+    primitive : ndarray of int, shape (n,)
+        Primitive of the pattern that each step belongs to.
+    kind : ndarray, shape (n,)
+        1 for arcs, 2 for lines.
+    turn : ndarray, shape (n,)
+        Angle by which the primitive turns, positive to the left [rad]; 0 for lines.
+    depth, step : ndarray, shape (n,)
+        Feed depth and nominal stitch step [m].
+    source : str
+        Where it is from, for messages.
+    """
+
+    path_id: str
+    material: SheetMaterial
+    nominal: Array
+    offset: Array
+    stitched: Array
+    primitive: NDArray[np.int64]
+    kind: Array
+    turn: Array
+    depth: Array
+    step: Array
+    source: str = ''
+
+    @property
+    def commanded(self) -> Array:
+        """Points that were commanded [m], shape (n + 1, 2)."""
+        return np.asarray(self.nominal + self.offset)
+
+    @property
+    def cuts(self) -> list[int]:
+        """Points at which primitives begin and end, first and last point included."""
+        changes = np.flatnonzero(np.diff(self.primitive)) + 1
+        return [0, *changes.tolist(), len(self.primitive)]
+
+
+class PathSamples(NamedTuple):
+    """Samples of one or more paths.
+
+    Attributes
+    ----------
+    x : ndarray, shape (k, 5)
+        Process values, see `features`.
+    s : ndarray, shape (k, 2)
+        Compensations that were needed [mm per 50 mm].
+    path : ndarray of int, shape (k,)
+        Number of the path of each sample.
+    relaxed : int
+        How many were taken by the fading of the drift; the others began on a fresh sheet.
+    left_out : mapping of str to int
+        Why primitives gave no sample, and how many.
+    """
+
+    x: Array
+    s: Array
+    path: NDArray[np.int64]
+    relaxed: int
+    left_out: Mapping[str, int]
+
+
+def samples_of_paths(paths: list[RecordedPath]) -> PathSamples:
+    """Return the samples of recorded paths.
+
+    A sample is the drift against the fed length of a primitive that begins on a fresh sheet,
+    without offsets (method sheet 000 section 8): 50 mm of a line, 30 mm of an arc, and of longer
+    ones that much.  Sides of a path of lines that come later, or were compensated, give the rate
+    of their drift beside its fading, see `identify_relaxation`, from which their sample follows.
+
+    Parameters
+    ----------
+    paths : list of RecordedPath
+        The paths.
+
+    Returns
+    -------
+    PathSamples
+        Samples in the order of paths and primitives.
+
+    Notes
+    -----
+    On the simulated sheet a sample by fading differs from the one on a fresh sheet at the same
+    place by 3 %, and by up to 10 % where the path was compensated: the foot then turns along a
+    side.  A primitive near a clamped edge drifts less than one in the middle; no process value
+    says so.
+    """
+    rows: list[Array] = []
+    needed: list[Array] = []
+    numbers: list[int] = []
+    relaxed, left_out = 0, Counter[str]()
+    for number, path in enumerate(paths):
+        relaxation, why_not = _relaxation(path)
+        cuts = path.cuts
+        for index, (first, last) in enumerate(pairwise(cuts)):
+            reason = _unusable(path, first)
+            value = None
+            if not reason:
+                value, reason = _fresh(path, first, last)
+            if value is None and not reason:
+                if relaxation is None:
+                    reason = why_not
+                else:
+                    value = _relaxed(path, first, last, relaxation, index)
+                    relaxed += 1
+            if value is None:
+                left_out[reason] += 1
+                continue
+            rows.append(value[0])
+            needed.append(value[1])
+            numbers.append(number)
+    width = len(PROCESS_VALUES)
+    return PathSamples(
+        np.array(rows).reshape(-1, width),
+        np.array(needed).reshape(-1, 2),
+        np.array(numbers, dtype=np.int64),
+        relaxed,
+        dict(left_out),
+    )
+
+
+def joined_groups(*labels: ArrayLike) -> NDArray[np.int64]:
+    """Return one group number per row: rows that share any label belong together.
+
+    Parameters
+    ----------
+    *labels : array_like of int, shape (k,)
+        Labels from 0, such as the sheet and the process values of each row.
+
+    Examples
+    --------
+    >>> joined_groups([0, 0, 1, 1, 2], [0, 1, 1, 2, 3]).tolist()
+    [0, 0, 0, 0, 1]
+    """
+    columns = [np.asarray(label, dtype=np.int64) for label in labels]
+    count, place = len(columns[0]), np.arange(len(columns[0]))
+    edges, nodes = [], count
+    for column in columns:
+        edges.append((place, nodes + column))
+        nodes += int(column.max(initial=-1)) + 1
+    rows, marks = (np.concatenate(part) for part in zip(*edges, strict=True))
+    graph = coo_array((np.ones(len(rows)), (rows, marks)), shape=(nodes, nodes))
+    _, component = connected_components(graph, directed=False)
+    _, group = np.unique(component[:count], return_inverse=True)
+    return np.asarray(group.ravel(), dtype=np.int64)
+
+
+def _unusable(path: RecordedPath, step: int) -> str:
+    """Return why a primitive is of no use whatever was recorded of it."""
+    if path.kind[step] != LINE and path.turn[step] < 0.0:
+        return 'arcs that turn right'
+    if path.depth[step] / path.material.thickness > DEPTH_RATIO_MAX:
+        return f'depths of more than {DEPTH_RATIO_MAX:g} of the thickness'
+    return ''
+
+
+def _fresh(path: RecordedPath, first: int, last: int) -> tuple[tuple[Array, Array] | None, str]:
+    """Return the sample of a primitive on a fresh sheet, or why it is none for good."""
+    compensated = np.abs(path.offset[first : last + 1]).max() > SAME_POINT
+    if first > 0 or compensated:
+        return None, ''
+    points = path.nominal[first : last + 1]
+    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    wanted = SAMPLE_LENGTH[int(path.kind[first])]
+    if way[-1] < SHORTEST * wanted:
+        short = f'single primitives shorter than {1e3 * SHORTEST * wanted:g} mm'
+        return None, '' if last < len(path.primitive) else short
+    end = int(np.abs(way - wanted).argmin())
+    drift = points[: end + 1] - path.stitched[first : first + end + 1]
+    slope = way[: end + 1] @ (drift - drift[0]) / (way[: end + 1] @ way[: end + 1])
+    return _sample(path, first, points[[0, end]], slope), ''
+
+
+def _relaxed(
+    path: RecordedPath, first: int, last: int, relaxation: Relaxation, side: int
+) -> tuple[Array, Array]:
+    """Return the sample that a line would give on a fresh sheet, from its rate of drift."""
+    factor = initial_rate_factor(
+        SAMPLE_LENGTH[LINE], path.step[first], relaxation.leak_length, relaxation.prompt_length
+    )
+    ends = path.commanded[[first, last]]
+    return _sample(path, first, ends, relaxation.rate[side] / factor)
+
+
+def _sample(path: RecordedPath, step: int, ends: Array, slope: Array) -> tuple[Array, Array]:
+    """Return process values and compensation of a drift per feed between two points."""
+    chord = StitchPath(
+        ends, path.kind[step], depth=path.depth[step], step=path.step[step],
+        turn=np.sign(path.turn[step]),
+    )  # fmt: skip
+    x, sign = feature_rows(chord, path.material)
+    return x[0], np.asarray(sign[0] * slope * (REFERENCE_LENGTH / _MM))
+
+
+def _relaxation(path: RecordedPath) -> tuple[Relaxation | None, str]:
+    """Return how the drift of a path fades, or why that cannot be told."""
+    if (path.kind != LINE).any():
+        return None, 'later or compensated primitives of a path with arcs'
+    cuts = path.cuts
+    if len(cuts) < 3 or min(np.diff(cuts)) < _STEPS_MIN:
+        return None, (
+            f'later or compensated primitives of a path without two sides of {_STEPS_MIN} steps'
+        )
+    try:
+        found = identify_relaxation(path.commanded, path.stitched, cuts)
+    except ValueError:
+        return None, 'later or compensated sides of a path whose fading cannot be told'
+    drift = path.commanded - path.stitched
+    if found.residual > RESIDUAL_MAX * float(np.sqrt(np.mean((drift - drift[0]) ** 2))):
+        return None, 'later or compensated sides of a path whose drift does not fade evenly'
+    return found, ''

@@ -1,0 +1,87 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node `deformation_compensator`: the files of model and learnt offsets.
+
+They reach the component as requests with their whole text, which the node publishes as events:
+so a bag of the run holds what its replay needs.
+"""
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+
+from fuzzycnc_ros.components.deformation_compensator import (
+    DeformationCompensator,
+    DeformationCompensatorConfig,
+)
+from fuzzycnc_ros.core.deformation import model_file, offset_file
+from fuzzycnc_ros.nodes import run
+from fuzzycnc_ros.nodes.files import file_text
+from fuzzycnc_ros.nodes.managed import ManagedComponentNode
+from fuzzycnc_ros.nodes.parameters import ParameterError, changed, refusal
+
+FILES = {'model': model_file.SIZE_MAX, 'offsets': offset_file.SIZE_MAX}
+"""Parameters that name files, and how long these may be [characters]."""
+
+
+class DeformationCompensatorNode(ManagedComponentNode):
+    """Serve the compensator and its files."""
+
+    component: DeformationCompensator
+
+    def __init__(self) -> None:
+        super().__init__(DeformationCompensator)
+
+    def start(self) -> None:
+        """Load the files, then announce the configuration; activate if `autostart` says so.
+
+        Raises
+        ------
+        ParameterError
+            If a file cannot be read or is none of its kind.
+        """
+        config = self.component.configuration
+        assert isinstance(config, DeformationCompensatorConfig)
+        for name, file in (('model', config.model), ('offsets', config.offsets)):
+            if file:
+                problem = self._load(name, file)
+                if problem:
+                    raise ParameterError(f'parameter {name}: {problem}')
+        super().start()
+
+    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Take other files, from the next pattern on; all that is set at once, or nothing."""
+        files = {item.name: str(item.value) for item in parameters if item.name in FILES}
+        try:
+            changed(self.component.configuration, parameters)
+        except ValueError as error:
+            return refusal(str(error))
+        if len(files) > 1:
+            return refusal('model and offsets: expected one at a time but found both')
+        for name, file in files.items():
+            problem = self._load(name, file)
+            if problem:
+                return refusal(f'{name}: {problem}')
+        return super()._on_parameters(parameters)
+
+    def _load(self, name: str, file: str) -> str:
+        """Put a file to use, none if its name is empty; return what is wrong with it."""
+        try:
+            text = file_text(file, FILES[name]) if file else ''
+        except ValueError as error:
+            return f'{file}: {error}'
+        answer = self.request(f'use_{name}', {name: text})
+        return '' if answer.success else f'{file}: {answer.message}'
+
+
+def make() -> DeformationCompensatorNode:
+    """Create the node."""
+    return DeformationCompensatorNode()
+
+
+def main() -> None:
+    """Run the node until it is interrupted."""
+    run.main(make)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,54 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""One connection to a device: what the drivers of the protocols have in common."""
+
+from collections.abc import Sequence
+from typing import Protocol, TypeAlias
+
+Reading: TypeAlias = float | str
+"""A value in degC, for the spindle in rad/s, or why there is none."""
+
+
+class LinkError(Exception):
+    """A connection failed.
+
+    Parameters
+    ----------
+    text : str
+        What happened and what to do, for the operator.
+    pause : float
+        Shortest time before another try [s].
+    """
+
+    def __init__(self, text: str, pause: float = 0.0) -> None:
+        super().__init__(text)
+        self.pause = pause
+
+
+class Link(Protocol):
+    """A connection that is opened once, read many times and closed; the next one is a new link."""
+
+    @property
+    def requests(self) -> int:
+        """Number of requests that a reading takes."""
+
+    async def open(self) -> None:
+        """Connect.
+
+        Raises
+        ------
+        LinkError
+            If that fails for a reason that is worth its own words.
+        """
+
+    async def read(self) -> Sequence[Reading]:
+        """Return a reading of each channel.
+
+        Raises
+        ------
+        LinkError
+            If the connection is of no more use.
+        """
+
+    async def close(self) -> None:
+        """Let go of everything, whatever state the connection is in."""

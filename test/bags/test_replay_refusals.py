@@ -1,0 +1,75 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags whose provenance means nothing: a replay says so."""
+
+import json
+
+import pytest
+
+from fuzzycnc_ros.bags.replay import ReplayError, replay
+from fuzzycnc_ros.bags.typestore import message_type
+from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.components.provenance import configuration_record
+from fuzzycnc_ros.components.records import SECOND, NodeEvent
+from fuzzycnc_ros.components.registry import COMPONENTS
+from fuzzycnc_ros.convert import Target, encode
+
+ROSBAGS = Target(message_type, numpy_arrays=True)
+
+
+@pytest.fixture
+def replaying(tmp_path):
+    """Replay a bag of one node with these parameters, later parameters and requests."""
+
+    def run(node, *parameters, events=()):
+        component = COMPONENTS[node]()
+        bag = tmp_path / f'bag{len(parameters)}'
+        with BagWriter(bag, flush_interval=None) as writer:
+            writer.add_topic('/mill/node_configuration', 'fuzzycnc_msgs/msg/NodeConfiguration')
+            writer.add_topic('/mill/node_event', NodeEvent.TYPE)
+            for number, text in enumerate(parameters):
+                record = configuration_record(component, number * SECOND, 'active')
+                message = encode(record, ROSBAGS)
+                message.parameters = record.parameters if text is None else text
+                writer.write_message('/mill/node_configuration', message, number)
+            for name, request in events:
+                record = NodeEvent(stamp=9 * SECOND, node=node, name=name, request=request)
+                writer.write_message('/mill/node_event', encode(record, ROSBAGS), 9)
+        return replay(bag)
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ('text', 'complaint'),
+    [
+        ('', 'expected JSON'),
+        ('[' * 100_000, 'expected JSON'),
+        ('[1]', r"expected a JSON object but found '\[1\]'"),
+        ('{"no_such": 1}', 'no_such'),
+        (json.dumps({'period': 10**400}), 'period: expected a number but found one beyond'),
+        ('{"period": NaN}', 'period'),
+        ('{"axes": "Y"}', 'axes'),
+    ],
+)
+def test_parameters_that_are_none(replaying, text, complaint):
+    for parameters in ((text,), (None, text)):
+        with pytest.raises(ReplayError, match=f'compensator: parameters: .*{complaint}'):
+            replaying('compensator', *parameters)
+
+
+@pytest.mark.parametrize(
+    ('node', 'name', 'request_text'),
+    [
+        ('thermal_predictor', 'use_model', '{}'),
+        ('thermal_predictor', 'use_model', '[]'),
+        ('sensor_selector', 'select_sensors', '{"bag": 5}'),
+        ('sensor_selector', 'select_sensors', '{"clusters": "many"}'),
+        ('sensor_selector', 'select_sensors', '{"clusters": null}'),
+        ('feedrate_scheduler', 'schedule_program', '{}'),
+        ('feedrate_scheduler', 'schedule_program', '{"program'),
+    ],
+)
+def test_requests_that_are_none(replaying, node, name, request_text):
+    with pytest.raises(ReplayError, match=f'{node}: request {name}: expected'):
+        replaying(node, None, events=[(name, request_text)])

@@ -1,0 +1,79 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""How many hostile inputs a test tries, and the bounds that each of them must keep.
+
+`FUZZYCNC_FUZZ=10000` tries so many of each kind; without it a small share of them is tried.
+"""
+
+import os
+import resource
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis import strategies as st
+
+CAMPAIGN = int(os.environ.get('FUZZYCNC_FUZZ', '0'))
+"""Number of examples of a test in a full campaign; 0 in the usual run."""
+TIME_MAX = 5.0
+"""Processor time of one input [s]; unlike wall time it does not depend on the load."""
+MEMORY_MAX = 500_000_000
+"""Memory that one input may take [bytes]."""
+
+SEEDS = st.integers(0, 2**63)
+
+
+def fuzz(usual: int, share: float = 1.0):
+    """Return the settings of a test with `usual` examples, a share of those of a campaign."""
+    return settings(
+        max_examples=max(usual, round(share * CAMPAIGN)),
+        deadline=None,
+        database=None,
+        phases=[Phase.generate],  # a smaller seed is no simpler input
+        print_blob=False,
+        suppress_health_check=list(HealthCheck),
+    )
+
+
+class TookTooLong(BaseException):
+    """An input held the processor for too long; no handler of the code under test takes it."""
+
+
+@contextmanager
+def bounded() -> Iterator[None]:
+    """Refuse more than `TIME_MAX` of processor time and `MEMORY_MAX` of memory."""
+
+    def too_long(signum, frame):
+        raise TookTooLong(f'expected at most {TIME_MAX} s of processor time')
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (_size() + MEMORY_MAX, hard))
+    before = signal.signal(signal.SIGPROF, too_long)
+    signal.setitimer(signal.ITIMER_PROF, TIME_MAX)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def refusal(kind: type[ValueError], work: Callable[[], object]) -> str:
+    """Return why a piece of work was refused, '' if it was done; it always is bounded."""
+    with bounded():
+        try:
+            work()
+        except kind as error:
+            reason = str(error)
+        else:
+            return ''
+    assert reason, 'expected a refusal that says why'
+    return reason
+
+
+def _size() -> int:
+    """Return the address space of this process [bytes]."""
+    pages = int(Path('/proc/self/statm').read_text().split()[0])
+    return pages * resource.getpagesize()

@@ -1,0 +1,56 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Hostile messages on every input of every component.
+
+A component takes whatever a message can carry: nothing that it does not expect raises an error,
+makes it publish a number that is none, or keeps it from working on with the next good message.
+"""
+
+import random
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+
+sys.path.insert(0, str(Path(__file__).parent))
+from campaign import SEEDS, bounded, fuzz
+from component_targets import TARGETS
+from record_mutations import check_published, mutated
+
+MESSAGES = 20
+"""Hostile messages of an example."""
+INPUTS = [(target, name) for target, item in TARGETS.items() for name in item.inputs]
+
+
+@pytest.mark.parametrize(('target', 'name'), INPUTS, ids=[f'{t}-{n}' for t, n in INPUTS])
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')  # what overflows shows in the outputs
+@fuzz(4, share=1 / MESSAGES)
+@given(seed=SEEDS)
+def test_hostile_messages_do_no_harm(target, name, seed):
+    rng = random.Random(seed)
+    case = TARGETS[target]
+    with bounded():
+        bench = case.bench()
+        stamp = case.start
+        newest = stamp
+        for _ in range(MESSAGES):
+            for other in rng.sample(case.inputs, len(case.inputs)):
+                good = case.good(other, stamp, rng)
+                if other != name:
+                    if rng.random() < 0.7:
+                        bench.push(other, good)
+                    continue
+                hostile = mutated(good, rng, rng.choice((1, 1, 2, 4)))
+                for record in [hostile] * rng.choice((1, 1, 1, 2)):
+                    if bench.push(other, record):
+                        newest = max(newest, hostile.stamp)
+            until = stamp if case.makes_time else rng.choice((stamp, stamp, stamp, newest))
+            bench.emitted += bench.merger.advance(max(until, bench.merger.time))
+            stamp += case.step
+        bench.health()
+        heard = [count.newest or 0 for count in bench.merger.counts.values()]
+        case.recover(bench, max(stamp, bench.merger.time, *heard))
+    for item in bench.emitted:
+        check_published(item.record)
+    case.check(bench)

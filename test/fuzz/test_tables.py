@@ -1,0 +1,133 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Hostile CSV recordings and parameter files: refused with the line, or read into numbers."""
+
+import random
+import shutil
+import sys
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+
+from fuzzycnc_ros.bags.csv import CsvMapping, import_csv
+from fuzzycnc_ros.bags.errors import BagError, CsvError
+from fuzzycnc_ros.bags.runs import read_run
+from fuzzycnc_ros.cli.import_csv import _read_mapping
+from fuzzycnc_ros.cli.machine_file import read_machine
+from fuzzycnc_ros.cli.servo_settings import read_settings
+
+sys.path.insert(0, str(Path(__file__).parent))
+from campaign import SEEDS, fuzz, refusal
+from file_mutations import mutated_bytes, mutated_text
+
+pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
+
+ROOT = Path(__file__).parents[2]
+RECORDING = '\n'.join(
+    ['t,a,b,rpm,ch']
+    + [
+        f'{k * 15},{20 + 0.2 * k:.3f},{21 + 0.1 * k:.3f},{600 * (k > 3)},{0.5 * k:.3f}'
+        for k in range(24)
+    ]
+)
+MAPPINGS = (
+    CsvMapping(time='t', temperatures=['a', 'b'], displacements=['ch=Z:um'], machine='mill'),
+    CsvMapping(
+        time='t',
+        temperatures=['a', 'b'],
+        displacements=['ch=Z:um'],
+        spindle_speed='rpm',
+        machine='mill',
+        resample=30.0,
+        zero=True,
+    ),
+)
+MAPPING_FILE = """time: t
+time_unit: s
+temperatures: [a, b]
+displacements: ["ch=Z:um"]
+spindle_speed: rpm
+rename: {a: left, b: right}
+machine: mill
+rows: [0, 20]
+"""
+SETTINGS_FILE = """settings:
+  gain: 1.5
+rules:
+  centres: [-1.0, 0.0, 1.0]
+  values: [[-1.0, -0.5, 0.0], [-0.5, 0.0, 0.5], [0.0, 0.5, 1.0]]
+"""
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp('fuzz')
+
+
+def damaged(text: str, rng: random.Random) -> bytes:
+    """Return a damaged text file."""
+    if rng.random() < 0.3:
+        return mutated_bytes(text.encode(), rng)
+    return mutated_text(text, rng).encode('utf-8', 'surrogatepass')
+
+
+@fuzz(80, share=0.2)
+@given(seed=SEEDS)
+def test_recordings(folder, seed):
+    rng = random.Random(seed)
+    file, out = folder / 'recording.csv', folder / 'bag'
+    file.write_bytes(damaged(RECORDING, rng))
+    shutil.rmtree(out, ignore_errors=True)
+    reason = refusal(CsvError, lambda: import_csv(file, out, rng.choice(MAPPINGS)))
+    if reason:
+        assert str(file) in reason
+        assert not out.exists()
+        return
+    if refusal(BagError, lambda: read_run(out)):
+        return
+    run = read_run(out)
+    assert np.isfinite(run.time).all()
+    assert not np.isinf(run.temperature).any()
+    assert not np.isinf(run.displacement).any()
+
+
+@cache
+def parameters() -> str:
+    """Return the parameters of two nodes as they are shipped."""
+    names = ('feedrate_scheduler', 'simulated_machine')
+    return '\n'.join((ROOT / 'params' / f'{name}.yaml').read_text() for name in names)
+
+
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_parameter_files(folder, seed):
+    file = folder / 'machine.yaml'
+    file.write_bytes(damaged(parameters(), random.Random(seed)))
+    refused_or_read(read_machine, file)
+
+
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_mapping_files(folder, seed):
+    file = folder / 'mapping.yaml'
+    file.write_bytes(damaged(MAPPING_FILE, random.Random(seed)))
+    known = [item.name for item in fields(CsvMapping)]
+    refused_or_read(lambda path: _read_mapping(path, known), file)
+
+
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_settings_files(folder, seed):
+    file = folder / 'settings.yaml'
+    file.write_bytes(damaged(SETTINGS_FILE, random.Random(seed)))
+    refused_or_read(read_settings, file)
+
+
+def refused_or_read(read, file):
+    """Assert that a reader returns, or says what is wrong with which file."""
+    reason = refusal(ValueError, lambda: read(file))
+    assert not reason or str(file) in reason

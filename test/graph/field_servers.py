@@ -1,0 +1,223 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Real Modbus TCP and OPC UA servers on loopback, and a route to them that fails on demand."""
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from asyncua import Server, ua
+from pymodbus.server import ModbusTcpServer
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+LOCAL = '127.0.0.1'
+REGISTERS = 200
+"""Registers of the Modbus device; the next one is unknown to it."""
+NAMESPACE = 'urn:fuzzycnc:test'
+
+
+class Field:
+    """An event loop in a thread of its own, in which the servers of a test live."""
+
+    def __init__(self) -> None:
+        self.loop = asyncio.new_event_loop()
+        # A connection that is cut in the middle is what these servers are there for.
+        self.loop.set_exception_handler(lambda loop, context: None)
+        self._thread = threading.Thread(target=self.loop.run_forever, daemon=True)
+        self._thread.start()
+        self._closers: list[Callable[[], Coroutine[Any, Any, None]]] = []
+
+    def call(self, coroutine: Coroutine[Any, Any, Any]) -> Any:
+        """Run a coroutine there; return its result."""
+        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(60.0)
+
+    def add(self, part: Any) -> Any:
+        """Start a server or route, to be stopped in the end."""
+        self.call(part.start())
+        self._closers.append(part.stop)
+        return part
+
+    def close(self) -> None:
+        """Stop everything."""
+        for stop in reversed(self._closers):
+            self.call(stop())
+
+        async def drain() -> None:
+            rest = asyncio.all_tasks() - {asyncio.current_task()}
+            for task in rest:
+                task.cancel()
+            await asyncio.gather(*rest, return_exceptions=True)
+            await asyncio.sleep(0.05)  # transports close in a later turn of the loop
+
+        self.call(drain())
+        self.loop.call_soon_threadsafe(self.loop.stop)
+        self._thread.join(10.0)
+        self.loop.close()
+
+
+class ModbusServer:
+    """A Modbus TCP device with holding and input registers.
+
+    Attributes
+    ----------
+    words : dict
+        Register to word, for both tables.
+    delay : float
+        Time that it takes for each answer [s].
+    """
+
+    def __init__(self, words: dict[int, int] | None = None) -> None:
+        self.words = words or {}
+        self.delay = 0.0
+        self.port = 0
+
+    async def start(self) -> None:
+        async def act(function, start, address, count, registers, values):
+            await asyncio.sleep(self.delay)
+            for place, word in self.words.items():
+                registers[place - start] = word
+
+        block = [SimData(0, count=REGISTERS, values=0, datatype=DataType.REGISTERS)]
+        bits = [SimData(0, count=8, values=False, datatype=DataType.BITS)]
+        device = SimDevice(1, simdata=(bits, bits, block, block), action=act)
+        self._server = ModbusTcpServer(device, address=(LOCAL, self.port))
+        await self._server.serve_forever(background=True)
+        self.port = self._server.transport.sockets[0].getsockname()[1]
+
+    async def stop(self) -> None:
+        await self._server.shutdown()
+
+
+class OpcUaServer:
+    """An OPC UA server with variables Objects/Mill/<name>, node ids ns=2;s=<name>.
+
+    Attributes
+    ----------
+    values : dict
+        Name to what is read from the variable: a value of any type, or a data value.
+    """
+
+    def __init__(self, values: dict[str, Any], secure: Callable[[Server], Any] | None = None):
+        self.values = dict(values)
+        self._secure = secure
+        self.port = 0
+
+    async def start(self) -> None:
+        self.server = Server()
+        await self.server.init()
+        self.server.set_endpoint(f'opc.tcp://{LOCAL}:{self.port}/')
+        if self._secure is not None:
+            await self._secure(self.server)
+        self.index = await self.server.register_namespace(NAMESPACE)
+        mill = await self.server.nodes.objects.add_object(self.index, 'Mill')
+        for name, value in self.values.items():
+            node_id = ua.NodeId(name, self.index)
+            await mill.add_variable(node_id, f'{self.index}:{name}', value)
+            # The server itself would refuse another type than the first.
+            self.server.iserver.aspace.set_attribute_value_callback(
+                node_id, ua.AttributeIds.Value, self._read
+            )
+        await self.server.start()
+        self.port = self.server.bserver._server.sockets[0].getsockname()[1]
+
+    async def stop(self) -> None:
+        await self.server.stop()
+
+    def _read(self, node_id: ua.NodeId, attribute: ua.AttributeIds) -> ua.DataValue:
+        value = self.values[node_id.Identifier]
+        return value if isinstance(value, ua.DataValue) else ua.DataValue(ua.Variant(value))
+
+
+class Route:
+    """A port that passes everything on to a server, until a fault is set.
+
+    Attributes
+    ----------
+    fault : str
+        `` passes on; `refuse` closes the port and all connections; `cut` passes on the first
+        bytes of an answer and drops the connection; `hang` passes nothing on but stays open;
+        `garble` overturns every byte of an answer.
+    """
+
+    CUT = 6
+
+    def __init__(self, target: Any) -> None:
+        self._target = target
+        self.fault = ''
+        self.connections = 0
+        self.port = 0
+        self._writers: set[asyncio.StreamWriter] = set()
+
+    async def start(self) -> None:
+        self._server = await asyncio.start_server(self._serve, LOCAL, self.port)
+        self.port = self._server.sockets[0].getsockname()[1]
+
+    async def stop(self) -> None:
+        self._server.close()
+        for writer in list(self._writers):
+            writer.transport.abort()
+
+    async def set(self, fault: str) -> None:
+        """Begin a fault, or end it with an empty name."""
+        if fault == 'refuse':
+            await self.stop()
+        elif self.fault == 'refuse':
+            await self.start()
+        self.fault = fault
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.connections += 1
+        there, out = await asyncio.open_connection(LOCAL, self._target.port)
+        self._writers |= {writer, out}
+        try:
+            await asyncio.gather(
+                self._pass(reader, out, answers=False), self._pass(there, writer, answers=True)
+            )
+        except (ConnectionError, asyncio.CancelledError):
+            pass
+        finally:
+            self._writers -= {writer, out}
+            for end in (writer, out):
+                end.transport.abort()
+
+    async def _pass(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, answers: bool
+    ) -> None:
+        while data := await reader.read(65536):
+            if self.fault == 'hang':
+                continue
+            if answers and self.fault == 'cut':
+                writer.write(data[: self.CUT])
+                with contextlib.suppress(ConnectionError):
+                    await writer.drain()
+                raise ConnectionError
+            if answers and self.fault == 'garble':
+                data = bytes(255 - byte for byte in data)
+            writer.write(data)
+        raise ConnectionError
+
+
+class HostileServer:
+    """A server that answers whatever it gets with bytes of the test's choice."""
+
+    def __init__(self, answer: Callable[[bytes], bytes]) -> None:
+        self._answer = answer
+        self.port = 0
+        self.asked = 0
+
+    async def start(self) -> None:
+        self._server = await asyncio.start_server(self._serve, LOCAL, self.port)
+        self.port = self._server.sockets[0].getsockname()[1]
+
+    async def stop(self) -> None:
+        self._server.close()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(ConnectionError, asyncio.CancelledError):
+            while data := await reader.read(65536):
+                self.asked += 1
+                writer.write(self._answer(data))
+                await writer.drain()
+        writer.transport.abort()

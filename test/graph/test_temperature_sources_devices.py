@@ -1,0 +1,266 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The driver of devices in its node: real servers, faults on the way to them, and back again."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('asyncua')
+pytest.importorskip('pymodbus')
+
+from asyncua import ua
+
+from fuzzycnc_ros.components.codes import MachineMode, Status
+from fuzzycnc_ros.components.records import MachineState, Temperatures
+
+sys.path.insert(0, str(Path(__file__).parent))
+from field_servers import LOCAL, Field, ModbusServer, OpcUaServer, Route
+
+pytestmark = pytest.mark.ros
+
+SENSORS = ('T1', 'T2', 'T3', 'T4')
+VALUES = {'T3': 23.5, 'T4': 24.0, 'S1': 3000}
+OK, MISSING, OUT, STUCK = Status.OK, Status.MISSING, Status.OUT_OF_RANGE, Status.STUCK
+FILE = """
+devices:
+  - name: rtd
+    protocol: modbus_tcp
+    host: {host}
+    port: {modbus}
+    period: {period}
+    timeout: 1.0
+    table: input
+    scale: 0.1
+    open_circuit: [0x7FFF]
+    sensors: {{T1: 0, T2: 1}}
+  - name: control
+    protocol: opc_ua
+    url: opc.tcp://{host}:{opcua}/
+    period: {period}
+    timeout: 1.0
+    sensors:
+      T3: ns=2;s=T3
+      T4: {{path: "0:Objects/2:Mill/2:T4"}}
+    spindle_speed: {{node: ns=2;s=S1, unit: rpm}}
+"""
+
+
+class Shop:
+    """A device with Modbus, a control with OPC UA, and routes to both."""
+
+    def __init__(self) -> None:
+        self.field = Field()
+        self.modbus = self.field.add(ModbusServer())
+        self.opcua = self.field.add(OpcUaServer(VALUES))
+        self.routes = [self.field.add(Route(self.modbus)), self.field.add(Route(self.opcua))]
+
+    def reset(self, folder: Path) -> None:
+        """Begin anew: good values, no fault."""
+        self._folder = folder
+        self.modbus.delay, self.modbus.words = 0.0, {0: 215, 1: 220}
+        self.opcua.values |= VALUES
+        for device in (0, 1):
+            self.fail(device, '')
+
+    def file(self, period: float = 0.2) -> str:
+        """Write the device file; return its name."""
+        modbus, opcua = (route.port for route in self.routes)
+        path = self._folder / 'devices.yaml'
+        path.write_text(FILE.format(host=LOCAL, modbus=modbus, opcua=opcua, period=period))
+        return str(path)
+
+    def fail(self, device: int, fault: str) -> None:
+        """Begin a fault on the way to a device, or end it."""
+        self.field.call(self.routes[device].set(fault))
+
+
+@pytest.fixture(scope='module')
+def servers():
+    """The servers of all tests here: one for OPC UA takes seconds to start."""
+    made = Shop()
+    yield made
+    made.field.close()
+
+
+@pytest.fixture
+def shop(servers, tmp_path):
+    servers.reset(tmp_path)
+    return servers
+
+
+@pytest.fixture
+def start(graph, observer, shop):
+    """Start the node and wait for good samples; return them and the node."""
+
+    def begin(period: float = 0.2, **parameters):
+        observer.watch_diagnostics()
+        samples = observer.records('temperatures', Temperatures)
+        node = graph.start(
+            'temperature_acquisition',
+            {
+                'source': 'devices',
+                'device_file': shop.file(period),
+                'interval': 0.5,
+                'stuck_time': 0.0,
+                **parameters,
+            },
+        )
+        observer.until(lambda: statuses(samples) == [OK] * 4, 'good samples')
+        return samples, node
+
+    return begin
+
+
+def statuses(samples):
+    """Return the newest verdict on each sensor."""
+    return samples[-1].status.tolist() if samples else None
+
+
+def test_devices_of_both_protocols_make_one_record(graph, observer, start):
+    states = observer.records('machine_state', MachineState)
+    raw = observer.records('sensor_readings', Temperatures)
+    samples, node = start()
+    assert samples[-1].sensor == SENSORS
+    assert samples[-1].temperature == pytest.approx([21.5, 22.0, 23.5, 24.0])
+    assert raw[-1].frame_id == 'mill/machine'
+    stamps = [item.stamp for item in raw]
+    assert all(np.diff(stamps) > 0)
+    # The control tells the spindle speed, in a state that allows nothing.
+    observer.until(lambda: states, 'machine_state')
+    assert states[-1].spindle_speed == pytest.approx(100.0 * np.pi)
+    assert states[-1].state == MachineMode.RUNNING
+    assert not states[-1].homed
+    assert not states[-1].offsets_allowed
+    name = 'mill/temperature_acquisition: device rtd'
+    observer.until(lambda: observer.told(name, 'all values read'), 'health of the device')
+    # What another node says of the machine is not contradicted.
+    bridge = observer.node.create_publisher(type_of(states[-1]), 'machine_state', 10)
+    spindle = 'mill/temperature_acquisition: spindle_speed'
+    observer.until(lambda: observer.told(spindle, 'not published'), 'the driver yields')
+    observer.node.destroy_publisher(bridge)
+    graph.stop()
+    assert 'Traceback' not in node.output
+
+
+def type_of(record):
+    """Return rclpy's class of a record's message."""
+    from fuzzycnc_ros.nodes.messages import message_class
+
+    return message_class(record.TYPE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('fault', ['refuse', 'cut', 'hang', 'garble'])
+def test_a_lost_device_is_missing_alone_and_comes_back(graph, observer, shop, start, fault):
+    samples, node = start()
+    for device, name in ((0, 'rtd'), (1, 'control')):
+        shop.fail(device, fault)
+        lost = [OK] * 4
+        lost[2 * device : 2 * device + 2] = [MISSING] * 2
+        observer.until(lambda lost=lost: statuses(samples) == lost, f'{name} is missing')
+        assert np.isnan(samples[-1].temperature[2 * device])
+        item = f'mill/temperature_acquisition: device {name}'
+        observer.until(lambda item=item: observer.statuses[item][-1][0] == 2, 'an error')
+        shop.fail(device, '')
+        observer.until(lambda: statuses(samples) == [OK] * 4, f'{name} is back')
+    # Both at once: the sensors are reported as missing, nobody waits for them.
+    for device in (0, 1):
+        shop.fail(device, fault)
+    observer.until(lambda: statuses(samples) == [MISSING] * 4, 'all are missing')
+    for device in (0, 1):
+        shop.fail(device, '')
+    observer.until(lambda: statuses(samples) == [OK] * 4, 'all are back')
+    graph.stop()
+    assert 'Traceback' not in node.output
+
+
+def test_wrong_values_have_the_right_status(graph, observer, shop, start):
+    samples, node = start()
+    rtd = 'mill/temperature_acquisition: device rtd'
+    control = 'mill/temperature_acquisition: device control'
+
+    shop.modbus.words[0] = 0x7FFF
+    shop.opcua.values['T3'] = 500.0
+    observer.until(lambda: statuses(samples) == [MISSING, OK, OUT, OK], 'open and out of range')
+    observer.until(lambda: observer.told(rtd, 'T1: open circuit (raw value 32767)'), 'open')
+    assert samples[-1].temperature[2] == 500.0
+
+    shop.modbus.words[0] = 215
+    shop.opcua.values['T3'] = 23.5
+    long = 'x' * 100_000
+    bad = ua.DataValue(StatusCode=ua.StatusCode(ua.StatusCodes.BadSensorFailure))
+    for value, text in (
+        (np.nan, 'reads nan'),
+        (np.inf, 'reads inf'),
+        ('hot', "expected a number but the variable holds 'hot'"),
+        ([1.0, 2.0], 'the variable holds [1.0, 2.0]'),
+        (True, 'the variable holds True'),
+        (long, 'the variable holds '),
+        (bad, 'the server reports BadSensorFailure'),
+    ):
+        shop.opcua.values['T4'] = value
+        observer.until(lambda: statuses(samples) == [OK, OK, OK, MISSING], f'no {text}')
+        observer.until(lambda text=text: observer.told(control, text), text)
+        shop.opcua.values['T4'] = 24.0
+        observer.until(lambda: statuses(samples) == [OK] * 4, f'good after {text}')
+    assert max(len(message) for _, message in observer.statuses[control]) < 1000
+    graph.stop()
+    assert 'Traceback' not in node.output
+
+
+def test_frozen_values_are_stuck(graph, observer, shop, start):
+    samples, _ = start(stuck_time=2.0)
+    moving = iter(range(10**6))
+
+    def three_live():
+        step = next(moving) % 2
+        shop.modbus.words |= {0: 215 + step, 1: 220 + step}
+        shop.opcua.values['T3'] = 23.5 + 0.1 * step
+        return statuses(samples) == [OK, OK, OK, STUCK]
+
+    observer.until(three_live, 'the frozen one is stuck')
+    shop.opcua.values['T4'] = 24.1
+    observer.until(lambda: three_live() or statuses(samples)[3] == OK, 'it lives again')
+    graph.stop()
+
+
+def test_slow_devices_are_no_error(graph, observer, shop, start):
+    """Answers take five periods, as behind a busy gateway."""
+    shop.modbus.delay = 0.5
+    samples, node = start(period=0.1, interval=1.0)
+    known = len(samples)
+    observer.until(lambda: len(samples) >= known + 4, 'samples')
+    assert {status for sample in samples for status in sample.status} == {OK}
+    assert all(sample.readings >= 1 for sample in samples)
+    assert 'mill/temperature_acquisition: device rtd' in observer.statuses
+    shown = observer.statuses['mill/temperature_acquisition: device rtd']
+    assert all(level == 0 or 'not connected yet' in text for level, text in shown)
+    graph.stop()
+    assert 'WARN' not in node.output
+
+
+def test_bad_device_file_is_refused(refusal, tmp_path):
+    line = refusal('temperature_acquisition', {'source': 'devices'})
+    assert line == 'error: parameter device_file: expected a file for the source devices'
+    path = tmp_path / 'devices.yaml'
+    text = FILE.format(host=LOCAL, modbus=502, opcua=4840, period=0.2)
+    path.write_text(text.replace('T1: 0', 'T1: 70000'))
+    line = refusal('temperature_acquisition', {'source': 'devices', 'device_file': str(path)})
+    assert line.startswith(f'error: parameter device_file: {path}: line 12: device rtd, sensor T1')
+    assert 'expected a whole number from 0 to 65535 but found 70000; count from 0' in line
+
+
+def test_device_slower_than_the_samples_is_refused(refusal, tmp_path):
+    path = tmp_path / 'devices.yaml'
+    path.write_text(FILE.format(host=LOCAL, modbus=502, opcua=4840, period=5.0))
+    parameters = {'source': 'devices', 'device_file': str(path), 'interval': 2.0}
+    line = refusal('temperature_acquisition', parameters)
+    assert 'device rtd: period = 5 s is longer than the sampling interval = 2 s' in line
+
+
+def test_lock_step_is_refused(refusal):
+    line = refusal('temperature_acquisition', {'source': 'devices', 'lockstep': True})
+    assert 'parameter source = devices: in lock-step readings come from the topic' in line
