@@ -113,6 +113,12 @@ def generate_launch_description() -> LaunchDescription:
                 description='Start the deformation compensator too, which shifts patterns on soft '
                 'material for the feedrate scheduler',
             ),
+            DeclareLaunchArgument(
+                'linuxcnc',
+                default_value='false',
+                choices=['true', 'false'],
+                description='Start the bridge to the LinuxCNC of this computer; simulated:=false',
+            ),
             LogInfo(
                 msg='fuzzycnc is not a safety function (ISO 13849): emergency stop, limit '
                 'switches and drive limits stay in hardware.'
@@ -123,6 +129,7 @@ def generate_launch_description() -> LaunchDescription:
                 condition=IfCondition(LaunchConfiguration('simulated')),
             ),
             *[Node(**common(name), parameters=[params_file(name), sim_time]) for name in NODES],
+            *managed('linuxcnc_bridge', 'linuxcnc'),
             *managed('compensator'),
             *managed('feedrate_scheduler', 'feedrate'),
             *managed('deformation_compensator', 'deformation'),

@@ -21,8 +21,9 @@ from fuzzycnc_ros.bags.canonical import canonical_message, combined_hash, topic_
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.typestore import deserialize, message_type
-from fuzzycnc_ros.components.component import Component, Emission
+from fuzzycnc_ros.components.component import Component, Emission, Input
 from fuzzycnc_ros.components.merge import Merger
+from fuzzycnc_ros.components.provenance import REFUSED
 from fuzzycnc_ros.components.records import (
     SECOND,
     DeadlineFired,
@@ -31,9 +32,8 @@ from fuzzycnc_ros.components.records import (
     NodeEvent,
     Record,
 )
-from fuzzycnc_ros.components.registry import COMPONENTS
+from fuzzycnc_ros.components.registry import COMPONENTS, MACHINES
 from fuzzycnc_ros.components.sensor_selector import SensorSelector
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.convert import Target, decode, encode, stamp_of
 from fuzzycnc_ros.core.config import Config
@@ -165,7 +165,7 @@ def replay(
 
 
 def _replayable() -> list[str]:
-    return [name for name in COMPONENTS if name != SimulatedMachine.NAME]
+    return [name for name in COMPONENTS if name not in MACHINES]
 
 
 class _Recording:
@@ -211,6 +211,12 @@ class _ComponentReplay:
         self.outputs: dict[str, list[tuple[str, str, int, Any]]] = {
             f'{self._space}/{item.name}': [] for item in kind.OUTPUTS
         }
+        events = recording.records(f'{self._space}/node_event', NodeEvent)
+        self._events = [item for item in events if item.node == node]
+        self._refused = {
+            (str(found.get('input')), str(found.get('stamp')))
+            for found in (_arguments(item) for item in self._events if item.name == REFUSED)
+        }
         self._points = self._collect_points(configurations)
         first = configurations[0]
         if isinstance(self._component, ThermalPredictor) and first.model:
@@ -219,7 +225,7 @@ class _ComponentReplay:
     def run(self) -> None:
         """Work through the recording in the order of machine time."""
         for item in self._component.INPUTS:
-            for record in self._recording.records(f'{self._space}/{item.name}', item.record):
+            for record in self._taken(item):
                 self._merger.push(item.name, record)
         for point in self._points:
             if point.event is not None:
@@ -229,6 +235,11 @@ class _ComponentReplay:
             else:
                 self._keep(self._merger.advance(point.stamp))
 
+    def _taken(self, source: Input) -> list[Any]:
+        """Return the records of an input but for those that the host refused."""
+        records = self._recording.records(f'{self._space}/{source.name}', source.record)
+        return [item for item in records if (source.name, str(item.stamp)) not in self._refused]
+
     def _collect_points(self, configurations: list[NodeConfiguration]) -> list[_Point]:
         """Return turns, fired deadlines, requests and changes, in the order of machine time."""
         node = self._component.NAME
@@ -236,8 +247,7 @@ class _ComponentReplay:
         points = [_Point(turn.stamp) for turn in turns if not turn.probe]
         if not points:
             points = self._real_time_points()
-        events = self._recording.records(f'{self._space}/node_event', NodeEvent)
-        points += [_Point(e.stamp, event=e) for e in events if e.node == node]
+        points += [_Point(e.stamp, event=e) for e in self._events if e.name != REFUSED]
         points += [_Point(c.stamp, configuration=c) for c in configurations[1:]]
         # At one stamp the node first works up to it, then hears requests: so it was live.
         return sorted(
@@ -249,12 +259,11 @@ class _ComponentReplay:
         stamps = {item.stamp for item in fired if item.node == self._component.NAME}
         for item in self._component.INPUTS:
             if item.driving:
-                records = self._recording.records(f'{self._space}/{item.name}', item.record)
-                stamps.update(record.stamp for record in records)
+                stamps.update(record.stamp for record in self._taken(item))
         return [_Point(stamp) for stamp in sorted(stamps)]
 
     def _request(self, event: NodeEvent) -> None:
-        arguments = _object(event.request, f'{event.node}: request {event.name}')
+        arguments = _arguments(event)
         try:
             answer = self._component.on_request(event.name, arguments, event.stamp)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
@@ -298,6 +307,17 @@ def _config(kind: type[Component], record: NodeConfiguration) -> Config:
         return kind.CONFIG(**values)
     except (TypeError, ValueError) as error:
         raise ReplayError(f'{record.node}: parameters: {error}') from error
+
+
+def _arguments(event: NodeEvent) -> dict[str, Any]:
+    """Return what an event was requested with.
+
+    Raises
+    ------
+    ReplayError
+        If its text holds no arguments.
+    """
+    return _object(event.request, f'{event.node}: request {event.name}')
 
 
 def _object(text: str, where: str) -> dict[str, Any]:

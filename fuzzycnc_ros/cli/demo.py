@@ -12,8 +12,10 @@ from rich.console import Console
 
 from fuzzycnc_ros.cli.demo_contour import contour_demo
 from fuzzycnc_ros.cli.demo_pattern import pattern_demo
+from fuzzycnc_ros.cli.demo_shift import shift_demo
 from fuzzycnc_ros.cli.demo_steps import renew
 from fuzzycnc_ros.cli.demo_thermal import thermal_demo
+from fuzzycnc_ros.cli.graph_processes import GraphError
 from fuzzycnc_ros.cli.up import BANNER
 
 
@@ -23,6 +25,7 @@ class Scenario(str, Enum):
     thermal = 'thermal'
     contour = 'contour'
     pattern = 'pattern'
+    shift = 'shift'
 
 
 _RUN: dict[Scenario, Callable[[Console, Path, int], None]] = {
@@ -40,6 +43,10 @@ def demo(
         Scenario, typer.Option(help='What to show: see above.')
     ] = Scenario.thermal,
     seed: Annotated[int, typer.Option(help='Seed of all measuring noise.')] = 0,
+    program: Annotated[
+        Path | None,
+        typer.Option(help='Part program to cut in the shift, in mm; a plate of its own if none.'),
+    ] = None,
 ) -> None:
     """Watch a simulated mill warm up for two shifts while its thermal error is compensated.
 
@@ -57,8 +64,19 @@ def demo(
     trained T-S fuzzy neural network:
 
         fuzzycnc demo --scenario pattern --out build/pattern
+
+    Or watch a shift of eight hours with everything on: the mill warms up and cools down, cuts
+    curves and a part program on servo axes in between, and a second machine stitches foam:
+
+        fuzzycnc demo --scenario shift --out build/shift
     """
+    if program is not None and scenario is not Scenario.shift:
+        raise GraphError('--program: expected --scenario shift, which alone cuts a program')
+    text = program.read_text(encoding='utf-8') if program is not None else ''
     console = Console()
     console.print(BANNER, style='yellow')
     renew(out)
-    _RUN[scenario](console, out, seed)
+    if scenario is Scenario.shift:
+        shift_demo(console, out, seed, text)
+    else:
+        _RUN[scenario](console, out, seed)

@@ -250,7 +250,9 @@ class GraphProcesses:
 
 
 def _end_with_parent() -> None:
-    """Let the kernel end a node whose parent was killed (Linux)."""
+    """Let the kernel end a node whose parent was killed (Linux), and let it be interrupted."""
+    # A parent that holds interrupts back, as workers do, would hand that on.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     try:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     except (OSError, AttributeError):

@@ -17,6 +17,7 @@ from fuzzycnc_ros.cli.compare import compare
 from fuzzycnc_ros.cli.curve import curve
 from fuzzycnc_ros.cli.demo import demo
 from fuzzycnc_ros.cli.evaluate import evaluate
+from fuzzycnc_ros.cli.faults import faults
 from fuzzycnc_ros.cli.foam import COMMANDS as FOAM_COMMANDS
 from fuzzycnc_ros.cli.foam import HELP as FOAM_HELP
 from fuzzycnc_ros.cli.graph_processes import GraphError
@@ -30,6 +31,7 @@ from fuzzycnc_ros.cli.schedule import schedule
 from fuzzycnc_ros.cli.servo import COMMANDS as SERVO_COMMANDS
 from fuzzycnc_ros.cli.servo import HELP as SERVO_HELP
 from fuzzycnc_ros.cli.simulate import simulate
+from fuzzycnc_ros.cli.soak import soak
 from fuzzycnc_ros.cli.train import train
 from fuzzycnc_ros.cli.up import up
 
@@ -87,6 +89,7 @@ class CommandGroup:
 COMMANDS: dict[str, Callable[..., Any] | CommandGroup] = {
     'demo': demo,
     'up': up,
+    'faults': faults,
     'simulate': simulate,
     'record': record,
     'replay': replay,
@@ -100,6 +103,7 @@ COMMANDS: dict[str, Callable[..., Any] | CommandGroup] = {
     'servo': CommandGroup(SERVO_HELP, SERVO_COMMANDS),
     'foam': CommandGroup(FOAM_HELP, FOAM_COMMANDS),
     'import-csv': import_csv,
+    'soak': soak,
     'info': info,
 }
 """The subcommands in the order of the help; each one's docstring is its manual."""

@@ -113,6 +113,11 @@ class ContouringMotion:
         return self._moved is not None or self._input.next_time is not None
 
     @property
+    def following(self) -> bool:
+        """Whether a trajectory goes on; these axes always arrive."""
+        return self.busy
+
+    @property
     def moving(self) -> bool:
         """Whether the axes move, from the first sample of a trajectory until they rest again."""
         return self._moved is not None
@@ -148,6 +153,19 @@ class ContouringMotion:
             self._commanded = now
             self._begins = False
         self._input.allow(allowed, why)
+
+    def check(self, move: str) -> None:
+        """Refuse a move: the axes have loops of their own.
+
+        Raises
+        ------
+        ValueError
+            Always.
+        """
+        raise ValueError(f'jobs: expected servo_axes for the move {move!r} but found none')
+
+    def clamp(self) -> None:
+        """Do nothing: axes that rest have no periods."""
 
     def advance(self, time: int) -> None:
         """Move machine time on to `time` [ns] in a tick that is not for the axes."""

@@ -21,6 +21,14 @@ class HostConfig(Config):
     lockstep: bool = param(
         False, '-', 'Work only in turns given by a sequencer (simulated_machine)'
     )
+    stamp_ahead_max: float = param(
+        3600.0,
+        's',
+        'Time by which a stamp may be ahead of the clock of the node in real time before its '
+        'message is refused; 0 for any time',
+        low=0.0,
+        high=1e9,
+    )
     state_directory: str = param(
         '', '-', 'Directory for state that survives a restart; empty keeps none'
     )

@@ -8,7 +8,6 @@ the read-back, never the command.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,7 @@ from fuzzycnc_ros.components.component import (
     Level,
     Output,
 )
+from fuzzycnc_ros.components.linuxcnc_bridge_config import LinuxcncBridgeConfig
 from fuzzycnc_ros.components.linuxcnc_status import (
     ControllerLimits,
     ControllerOutput,
@@ -39,51 +39,16 @@ from fuzzycnc_ros.components.records import (
     MachineState,
     nanoseconds,
 )
-from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.machine.offset_input import OffsetInput, OffsetInputConfig
 
 CLOSE = 0.2e-6
 """Difference between register and read-back that counts as none [m]; LinuxCNC leaves 0.3 nm."""
+ON_THE_WAY = 0.02
+"""Time between two reports while offsets move [s]."""
+NOTHING = 1e-12
+"""Offset that is the rounding of sums [m]."""
 SETTLING = 2.0
 """How long LinuxCNC may take to go to its registers [s] before that is reported."""
-_ADOPTED = 'offsets in force before'
-
-
-@dataclass(frozen=True, kw_only=True)
-class LinuxcncBridgeConfig(Config):
-    """Parameters of `linuxcnc_bridge`."""
-
-    autostart: bool = param(
-        False, '-', 'Configure and activate at start; otherwise a lifecycle manager does'
-    )
-    axes: tuple[str, ...] = param(
-        ('X', 'Y', 'Z'), '-', 'Axes that take offsets, as in the HAL file'
-    )
-    offset_max: float = param(
-        60e-6, 'm', 'Largest offset of an axis; below that of the HAL file', low=1e-6, high=1e-3
-    )
-    slew_max: float = param(
-        5e-6, 'm/s', 'Fastest change of an offset; below the HAL file', low=1e-9, high=1e-3
-    )
-    lead_max: float = param(
-        5.0, 's', 'How far ahead of the machine a command may be stamped', low=0.0, high=3600.0
-    )
-    adopt_time: float = param(
-        120.0,
-        's',
-        'How long offsets that stand at the activation are kept while no command comes',
-        low=0.0,
-        high=7200.0,
-    )
-    cycle_period: float = param(
-        0.005, 's', 'Time between two looks at LinuxCNC', low=0.001, high=0.1
-    )
-    report_period: float = param(
-        0.2, 's', 'Time between two reports while nothing changes', low=0.01, high=10.0
-    )
-    interpreter: str = param(
-        '/usr/bin/python3', '-', "Python that LinuxCNC's modules hal and linuxcnc are built for"
-    )
 
 
 class LinuxcncBridge(Component):
@@ -121,29 +86,64 @@ class LinuxcncBridge(Component):
         self._holding = False  # whether the pins are this bridge's
         self._time = 0
         self._apart_since: int | None = None
-        self._told: tuple[Any, ...] = ()
-        self._told_at = 0
-        self._output: ControllerOutput | None = None
+        self._told: dict[str, tuple[int, tuple[Any, ...]]] = {}
+        self._orders: ControllerOutput | None = None
 
     @property
-    def output(self) -> ControllerOutput | None:
+    def orders(self) -> ControllerOutput | None:
         """What to write; None while the pins are not this bridge's."""
-        return self._output
+        return self._orders
+
+    @property
+    def moving(self) -> bool:
+        """Whether LinuxCNC is on its way to what was written last."""
+        status, orders = self._status, self._orders
+        if status is None or orders is None or not status.led:
+            return False
+        return bool(
+            np.any(orders.counts != status.counts)
+            or np.any(np.abs(status.applied - status.register) > CLOSE)
+        )
+
+    @property
+    def active(self) -> bool:
+        """Whether it may write, as soon as it has the pins."""
+        return self._active
+
+    @property
+    def holding(self) -> bool:
+        """Whether the pins are this bridge's."""
+        return self._holding
 
     @property
     def at_rest(self) -> bool:
         """Whether it is inactive and has nothing to take back: the pins may be let go."""
-        if self._active or self._status is None:
+        status = self._status
+        if self._active or not self._holding or status is None:
             return not self._active
-        return not self._status.ready or (
-            self._registers.phase is RegisterPhase.FOLLOWING
-            and not np.any(self._input.applied)
-            and not np.any(self._status.counts)
+        return not status.ready or not (
+            np.any(self._input.applied)
+            or np.any(status.counts)
+            or np.any(np.abs(status.register) > CLOSE)
         )
+
+    @property
+    def wants_pins(self) -> bool:
+        """Whether it is time to take the pins: active without them, and nothing else moves."""
+        return self._active and not self._holding and self._registers.settled
+
+    def take_pins(self) -> None:
+        """Note that the pins are this bridge's; go on from the offsets in force."""
+        status = self._status
+        assert status is not None, 'pins are taken after LinuxCNC has been read'
+        self._holding = True
+        self._registers.restart()
+        self._input = self._adopting(status.register, self._time)
+        self._orders = ControllerOutput(counts=status.counts.copy())
 
     def on_compensation(self, command: Compensation) -> None:
         """Take an offset command; the offset input decides whether it is followed."""
-        if not self._active:
+        if not (self._active and self._leads):
             return
         self._input.command(
             command.epoch,
@@ -158,7 +158,10 @@ class LinuxcncBridge(Component):
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
         """`activate` starts from the read-back; `deactivate` ramps to zero first."""
         if name == 'activate':
-            return self._activate()
+            if self._active:
+                return Answer(False, 'already active')
+            self._active = True
+            return Answer(True, f'active; {self._absent}' if self._absent else 'active')
         if name == 'deactivate':
             if not self._active:
                 return Answer(False, 'not active')
@@ -191,19 +194,19 @@ class LinuxcncBridge(Component):
         """Take what was read at `stamp` [ns]; decide what to write, yield what is to be told."""
         self._time = max(self._time, stamp)
         self._status, self._absent = status, ''
-        if not status.ready or not self._holding:
-            # LinuxCNC clears registers that are not ready, and others may move the counts.
-            self._restart_input(status)
-        found = self._registers.observe(status)
-        if found:
-            self._restart_input(status)
+        if not self._holding:
+            self._registers.look(status)
+        found = self._holding and self._registers.observe(status)
+        if found or not self._leads:
+            # Others move or clear the registers: when that is over, go on from where they are.
+            self._input = self._adopting(status.register, self._time, self._input.epoch)
         why = self._forbidden(status)
-        self._input.allow(not why, why)
+        self._input.allow(not why or not self._leads, why)
         wanted = self._input.advance(self._time, status.position)
         if self._holding:
-            self._output = self._registers.output(wanted, status)
+            self._orders = self._registers.output(wanted, status)
             if not self._active and self.at_rest:
-                self._holding, self._output = False, None
+                self._holding, self._orders = False, None
         self._watch(status)
         yield from self._tell(status, why)
 
@@ -211,16 +214,17 @@ class LinuxcncBridge(Component):
         """Note that LinuxCNC is gone: nothing is applied, nothing is known."""
         self._time = max(self._time, stamp)
         if not self._absent:
-            self._told = ()
+            self._told = {}
         self._status, self._absent = None, why
-        self._active = self._holding = False
-        self._output, self._apart_since = None, None
+        self._holding, self._orders, self._apart_since = False, None, None
         self._registers = OffsetRegisters(len(self._axes))
         self._input.allow(False, why)
         nothing = np.full(len(self._axes), np.nan)
-        if not self._due(('absent', why)):
+        if not self._due('absent', (why,)):
             return
-        yield Emission('machine_state', self._state(MachineMode.OFF, False, nothing, np.nan, False))
+        yield Emission(
+            'machine_state', self._state(MachineMode.OFF, False, nothing, np.nan, False)
+        )
         yield Emission(
             'compensation_applied',
             self._applied(AppliedStatus.REFUSED, why, np.zeros_like(nothing), nothing > 0.0),
@@ -245,20 +249,7 @@ class LinuxcncBridge(Component):
             *found,
         ]
 
-    def _activate(self) -> Answer:
-        """Go on from the offsets in force, as if they had been commanded: nothing moves."""
-        if self._active:
-            return Answer(False, 'already active')
-        if self._status is None:
-            return Answer(False, self._absent)
-        self._active = self._holding = True
-        self._registers = OffsetRegisters(len(self._axes))
-        self._input = self._adopting(self._status.register, self._time)
-        standing = describe(self._axes, self._status.register)
-        self._output = ControllerOutput(counts=self._status.counts.copy())
-        return Answer(True, f'active; goes on from {standing or "zero"}')
-
-    def _adopting(self, offset: Floats, time: int) -> OffsetInput:
+    def _adopting(self, offset: Floats, time: int, epoch: int = 0) -> OffsetInput:
         """Return an offset input that has `offset` [m] in force at `time` [ns].
 
         It is told so by a command that began so long ago that the offsets have got there.
@@ -270,23 +261,24 @@ class LinuxcncBridge(Component):
         )
         begin = time - nanoseconds(1.0 + 1.01 * config.offset_max / config.slew_max)
         fresh = OffsetInput(self._axes, config, start=begin)
-        if np.any(offset):
+        offset = np.where(np.abs(offset) > NOTHING, offset, 0.0)
+        if epoch or np.any(offset):
             until = time + max(nanoseconds(self._config.adopt_time), 1)
-            fresh.command(
-                1, self._axes, offset, stamp=begin, valid_until=until, owner=''
-            )
+            fresh.command(max(epoch, 1), self._axes, offset, stamp=begin, valid_until=until)
         fresh.advance(time)
         return fresh
 
-    def _restart_input(self, status: ControllerStatus) -> None:
-        """Go on from the registers; who owned the offsets before has to command anew."""
-        if not np.array_equal(self._input.applied, status.register):
-            self._input = self._adopting(status.register, self._time)
+    @property
+    def _leads(self) -> bool:
+        """Whether the registers go where this bridge says."""
+        return self._holding and self._registers.phase is not RegisterPhase.SETTLING
 
     def _forbidden(self, status: ControllerStatus) -> str:
         """Say why commands are not followed now; empty if they are."""
         if not self._active:
             return 'the bridge is not active'
+        if not self._holding:
+            return f'waiting for the counts, which {status.writer or "nobody"} writes'
         if not status.ready:
             return 'machine is not homed' if not status.homed else f'machine is {_word(status)}'
         if status.frozen:
@@ -296,6 +288,8 @@ class LinuxcncBridge(Component):
             )
         if not status.alive:
             return 'the watchdog of the HAL file has let the offsets go; taking them up again'
+        if self._registers.phase is RegisterPhase.SETTLING:
+            return 'finding out what the registers hold'
         if self._registers.phase is not RegisterPhase.FOLLOWING:
             return (
                 'counts of zero meant '
@@ -323,13 +317,9 @@ class LinuxcncBridge(Component):
         if not self._active:
             if not standing:
                 return AppliedStatus.IDLE, ''
-            owner = (
-                'ramping to zero'
-                if self._holding
-                else f'written by {status.writer}'
-                if status.writer
-                else 'nobody owns it'
-            )
+            owner = f'written by {status.writer}' if status.writer else 'nobody owns it'
+            if self._holding:
+                owner = 'frozen, eoffset-enable is off' if status.frozen else 'ramping to zero'
             return AppliedStatus.REFUSED, f'inactive while {standing} stands: {owner}'
         if why:
             return AppliedStatus.REFUSED, f'{why}; in force: {standing or "nothing"}'
@@ -351,31 +341,34 @@ class LinuxcncBridge(Component):
                 )
         return AppliedStatus(int(self._input.status)), self._input.reason
 
-    def _due(self, news: tuple[Any, ...]) -> bool:
-        """Whether something changed, or a report is due."""
-        if news == self._told and self._time - self._told_at < nanoseconds(
-            self._config.report_period
-        ):
-            return False
-        self._told, self._told_at = news, self._time
+    def _due(self, what: str, news: tuple[Any, ...], spacing: float = 0.0) -> bool:
+        """Whether to tell something: news, not sooner than `spacing` [s], or nothing for long."""
+        told_at, told = self._told.get(what, (None, ()))
+        if told_at is not None:
+            wait = spacing if news != told else self._config.report_period
+            if self._time - told_at < nanoseconds(wait):
+                return False
+        self._told[what] = (self._time, news)
         return True
 
     def _tell(self, status: ControllerStatus, why: str) -> Iterator[Emission]:
         code, reason = self._verdict(status, why)
         allowed = self._active and not why
+        if self._due('machine_state', (status.mode, status.homed, allowed)):
+            state = self._state(
+                status.mode, status.homed, status.position, status.spindle_speed, allowed
+            )
+            yield Emission('machine_state', state)
         limited = self._input.at_limit | self._cut(status)
         # Differences below a nanometre are LinuxCNC's own rounding.
-        applied = np.rint(1e9 * status.applied)
-        facts = (code, reason.partition(';')[0], allowed, status.mode, status.homed)
-        if not self._due((*facts, applied.tobytes(), limited.tobytes(), self._input.epoch)):
-            return
-        yield Emission(
-            'machine_state',
-            self._state(
-                status.mode, status.homed, status.position, status.spindle_speed, allowed
-            ),
-        )
-        yield Emission('compensation_applied', self._applied(code, reason, status.applied, limited))
+        offsets = np.rint(1e9 * status.applied).tobytes()
+        cause = (code, reason.partition(';')[0], limited.tobytes(), self._input.epoch)
+        changed = cause != self._told.get('applied', (0, ((),)))[1][0]
+        # On the way there a read-back is told now and then, at its end at once.
+        spacing = ON_THE_WAY if self.moving and not changed else 0.0
+        if self._due('applied', (cause, offsets), spacing):
+            told = self._applied(code, reason, status.applied, limited)
+            yield Emission('compensation_applied', told)
 
     def _state(
         self, mode: MachineMode, homed: bool, position: Floats, speed: float, allowed: bool

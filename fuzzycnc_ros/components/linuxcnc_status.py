@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuzzycnc_ros.components.codes import MachineMode
-from fuzzycnc_ros.components.records import Floats, Names
+from fuzzycnc_ros.components.records import Bools, Floats, Names
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,6 +39,11 @@ class ControllerStatus:
     spindle_speed: float = np.nan
     """Positive clockwise seen from the spindle [rad/s]."""
 
+    @property
+    def led(self) -> bool:
+        """Whether the registers follow the counts, and the counts this bridge."""
+        return self.ready and self.alive and not self.frozen
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControllerLimits:
@@ -61,7 +66,7 @@ class ControllerOutput:
     """Hold the registers at zero, whatever the counts do."""
 
 
-def describe(axes: Names, values: Floats, chosen: Floats | None = None) -> str:
+def describe(axes: Names, values: Floats, chosen: Bools | None = None) -> str:
     """Return offsets [m] as text in micrometres, those that are chosen or not zero."""
     picked = np.abs(values) > 0.0 if chosen is None else np.asarray(chosen, bool)
     return ', '.join(

@@ -65,12 +65,13 @@ class Merger:
         A record that is not newer than the last of its input is dropped and counted; on a latched
         input one of the same age replaces it.  One that means nothing is refused.
         """
+        refusal = misfit(record)
+        if refusal:
+            self.refuse(name, refusal)
+            return False
         count = self.counts[name]
         count.received += 1
-        count.refusal = misfit(record)
-        if count.refusal:
-            count.refused += 1
-            return False
+        count.refusal = ''
         if count.newest is not None and record.stamp <= count.newest:
             # A latched topic repeats its newest record to a reader that comes back, and may be
             # set anew before machine time moves.
@@ -88,6 +89,13 @@ class Merger:
         self._serial += 1
         heapq.heappush(self._queue, (record.stamp, self._ranks[name], self._serial, name, record))
         return True
+
+    def refuse(self, name: str, why: str) -> None:
+        """Count a record of input `name` that is not taken."""
+        count = self.counts[name]
+        count.received += 1
+        count.refused += 1
+        count.refusal = why
 
     def advance(self, until: int) -> list[Emission]:
         """Work up to machine time `until` [ns]; return what was emitted, in order.

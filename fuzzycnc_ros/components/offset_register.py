@@ -25,6 +25,7 @@ TOLERANCE = 2.0
 class RegisterPhase(Enum):
     """What is done about the bases."""
 
+    SETTLING = 'settling'
     FOLLOWING = 'following'
     RAMPING = 'ramping'
     CLEARING = 'clearing'
@@ -40,45 +41,63 @@ class OffsetRegisters:
     """
 
     def __init__(self, size: int) -> None:
-        self.phase = RegisterPhase.FOLLOWING
+        self.phase = RegisterPhase.SETTLING
         self.base = np.zeros(size)
         """Offset at counts of zero [m]; followed only while the way back is gone."""
         self._seen = np.zeros(size)
+        self._scale = np.zeros(size)
         self._cycles = 0
+
+    @property
+    def settled(self) -> bool:
+        """Whether the bases are known: for some cycles nothing has moved the counts."""
+        return self._cycles >= SURE
+
+    def restart(self) -> None:
+        """Hold the counts as they stand until the bases are known."""
+        self.phase = RegisterPhase.SETTLING
+
+    def look(self, status: ControllerStatus) -> None:
+        """Follow the bases without doing anything about them."""
+        found = status.register - status.scale * status.counts
+        same = np.all(np.abs(found - self._seen) <= TOLERANCE * np.abs(status.scale))
+        self._cycles = self._cycles + 1 if same else 0
+        self._seen = found
 
     def observe(self, status: ControllerStatus) -> bool:
         """Look at a cycle; return whether a base was found now, which the offsets have to leave.
 
-        While the registers take no counts nothing is concluded: LinuxCNC clears them then.
+        While the registers do not follow the counts nothing is concluded.
         """
-        found = status.register - status.scale * status.counts
-        tolerance = TOLERANCE * np.abs(status.scale)
-        if not status.ready or status.frozen:
-            self.phase, self._cycles = RegisterPhase.FOLLOWING, 0
-            self.base = np.zeros_like(self.base)
-            return False
-        same = np.all(np.abs(found - self._seen) <= 0.1 * tolerance)
-        self._cycles = self._cycles + 1 if same else 0
-        self._seen = found
-        sure = self._cycles >= SURE
-        if self.phase is RegisterPhase.FOLLOWING:
-            if sure and np.any(np.abs(found) > tolerance):
-                self.phase, self.base = RegisterPhase.RAMPING, found
-                return True
-        elif self.phase is RegisterPhase.RAMPING:
-            if sure:
-                self.base = found
-            if np.all(np.abs(status.register) <= tolerance) and np.all(
-                np.abs(status.applied) <= tolerance
-            ):
-                self.phase = RegisterPhase.CLEARING
-        elif not np.any(status.counts):
-            self.phase, self.base = RegisterPhase.FOLLOWING, np.zeros_like(self.base)
+        rescaled = not np.array_equal(status.scale, self._scale)
+        self._scale = status.scale
+        self.look(status)
+        if not status.led or rescaled:
             self._cycles = 0
+            self.restart()
+            return False
+        tolerance = TOLERANCE * np.abs(status.scale)
+        if self.phase is RegisterPhase.CLEARING:
+            if not np.any(status.counts):
+                self._cycles = 0
+                self.restart()
+        elif self.phase is RegisterPhase.RAMPING:
+            if self.settled:
+                self.base = self._seen.copy()
+            away = np.maximum(np.abs(status.register), np.abs(status.applied))
+            if np.all(away <= tolerance):
+                self.phase = RegisterPhase.CLEARING
+        elif self.settled:
+            if np.any(np.abs(self._seen) > tolerance):
+                self.phase, self.base = RegisterPhase.RAMPING, self._seen.copy()
+                return True
+            self.phase, self.base = RegisterPhase.FOLLOWING, np.zeros_like(self.base)
         return False
 
     def output(self, wanted: Floats, status: ControllerStatus) -> ControllerOutput:
         """Return what to write so that the registers go to `wanted` [m]."""
+        if self.phase is RegisterPhase.SETTLING:
+            return ControllerOutput(counts=status.counts.copy())
         if self.phase is RegisterPhase.CLEARING:
             return ControllerOutput(counts=np.zeros_like(wanted), rezero=True)
         counts = (wanted - self.base) / status.scale

@@ -1,13 +1,11 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The paths that a simulated machine loads by itself: it plays the operator."""
+"""What a simulated machine loads by itself, one after the other: it plays the operator."""
 
 from collections.abc import Sequence
 
 from fuzzycnc_ros.components.component import Emission
 from fuzzycnc_ros.components.records import nanoseconds
-from fuzzycnc_ros.components.tool_paths import curve_tool_path
-from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 
 _USUAL_SPEED = 0.02
 """Speed along a path that progress is told by, before anything is known [m/s]."""
@@ -103,46 +101,6 @@ class Programme:
 
     def _usual_ticks(self, period: float) -> list[int]:
         return [round(length / _USUAL_SPEED / period) for length in self._lengths]
-
-
-class PathProgramme(Programme):
-    """Curves of the literature, loaded one after the other.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Curves of `core.feedrate.path.curves`, at the method sheet's scales.
-    feed : float
-        Programmed feed [m/s].
-    timeout : float
-        Time to wait for a trajectory before the programme is given up [s].
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown.
-    """
-
-    def __init__(self, names: Sequence[str], *, feed: float, timeout: float) -> None:
-        unknown = [name for name in names if name not in CURVES]
-        if unknown:
-            raise ValueError(
-                f'paths: expected names among {", ".join(CURVES)} but found {", ".join(unknown)}'
-            )
-        self._curves = [CURVES[name](SHEET_SCALES[name]) for name in names]
-        self._feed = feed
-        lengths = [curve.length for curve in self._curves]
-        super().__init__(names, lengths, timeout=timeout, nodes='is feedrate_scheduler')
-
-    def _load(self, stamp: int, frame_id: str) -> tuple[Emission, ...]:
-        path = curve_tool_path(
-            self._curves[self._number],
-            path_id=self.path_id,
-            feed=self._feed,
-            stamp=stamp,
-            frame_id=frame_id,
-        )
-        return (Emission('tool_path', path),)
 
 
 def _unique(names: Sequence[str], index: int) -> str:

@@ -121,7 +121,9 @@ class ProbeSource:
             record.stamp - self._used_at.get(name, -self._interval) >= self._interval
             for name in record.channel
         ]
-        usable = np.isfinite(record.displacement) & np.array(due, dtype=np.bool_)
+        # A value that may be off by more than any error can be says nothing.
+        vague = record.standard_deviation > DISPLACEMENT_MAX
+        usable = np.isfinite(record.displacement) & np.array(due, dtype=np.bool_) & ~vague
         if not usable.any():
             return None
         error = np.where(usable, record.displacement, np.nan)

@@ -16,6 +16,10 @@ MESSAGE_SET = 1
 """Version of the message set; bags carry it, and older ones are upgraded on reading."""
 
 
+REFUSED = 'refused'
+"""Name of the event that a host refused a message; arguments `input` and `stamp` [ns]."""
+
+
 def configuration_record(
     component: Component, stamp: int, lifecycle_state: str = 'active'
 ) -> NodeConfiguration:

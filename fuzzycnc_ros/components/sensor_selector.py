@@ -30,6 +30,7 @@ from fuzzycnc_ros.components.records import (
     SensorCluster,
     SensorSelection,
     Temperatures,
+    nanoseconds,
 )
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.thermal import SensorSelection as Selection
@@ -40,6 +41,9 @@ RunReader = Callable[[str], ThermalRun]
 
 SAMPLES_MAX = 20_000
 """Samples kept of the present run: two weeks at one a minute."""
+
+PAUSE = nanoseconds(4 * 3600.0)
+"""Machine time without a sample after which another run begins [ns]: the machine has cooled."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +85,8 @@ class SensorSelector(Component):
         """Keep the sample if its displacement was measured with it."""
         measured = self._newest.get('displacement')
         if isinstance(measured, Displacement) and measured.stamp == sample.stamp:
+            if self._samples and sample.stamp - self._samples[-1][0].stamp > PAUSE:
+                self._samples.clear()
             self._samples.append((sample, measured))
             del self._samples[:-SAMPLES_MAX]
         return ()

@@ -6,7 +6,8 @@ Every axis state is a control period and is answered by a command.  A state that
 time is bridged by what the controllers expect while the drives hold the last command; too long a
 silence, feedback that cannot be right, motion that does not fit the duties or a fault of the
 machine are a fault: all duties stay zero until the component is activated anew.  Axes hold where
-they are found, go to commanded positions, or follow a trajectory.
+they are found, go to commanded positions, or follow a trajectory.  An axis state without axes says
+that the machine has clamped them: no period is missed until it drives them again.
 """
 
 from collections.abc import Iterator, Mapping
@@ -143,6 +144,10 @@ class ServoController(Component):
         """Answer a control period."""
         stamp = state.stamp
         if not self._active:
+            yield from self._tell(stamp)
+            return
+        if not state.axis and not self._fault:
+            self._begin()
             yield from self._tell(stamp)
             return
         found = dict(zip(state.axis, state.position.tolist(), strict=False))

@@ -45,17 +45,18 @@ def servo_motion(config: SimulatedMachineConfig, on: Callable[[], bool]) -> 'Ser
     config : SimulatedMachineConfig
         Parameters of the machine.
     on : callable
-        Whether the axes are needed when all moves are over.
+        Whether the axes are needed when all moves are over; else they are clamped.
 
     Raises
     ------
     ValueError
         If they do not fit each other.
     """
-    if config.duties:
+    if config.duties and not config.jobs:
         raise ValueError(
-            'duties: expected none on a machine with servo_axes, which are driven every '
-            f'{config.axis_interpolation_period:g} s, but found {", ".join(config.duties)}'
+            'duties: expected none on a machine with servo_axes but no jobs, which say when to '
+            f'drive them every {config.axis_interpolation_period:g} s, but found '
+            f'{", ".join(config.duties)}'
         )
     travel = (config.servo_travel_low, config.servo_travel_high)
     if not travel[0] < travel[1]:
@@ -127,7 +128,8 @@ class ServoMotion:
         self._path_id = ''  # what is measured
         self._reading = [plant.measure() for plant in self._plants]
         self._speed = [0.0] * len(self._plants)
-        self._last: int | None = None  # newest period
+        self._last: int | None = None  # newest period; None while clamped
+        self._clamping = False
         self._count = 0
         self._reported = self._state()
 
@@ -141,7 +143,12 @@ class ServoMotion:
     @property
     def busy(self) -> bool:
         """Whether moves are being made or a trajectory is to be followed to its end."""
-        return not self._moves.over or self._lead.following or not self._arrived()
+        return self.following or not self._arrived()
+
+    @property
+    def following(self) -> bool:
+        """Whether moves are being made or a trajectory goes on."""
+        return not self._moves.over or self._lead.following
 
     @property
     def moving(self) -> bool:
@@ -177,13 +184,34 @@ class ServoMotion:
 
     def next_time(self, now: int) -> int | None:
         """Return when the axes want their next tick [ns]; None if nobody needs them."""
-        if not self.moving:
+        if not (self.moving or self._clamping):
             return None
         return (now if self._last is None else self._last) + self._period
 
     def drive(self, command: AxisCommand) -> None:
         """Take a command of the drives; they decide whether it is followed."""
         self._drives.command(command)
+
+    def go(self, move: str) -> None:
+        """Have the axes make one more move, given as `X:-0.05`."""
+        self._moves.add(move)
+
+    def check(self, move: str) -> None:
+        """Look at a move that is to be made later.
+
+        Raises
+        ------
+        ValueError
+            If it does not name axes and numbers.
+        """
+        self._moves.parsed(move)
+
+    def clamp(self) -> None:
+        """Clamp the axes where they are, a period from now, until they are needed again.
+
+        An `axis_state` without axes says so; silence alone would be a fault of the feedback.
+        """
+        self._clamping = True
 
     def command(self, part: Trajectory) -> None:
         """Take a part of a trajectory; the trajectory input decides whether it is followed."""
@@ -205,12 +233,21 @@ class ServoMotion:
                 self._plants, self._drives.duties(self._last, stamp), strict=True
             ):
                 plant.drive(duty)
+        if self._clamping:
+            self._clamping, self._last = False, None
+            yield from self._flush(stamp, frame_id)
+            yield self.state(stamp, frame_id)
+            return
+        resumed = self._last is None and self._count > 0
         self._last = stamp
         self._count += 1
         for index, plant in enumerate(self._plants):
             before, reading = self._reading[index], plant.measure()
             self._reading[index] = reading
             self._speed[index] = (reading - before) * self._per_period
+        if resumed:  # they are taken over where they are found
+            self._place = list(self._reading)
+            self._speed = [0.0] * len(self._plants)
         move = self._moves.next(stamp, frame_id, dict(zip(self.axes, self._reading, strict=True)))
         if move is not None:
             yield Emission('position_command', move)
@@ -237,7 +274,8 @@ class ServoMotion:
             yield from self._flush(stamp, frame_id)
             self._error.begin()
             self._path_id = guard.path_id
-        if not self._path_id or not (self._lead.following or not self._arrived()):
+        off = not self._moves.over or not self.busy
+        if not self._path_id or off:
             yield from self._flush(stamp, frame_id)
             return
         if begun:
@@ -263,16 +301,20 @@ class ServoMotion:
             )
 
     def state(self, stamp: int, frame_id: str) -> Emission:
-        """Return where the axes are; what the sensor of an axis does not give is NaN."""
+        """Return where the axes are; what the sensor of an axis does not give is NaN.
+
+        Clamped axes are none that could be driven.
+        """
+        driven = slice(None) if self._last is not None else slice(0)
         return Emission(
             'axis_state',
             AxisState(
                 stamp=stamp,
                 frame_id=frame_id,
-                axis=self.axes,
-                reference=self.reference,
-                position=np.array(self._reading),
-                velocity=np.array(self._speed),
+                axis=self.axes[driven],
+                reference=self.reference[driven],
+                position=np.array(self._reading)[driven],
+                velocity=np.array(self._speed)[driven],
             ),
         )
 

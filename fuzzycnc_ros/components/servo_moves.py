@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The moves that a simulated machine asks for by itself: it plays the operator."""
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -38,42 +39,54 @@ class ServoMoves:
         self, axes: Sequence[str], moves: Sequence[str], *, duration: float, tolerance: float
     ) -> None:
         self._axes = tuple(axes)
-        self._moves = [self._parsed(text) for text in moves]
+        self._waiting = deque(self.parsed(text) for text in moves)
         self._duration = nanoseconds(duration)
+        self._given = len(self._waiting) * self._duration
         self._tolerance = tolerance
-        self._number = -1
+        self._number = 0
+        self._move: dict[str, float] = {}  # the one that is being made
         self._until = 0
         self.failure = ''
 
     @property
     def duration(self) -> int:
-        """Time of all moves [ns]."""
-        return len(self._moves) * self._duration
+        """Time of all moves that were given at the beginning [ns]."""
+        return self._given
 
     @property
     def over(self) -> bool:
         """Whether the time of the last one is over."""
-        return self._number >= len(self._moves) or not self._moves
+        return not (self._move or self._waiting)
+
+    def add(self, text: str) -> None:
+        """Have one more move follow.
+
+        Raises
+        ------
+        ValueError
+            If it does not name axes and numbers.
+        """
+        self._waiting.append(self.parsed(text))
 
     def next(
         self, stamp: int, frame_id: str, readings: Mapping[str, float]
     ) -> PositionCommand | None:
         """Return the next move if its time has come at a period [ns], and judge the last."""
-        if self.over or stamp < self._until:
+        if self._move:
+            if stamp < self._until:
+                return None
+            self._judge(self._move, readings)
+        self._move = self._waiting.popleft() if self._waiting else {}
+        if not self._move:
             return None
-        if self._number >= 0:
-            self._judge(self._moves[self._number], readings)
         self._number += 1
         self._until = stamp + self._duration
-        if self.over:
-            return None
-        move = self._moves[self._number]
         return PositionCommand(
             stamp=stamp,
             frame_id=frame_id,
-            axis=tuple(move),
-            position=np.array(list(move.values())),
-            velocity=np.full(len(move), np.nan),
+            axis=tuple(self._move),
+            position=np.array(list(self._move.values())),
+            velocity=np.full(len(self._move), np.nan),
         )
 
     def _judge(self, move: Mapping[str, float], readings: Mapping[str, float]) -> None:
@@ -81,13 +94,19 @@ class ServoMoves:
             if self.failure or abs(readings[name] - target) <= self._tolerance:
                 continue
             self.failure = (
-                f'move {self._number + 1}: expected {name} within '
+                f'move {self._number}: expected {name} within '
                 f'{1e6 * self._tolerance:g} um of {1e3 * target:g} mm but it reads '
                 f'{1e3 * readings[name]:.4f} mm; is servo_controller active?'
             )
 
-    def _parsed(self, text: str) -> dict[str, float]:
-        """Return the targets [m] of a move by axis."""
+    def parsed(self, text: str) -> dict[str, float]:
+        """Return the targets [m] of a move by axis.
+
+        Raises
+        ------
+        ValueError
+            If it does not name axes and numbers.
+        """
         found: dict[str, float] = {}
         for item in text.split(','):
             name, _, value = item.partition(':')

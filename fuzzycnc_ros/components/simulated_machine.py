@@ -10,8 +10,6 @@ follow a trajectory there are short ones in between, one per interpolation perio
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import numpy as np
-
 from fuzzycnc_ros.components.codes import MachineMode
 from fuzzycnc_ros.components.command_sources import REQUEST, CommandSources
 from fuzzycnc_ros.components.component import (
@@ -28,7 +26,12 @@ from fuzzycnc_ros.components.contouring_motion import (
     ContouringMotion,
     contouring_config,
 )
-from fuzzycnc_ros.components.machine_programme import machine_programme, machine_sheet
+from fuzzycnc_ros.components.job_programme import JobProgramme
+from fuzzycnc_ros.components.machine_programme import (
+    duty_length,
+    machine_programme,
+    machine_sheet,
+)
 from fuzzycnc_ros.components.records import (
     AxisCommand,
     AxisState,
@@ -50,11 +53,10 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.components.servo_motion import ServoMotion, servo_motion
 from fuzzycnc_ros.components.simulated_machine_config import SimulatedMachineConfig
+from fuzzycnc_ros.components.simulated_machine_duties import MACHINE_DUTIES
+from fuzzycnc_ros.components.simulated_machine_warmth import Warmth
 from fuzzycnc_ros.components.stitching import Stitching
-from fuzzycnc_ros.core.machine.duties import DUTIES, Duty, DutyBlock
-from fuzzycnc_ros.core.machine.mill import DISPLACEMENT_NOISE, MILL_AXES, MILL_SENSORS, ThermalMill
-from fuzzycnc_ros.core.machine.offset_input import OffsetInput, OffsetInputConfig
-from fuzzycnc_ros.core.machine.sensor_faults import parse_sensor_fault
+from fuzzycnc_ros.core.machine.duties import Duty, DutyBlock
 
 __all__ = ['DAY', 'DAY_START', 'WAIT', 'SimulatedMachine', 'SimulatedMachineConfig']
 
@@ -105,33 +107,32 @@ class SimulatedMachine(Component):
     def __init__(self, config: SimulatedMachineConfig | None = None) -> None:
         super().__init__(config)
         duties = self._config.duties
-        self._has_paths = bool(self._config.paths or self._config.patterns)
-        unknown = [name for name in duties if name not in DUTIES]
+        self._has_paths = bool(self._config.paths or self._config.patterns or self._config.jobs)
+        unknown = [name for name in duties if name not in MACHINE_DUTIES]
         if unknown or not (duties or self._has_paths or self._config.moves):
             raise ValueError(
-                f'duties: expected names among {", ".join(DUTIES)} but found '
+                f'duties: expected names among {", ".join(MACHINE_DUTIES)} but found '
                 f'{", ".join(unknown) or "none, and no paths either"}'
             )
-        self._faults = tuple(parse_sensor_fault(text) for text in self._config.sensor_faults)
-        self._offsets = OffsetInput(
-            MILL_AXES,
-            OffsetInputConfig(offset_max=self._config.offset_max, slew_max=self._config.slew_max),
-        )
+        self._warmth = Warmth(self._config)
         self._stitching = Stitching(machine_sheet(self._config), self._config.sheet_seed)
-        self._paths = machine_programme(self._config)
+        self._paths = machine_programme(self._config, self._go)
         self._motion: ContouringMotion | ServoMotion = (
-            servo_motion(self._config, lambda: self._has_paths and not self._paths.over)
+            servo_motion(self._config, self._axes_needed)
             if self._config.servo_axes or self._config.moves
             else ContouringMotion(contouring_config(self._config))
         )
+        self._jobs: JobProgramme | None = None
+        if isinstance(self._paths, JobProgramme) and self._paths.timed:
+            self._jobs = self._paths
+            for move in self._paths.moves:
+                self._motion.check(move)
         self._tick_period = nanoseconds(self._config.tick_period)
         self._run = 0
         self._ticks = 0
         self._time = 0
         self._duty_over = False
         self._duty: Duty = _NO_DUTY
-        self._mill: ThermalMill
-        self._speed = 0.0
         self._mode = MachineMode.ON
         self._sources = CommandSources(type(self))
         self._told_mode: MachineMode | None = None
@@ -141,8 +142,8 @@ class SimulatedMachine(Component):
     @property
     def next_tick(self) -> int | None:
         """Machine time of the next tick [ns]; None when the programme is over."""
-        slow, fast = self._slow_tick(), self._fast_tick()
-        return slow if fast is None or (slow is not None and slow < fast) else fast
+        known = (self._slow_tick(), self._fast_tick(), self._job_tick())
+        return min((time for time in known if time is not None), default=None)
 
     @property
     def total_ticks(self) -> int:
@@ -157,7 +158,9 @@ class SimulatedMachine(Component):
         """How many of `total_ticks` are over."""
         done = sum(self._duty_ticks(name) for name in self._config.duties[: self._run])
         if not self._duties_done:
-            return done + self._ticks
+            done += self._ticks
+            if self._jobs is None:
+                return done
         place = self._motion.place(self._paths.path_id)
         done += self._motion.periods
         return done + self._paths.ticks_done(self._config.axis_interpolation_period, place)
@@ -169,15 +172,7 @@ class SimulatedMachine(Component):
 
     def on_compensation(self, command: Compensation) -> None:
         """Take an offset command; the offset input decides whether it is followed."""
-        self._offsets.command(
-            command.epoch,
-            command.axis,
-            command.offset,
-            command.slope,
-            command.reference_position,
-            stamp=command.stamp,
-            valid_until=command.valid_until,
-        )
+        self._warmth.command(command)
 
     def on_trajectory(self, part: Trajectory) -> None:
         """Take a part of a trajectory; the trajectory input decides whether it is followed."""
@@ -220,7 +215,10 @@ class SimulatedMachine(Component):
         if stamp is None:
             raise RuntimeError('all duties are done; there is no next tick')
         slow, fast = stamp == self._slow_tick(), stamp == self._fast_tick()
+        begins = stamp == self._job_tick()
         self._time = stamp
+        if begins and self._jobs is not None:
+            self._jobs.begin(stamp)
         if slow:
             self._warm(stamp)
         workpiece = self.frame('workpiece')
@@ -232,7 +230,10 @@ class SimulatedMachine(Component):
             self._told_mode = mode
             yield Emission('machine_state', self._state(stamp, mode))
         if slow:
-            yield from self._readings(stamp)
+            refusal = self._sources.refusal('compensation')
+            yield from self._warmth.readings(
+                stamp, stamp - self._start, self.frame('machine'), workpiece, refusal
+            )
         yield from moved
         yield from self._stitching.tick(moved, self._motion, workpiece)
         told = {item.output for item in moved}
@@ -246,16 +247,10 @@ class SimulatedMachine(Component):
 
     def health(self) -> list[Health]:
         """Report duty and path, the offsets in force and why a command was refused."""
-        values = {
-            f'offset {axis} [um]': f'{1e6 * offset:.2f}'
-            for axis, offset in zip(MILL_AXES, self._offsets.applied, strict=True)
-        }
-        level = Level.WARN if self._offsets.reason else Level.OK
-        text = self._offsets.reason or self._offsets.status.name.lower()
         duty = 'all duties done' if self._duties_done else f'duty {self._duty.name}'
         found = [
             Health('duty', Level.OK, duty),
-            Health('compensation', level, text, values),
+            self._warmth.health(),
             self._motion.health(),
             *self._sources.health(),
             self._stitching.health(),
@@ -286,55 +281,46 @@ class SimulatedMachine(Component):
             return self._time + nanoseconds(self._config.axis_interpolation_period)
         return due
 
+    def _job_tick(self) -> int | None:
+        """Return when the next job of the duty begins [ns]; None if one is under way."""
+        due = None if self._jobs is None else self._jobs.due
+        if due is None:
+            return None
+        soon = self._time + nanoseconds(self._config.axis_interpolation_period)
+        return max(self._start + due, soon)
+
+    def _axes_needed(self) -> bool:
+        """Whether driven axes are to be controlled."""
+        if self._jobs is not None:
+            return self._jobs.begun
+        return self._has_paths and not self._paths.over
+
+    def _go(self, move: str) -> None:
+        """Have driven axes make a move."""
+        assert isinstance(self._motion, ServoMotion)
+        self._motion.go(move)
+
     def _warm(self, stamp: int) -> None:
         """Move temperatures and offsets on by a tick period."""
         period = self._config.tick_period
         allowed = self._mode is MachineMode.ON
-        self._speed = self._duty.spindle_speed(self._ticks * period) if allowed else 0.0
-        self._mill.advance(period, self._speed)
-        self._offsets.advance(stamp)
+        speed = self._duty.spindle_speed(self._ticks * period) if allowed else 0.0
+        self._warmth.advance(stamp, period, speed)
         self._ticks += 1
-
-    def _readings(self, stamp: int) -> Iterator[Emission]:
-        """Yield what is measured of the warm machine."""
-        yield Emission('compensation_applied', self._applied(stamp))
-        interval = nanoseconds(self._config.displacement_interval)
-        if (stamp - self._start) % interval < self._tick_period:
-            yield Emission(
-                'displacement',
-                Displacement(
-                    stamp=stamp,
-                    frame_id=self.frame('workpiece'),
-                    axis=MILL_AXES,
-                    channel=MILL_AXES,
-                    displacement=self._mill.measure_displacement(),
-                    standard_deviation=np.full(len(MILL_AXES), DISPLACEMENT_NOISE),
-                    includes_compensation=False,
-                ),
-            )
-        reading = self._mill.read()
-        yield Emission(
-            'sensor_readings',
-            Temperatures(
-                stamp=stamp,
-                frame_id=self.frame('machine'),
-                sensor=MILL_SENSORS,
-                temperature=reading,
-                status=np.where(np.isfinite(reading), 0, 1).astype(np.uint8),
-                readings=1,
-            ),
-        )
 
     def _go_on(self, stamp: int, slow: bool) -> Iterator[Emission]:
         """Go on to the next duty or path where the present one is over and the axes rest."""
         if slow and not self._duties_done:
             following = (self._ticks + 1) * self._tick_period
-            self._duty_over = following > nanoseconds(self._length(self._duty.name))
-        if self._motion.busy:
-            self._paths.wait(stamp, 'following one', busy=True)
+            self._duty_over = following > nanoseconds(duty_length(self._config, self._duty.name))
+        if self._motion.busy and not self._paths.failure:
+            what = 'the axes do not arrive'
+            self._paths.wait(stamp, what, busy=self._motion.following)
+        elif self._jobs is not None and self._jobs.begun:
+            yield from self._work(self._jobs, stamp)
         elif self._duty_over:
             self._enter(self._run + 1)
-        elif self._duties_done and self._has_paths:
+        elif self._duties_done and self._has_paths and self._jobs is None:
             done = self._motion.finished(self._paths.path_id)
             if done or (slow and not self._paths.path_id):
                 loaded = self._paths.load_next(stamp, self.frame('workpiece'))
@@ -345,6 +331,18 @@ class SimulatedMachine(Component):
             else:
                 self._paths.wait(stamp, self._motion.health().message, busy=False)
 
+    def _work(self, jobs: JobProgramme, stamp: int) -> Iterator[Emission]:
+        """Load the job that was begun, or clamp the axes when it is done and they have settled."""
+        if not jobs.loaded:
+            yield from jobs.load_begun(stamp, self.frame('workpiece'))
+            return
+        done = jobs.moving or self._motion.finished(jobs.path_id)
+        if not done:
+            jobs.wait(stamp, self._motion.health().message, busy=False)
+        if jobs.settled(stamp, done=done):
+            jobs.end()
+            self._motion.clamp()
+
     def _present_mode(self) -> MachineMode:
         """Return the operating state; a program runs where the spindle or the axes do."""
         if self._mode is not MachineMode.ON:
@@ -352,7 +350,7 @@ class SimulatedMachine(Component):
         tripped = isinstance(self._motion, ServoMotion) and self._motion.tripped
         if tripped or self._sources.refusal('axis_command'):
             return MachineMode.FAULT
-        running = self._speed or self._motion.moving
+        running = self._warmth.spindle_speed or self._motion.moving
         return MachineMode.RUNNING if running else MachineMode.ON
 
     def _permit(self) -> None:
@@ -360,7 +358,7 @@ class SimulatedMachine(Component):
         off = '' if self._mode is MachineMode.ON else self._mode.name.lower()
         offsets = off or self._sources.refusal('compensation')
         axes = off or self._sources.refusal('axis_command')
-        self._offsets.allow(not offsets, offsets)
+        self._warmth.offsets.allow(not offsets, offsets)
         self._motion.allow(not axes, axes, self._time)
         if axes:
             self._stitching.drop(axes)
@@ -374,39 +372,21 @@ class SimulatedMachine(Component):
             offsets_allowed=self._mode is MachineMode.ON
             and not self._sources.refusal('compensation'),
             cold_since=self._start,
-            spindle_speed=self._speed,
+            spindle_speed=self._warmth.spindle_speed,
             axis=self._motion.axes,
             position=self._motion.reference,
         )
 
-    def _length(self, duty: str) -> float:
-        """Return for how long a duty is run [s]; at least one tick."""
-        whole = DUTIES[duty].duration
-        wanted = min(whole, self._config.duty_duration or whole)
-        return max(wanted, self._config.tick_period)
-
     def _duty_ticks(self, duty: str) -> int:
         """Return the number of ticks of a duty."""
-        return nanoseconds(self._length(duty)) // self._tick_period
+        return nanoseconds(duty_length(self._config, duty)) // self._tick_period
 
     def _enter(self, run: int) -> None:
         """Set the machine up, cold, for one duty of the programme; paths follow on the last."""
         self._run, self._duty_over = run, False
-        self._duty = _NO_DUTY if self._duties_done else DUTIES[self._config.duties[run]]
+        self._duty = _NO_DUTY if self._duties_done else MACHINE_DUTIES[self._config.duties[run]]
         if run and self._duties_done:
             return
         self._ticks = 0
         self._start = self._time = nanoseconds(DAY_START + run * DAY)
-        self._mill = self._duty.mill(seed=self._config.seed + 1000 * run, faults=self._faults)
-
-    def _applied(self, stamp: int) -> CompensationApplied:
-        return CompensationApplied(
-            stamp=stamp,
-            frame_id=self.frame('machine'),
-            epoch=self._offsets.epoch,
-            status=int(self._offsets.status),
-            reason=self._sources.refusal('compensation') or self._offsets.reason,
-            axis=MILL_AXES,
-            offset=self._offsets.applied,
-            at_limit=self._offsets.at_limit,
-        )
+        self._warmth.begin(self._duty, run)

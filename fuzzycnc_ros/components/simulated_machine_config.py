@@ -13,12 +13,23 @@ class SimulatedMachineConfig(Config):
     """Parameters of `simulated_machine`."""
 
     duties: tuple[str, ...] = param(
-        ('T2',), '-', 'Duties to run, one a day, each from cold: D0, D0b, T1, T2, T3'
+        ('T2',), '-', 'Duties to run, one a day, each from cold: D0, D0b, T1, T2, T3, shift'
     )
     paths: tuple[str, ...] = param(
         (), '-', 'Paths to load after the duties, one by one: infinity, trident, butterfly'
     )
-    path_feed: float = param(0.2, 'm/s', 'Programmed feed of these paths', low=1e-6, high=10.0)
+    jobs: tuple[str, ...] = param(
+        (),
+        '-',
+        'Jobs of the one duty, each s after it began, which must rise: 3600:path:butterfly, '
+        '7200:program, 10800:move:X:-0.05; built-in axes make no moves',
+    )
+    part_program: str = param(
+        '', '-', 'Text of the part program of a job, in mm; empty is a plate of its own'
+    )
+    path_feed: float = param(
+        0.2, 'm/s', 'Programmed feed of these paths, in jobs too', low=1e-6, high=10.0
+    )
     path_timeout: float = param(
         60.0,
         's',

@@ -6,12 +6,9 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.nodes import run
 
 _MACHINE = 'simulated_machine'
-NODES = (*(name for name in COMPONENTS if name != _MACHINE), 'recorder', 'player', _MACHINE)
-"""Nodes that can be composed; the machine last, because it starts the run."""
 
 
 def run_composed(names: Sequence[str], ros_arguments: Sequence[str]) -> int:
@@ -22,14 +19,31 @@ def run_composed(names: Sequence[str], ros_arguments: Sequence[str]) -> int:
     ValueError
         If a name is no node.
     """
-    unknown = [name for name in names if name not in NODES]
+    # The machine last, because it starts the run.
+    ordered = sorted(names, key=lambda name: name == _MACHINE)
+    makers = {name: _maker(name) for name in ordered}
+    unknown = [name for name, make in makers.items() if make is None]
     if unknown or not names:
-        raise ValueError(
-            f'expected nodes among {", ".join(NODES)} but found {", ".join(unknown) or "none"}'
-        )
-    ordered = sorted(names, key=NODES.index)
-    makers = [import_module(f'fuzzycnc_ros.nodes.{name}').make for name in ordered]
-    return run.run(makers, ['composed', *ros_arguments])
+        # Loaded on use: it brings all components, and with them 18 MiB, into every process.
+        from fuzzycnc_ros.components.registry import COMPONENTS
+
+        known = ', '.join((*COMPONENTS, 'recorder', 'player'))
+        raise ValueError(f'expected nodes among {known} but found {", ".join(unknown) or "none"}')
+    return run.run([make for make in makers.values() if make], ['composed', *ros_arguments])
+
+
+def _maker(name: str) -> run.HostFactory | None:
+    """Return what makes a node; None if there is no node of that name."""
+    module = f'fuzzycnc_ros.nodes.{name}'
+    if not name.isidentifier():
+        return None
+    try:
+        make: run.HostFactory | None = getattr(import_module(module), 'make', None)
+    except ModuleNotFoundError as error:
+        if error.name != module:
+            raise
+        return None
+    return make
 
 
 def main() -> None:

@@ -29,12 +29,14 @@ from fuzzycnc_ros.components.component import (
 )
 from fuzzycnc_ros.components.host_config import HostConfig
 from fuzzycnc_ros.components.merge import Merger
-from fuzzycnc_ros.components.provenance import configuration_record, event_record
+from fuzzycnc_ros.components.provenance import REFUSED, configuration_record, event_record
 from fuzzycnc_ros.components.records import (
+    SECOND,
     DeadlineFired,
     NodeConfiguration,
     NodeEvent,
     Record,
+    nanoseconds,
 )
 from fuzzycnc_ros.convert import decode, encode
 from fuzzycnc_ros.nodes.activity import Activity
@@ -121,7 +123,9 @@ class ComponentNode:
             self._deadlines = self._advertise(
                 Output('deadline_fired', DeadlineFired), private=True
             )
-            wall_timer(node, DEADLINE_POLL, self._poll_deadline)
+            # Waking up for nothing would be half of what an idle machine costs.
+            if component_type.next_deadline is not Component.next_deadline:
+                wall_timer(node, DEADLINE_POLL, self._poll_deadline)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         wall_timer(node, 1.0, self.report)
         node.add_on_set_parameters_callback(self._on_parameters)
@@ -264,7 +268,7 @@ class ComponentNode:
 
         def on_message(message: Any, info: Any) -> None:
             record = decode(record_type, message)
-            accepted = self.merger.push(name, record)
+            accepted = not self._from_the_future(name, record) and self.merger.push(name, record)
             self._commands.heard(topic, info['publication_sequence_number'])
             self._heard(topic, info['publication_sequence_number'])
             if drives:
@@ -273,6 +277,24 @@ class ComponentNode:
                 self._work(record.stamp)
 
         return on_message
+
+    def _from_the_future(self, name: str, record: Record) -> bool:
+        """Refuse, in real time, a record whose stamp is far ahead of the node's clock.
+
+        Taken, it would have the node work up to that time and drop all that comes until then.
+        Where machine time has not begun nothing is known to be ahead of it.
+        """
+        now, most = self._now(), nanoseconds(self.settings.stamp_ahead_max)
+        if self.settings.lockstep or not (now and most) or record.stamp <= now + most:
+            return False
+        self.merger.refuse(
+            name,
+            f'stamp: expected at most {self.settings.stamp_ahead_max:g} s ahead of the clock but '
+            f'found {(record.stamp - now) / SECOND:.9g} s',
+        )
+        told = {'input': name, 'stamp': record.stamp}
+        self._send('node_event', event_record(self.component, self.merger.time, REFUSED, told))
+        return True
 
     def _heard(self, topic: str, sequence_number: int) -> None:
         """Note in lock-step that a message has come in."""

@@ -118,6 +118,10 @@ class SimulatedMachineNode(ComponentNode):
         """Whether the programme is over."""
         return self._done
 
+    def _now(self) -> int:
+        """Return machine time, which this node makes; its own clock is the wall's."""
+        return self.merger.time
+
     def _heard(self, topic: str, sequence_number: int) -> None:
         if self.sequencer is not None:
             self.sequencer.received(topic, sequence_number)

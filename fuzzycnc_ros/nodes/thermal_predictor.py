@@ -122,7 +122,8 @@ class ThermalPredictorNode(ComponentNode):
             goal_callback=self._on_goal,
             cancel_callback=lambda goal: CancelResponse.ACCEPT,
         )
-        wall_timer(node, POLL, self._poll)
+        self._timer = wall_timer(node, POLL, self._poll)
+        self._timer.cancel()  # it runs while there is a training
 
     def stop(self) -> None:
         """End a training that is under way."""
@@ -176,8 +177,10 @@ class ThermalPredictorNode(ComponentNode):
         )
         self._training, self._thread = training, training.thread
         training.thread.start()
+        self._timer.reset()
         await training.finished
         self._training = None
+        self._timer.cancel()
         return self._finish(training, request.file)
 
     def _poll(self) -> None:

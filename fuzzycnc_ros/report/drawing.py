@@ -67,6 +67,8 @@ _STYLE = {
 }
 
 _WIDTH, _LEGEND_HEIGHT = 10.0, 0.3  # [in]
+_LEGEND_KEY, _CHARACTER = 0.5, 0.064
+"""Widths of a line with its gaps and, about, of a character of a legend [in]."""
 
 
 @contextmanager
@@ -102,15 +104,18 @@ def panel_grid(count: int, *, columns: int, height: float) -> tuple[Any, list[An
 
 
 def add_legend(figure: Any, handles: Sequence[Any], labels: Sequence[str]) -> None:
-    """Put one legend above all panels, in a row."""
+    """Put one legend above all panels, in as few rows as the page's width allows."""
+    widest = _LEGEND_KEY + _CHARACTER * max(map(len, labels), default=0)
+    columns = max(1, min(len(handles), 6, int(_WIDTH / widest)))
+    rows = ceil(len(handles) / columns)
     # loc='outside upper left' would do both, but needs matplotlib 3.7.
-    room = _LEGEND_HEIGHT / figure.get_figheight()
+    room = rows * _LEGEND_HEIGHT / figure.get_figheight()
     figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - room))
     figure.legend(
         handles,
         labels,
         loc='upper left',
-        ncol=min(6, max(1, len(handles))),
+        ncol=columns,
         columnspacing=1.6,
         handlelength=1.6,
         borderaxespad=0.2,

@@ -36,7 +36,7 @@ def plot_tracks(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Any:
         the title of the panel.
     """
     with plot_style():
-        figure, panels = panel_grid(len(tracks), columns=2, height=2.9)
+        figure, panels = panel_grid(len(tracks), columns=min(2, len(tracks)), height=2.9)
         handles: list[Any] = []
         for axes, (title, (nominal, before, after)) in zip(panels, tracks.items(), strict=True):
             handles = [
@@ -64,7 +64,7 @@ def plot_deviation(way: Mapping[str, Array], deviation: Mapping[str, Mapping[str
         Distances [m] by title and method.
     """
     with plot_style():
-        figure, panels = panel_grid(len(way), columns=2, height=2.3)
+        figure, panels = panel_grid(len(way), columns=min(2, len(way)), height=2.3)
         handles: dict[str, Any] = {}
         for axes, (title, place) in zip(panels, way.items(), strict=True):
             for number, (name, distance) in enumerate(deviation[title].items()):

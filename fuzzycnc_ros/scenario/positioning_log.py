@@ -96,7 +96,7 @@ class PositioningLog(RecordLog):
     def moves(self) -> tuple[PositioningMove, ...]:
         """Return the moves in the order of their commands, one per axis."""
         commands = sorted(self._records['position_command'], key=lambda item: item.stamp)
-        ends = [*(item.stamp for item in commands[1:]), None]
+        ends = [*(item.stamp for item in commands), None][1:]
         return tuple(
             self._move(name, command, until)
             for command, until in zip(commands, ends, strict=True)

@@ -22,9 +22,11 @@ RINGS = {
     'bags': {'convert', 'components', 'core'},
     'report': {'core'},
     'scenario': {'report', 'bags', 'convert', 'components', 'core'},
-    'nodes': {'bags', 'convert', 'components', 'core'},
+    'nodes': {'bridges', 'bags', 'convert', 'components', 'core'},
     'bridges': {'bags', 'convert', 'components', 'core'},
+    'faults': {'nodes', 'report', 'bags', 'convert', 'components', 'core'},
     'cli': {
+        'faults',
         'nodes',
         'bridges',
         'scenario',
@@ -48,7 +50,7 @@ ROS = {
     'sensor_msgs',
     'std_msgs',
 }
-WITHOUT_ROS = ('core', 'components', 'convert', 'bags', 'report', 'scenario')
+WITHOUT_ROS = ('core', 'components', 'convert', 'bags', 'bridges', 'report', 'scenario')
 LOADED_ON_USE = {
     'asyncua',
     'cryptography',

@@ -11,7 +11,7 @@ from fuzzycnc_ros.components.compensator import Compensator, CompensatorConfig
 from fuzzycnc_ros.components.component import LATCHED, Component
 from fuzzycnc_ros.components.graph import InProcessGraph
 from fuzzycnc_ros.components.records import Record
-from fuzzycnc_ros.components.registry import COMPONENTS
+from fuzzycnc_ros.components.registry import COMPONENTS, MACHINES
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
 from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition
 
@@ -125,7 +125,8 @@ def test_request_reaches_the_component_at_its_machine_time():
 
 def test_one_driving_input_and_one_writer_a_topic():
     """What merge and turns rest on."""
-    writers = [item.name for c in COMPONENTS.values() for item in c.OUTPUTS]
+    used = [c for name, c in COMPONENTS.items() if name not in MACHINES[1:]]  # one is the machine
+    writers = [item.name for c in used for item in c.OUTPUTS]
     # Paths have as many sources as there are ways to make them; a run uses one.
     several = {name for name in writers if writers.count(name) > 1}
     assert several <= {'tool_path'}
@@ -147,8 +148,9 @@ def test_writer_and_readers_agree_on_type_and_durability():
 def test_a_component_stands_behind_those_whose_outputs_it_reads():
     """Turns go in the order of the registry; only the machine reads what comes after it."""
     order = list(COMPONENTS)
+    assert order[: len(MACHINES)] == list(MACHINES)
     writer = {item.name: c.NAME for c in COMPONENTS.values() for item in c.OUTPUTS}
-    for component in list(COMPONENTS.values())[1:]:
+    for component in list(COMPONENTS.values())[len(MACHINES) :]:
         for item in component.INPUTS:
             if item.name in writer:
                 assert order.index(writer[item.name]) < order.index(component.NAME)

@@ -360,3 +360,15 @@ def test_adaptation_leaves_a_model_that_fits():
     _, errors = probed_run('T2', range(30, 200, 30), adaptation=0.1)
     worst = np.abs(unprobed('T2')[2:] - run.displacement[2:] / MICRON).max()
     assert residual(errors[2:], run, slice(2, None)) <= worst + 0.5
+
+
+@KINDS
+def test_probe_whose_deviation_says_nothing_is_not_used(kind):
+    """Its square would overflow in the state of a filter that is published."""
+    run = recordings()['T3']
+    told = bench_with_model(probing=kind, **QUICK)
+    vague = replace(probe_of(run, 30), standard_deviation=np.full(2, 1e300))
+    errors = predict(told, run, range(40), probes=[vague])
+    plain = predict(bench_with_model(probing=kind, **QUICK), run, range(40))
+    np.testing.assert_array_equal(errors_of(errors), errors_of(plain))
+    assert np.isfinite(told.records('predictor_state')[-1].state).all()

@@ -41,10 +41,10 @@ def bench_with_bags(**changes) -> Bench:
     return Bench(selector)
 
 
-def give_run(bench: Bench, run: ThermalRun, rows: int) -> None:
+def give_run(bench: Bench, run: ThermalRun, rows: int, begin: float = 3600.0) -> None:
     """Give samples and displacements of the same stamps."""
     for row in range(rows):
-        stamp = nanoseconds(3600.0 + run.time[row])
+        stamp = nanoseconds(begin + run.time[row])
         bench.push(
             'displacement',
             Displacement(
@@ -125,6 +125,19 @@ def test_ranking_is_a_parameter(ranking):
     (selection,) = bench.records('sensor_selection')
     assert selection.method == ranking
     assert all(cluster.chosen == cluster.member[0] for cluster in selection.cluster)
+
+
+def test_present_run_begins_anew_after_a_pause():
+    """What was before, the machine has cooled down from; nor is it kept for ever."""
+    asked = []
+    for earlier in ((), ('T1',)):
+        bench = bench_with_bags()
+        for name in earlier:
+            give_run(bench, recordings()[name], 201)
+        give_run(bench, recordings()['D0'], 201, begin=4 * 86400.0)
+        assert bench.request('select_sensors').success
+        asked.append([item.chosen for item in bench.records('sensor_selection')[0].cluster])
+    assert asked[0] == asked[1]
 
 
 def test_present_run_can_be_selected_from():

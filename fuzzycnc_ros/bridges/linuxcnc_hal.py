@@ -1,0 +1,258 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A process that holds the HAL pins: LinuxCNC in, JSON lines out.
+
+It runs under the Python that LinuxCNC's modules are built for, and needs nothing else; any Python
+of the node will do.  LinuxCNC ends the processes of its HAL components when it ends, and keeps
+the memory of those that were killed: a process of its own makes both harmless.
+
+Each line that it reads is a request, `{"op": ...}`, and gets one line of answer.  When its input
+ends it ends too, and leaves the offsets to the watchdog in the servo thread.
+"""
+
+import json
+import os
+import signal
+import sys
+import time
+from importlib import import_module
+from pathlib import Path
+
+MODULES = '/usr/lib/python3/dist-packages'
+"""Where Debian puts hal and linuxcnc."""
+HAL_KEY = 0x48414C32
+"""Key of the shared memory that HAL uses."""
+MODE_PERIOD = 0.05
+"""Time [s] between two looks at the state, which is slower to read than pins."""
+ARMING = 0.05
+"""Time [s] for the servo thread to see an edge of the enable of its watchdog."""
+PREFIX = 'fuzzycnc'
+
+
+def hal_memory():
+    """Return the id of HAL's shared memory; None if LinuxCNC does not run."""
+    for line in Path('/proc/sysvipc/shm').read_text().splitlines()[1:]:
+        key, number = line.split()[:2]
+        if int(key) & 0xFFFFFFFF == HAL_KEY:
+            return int(number)
+    return None
+
+
+def begin_of(process):
+    """Return when a process began, in clock ticks; None if there is none of this number."""
+    try:
+        text = Path(f'/proc/{process}/stat').read_text()
+    except OSError:
+        return None
+    fields = text.rpartition(')')[2].split()
+    return None if fields[0] in ('Z', 'X') else int(fields[19])
+
+
+def is_dead(component):
+    """Whether a component is a bridge whose process is gone; others are none of our business."""
+    parts = component.split('-')
+    if len(parts) != 3 or parts[0] != PREFIX or not (parts[1] + parts[2]).isdigit():
+        return False
+    return begin_of(int(parts[1])) != int(parts[2])
+
+
+ANSWERS = sys.stdout
+
+
+class HalError(Exception):
+    """A request cannot be carried out; the text says why."""
+
+
+class Bridge:
+    """Pins of one bridge, named after its process: a killed one leaves its pins behind."""
+
+    def __init__(self, hal, linuxcnc, axes):
+        self._hal, self._linuxcnc = hal, linuxcnc
+        self._axes = axes
+        self._state = None
+        self._mode_at = 0.0
+        self._mode = {}
+        self._claimed = False
+        self._edge_at = 0.0
+        self._name = f'{PREFIX}-{os.getpid()}-{begin_of(os.getpid())}'
+        self._component = hal.component(self._name)
+        kinds = {'f': hal.HAL_FLOAT, 's': hal.HAL_S32, 'b': hal.HAL_BIT}
+        reads = [(n, 'b') for n in ('homed', 'ready', 'alive', 'on', 'soft-limited')]
+        writes = [('heartbeat', 'b'), ('enable', 'b'), ('rezero', 'b')]
+        for axis in axes:
+            reads += [(f'{n}-{axis}', 'f') for n in ('position', 'applied', 'request')]
+            reads.append((f'register-{axis}', 's'))
+            writes.append((f'counts-{axis}', 'f'))
+        new = self._component.newpin
+        self._in = {name: new(name, kinds[kind], hal.HAL_IN) for name, kind in reads}
+        self._out = {name: new(name, kinds[kind], hal.HAL_OUT) for name, kind in writes}
+        self._component.ready()
+        known = {item['NAME'] for item in hal.get_info_signals()}
+        missing = sorted(f'{PREFIX}-{n}' for n in (*self._in, *self._out))
+        missing = [name for name in missing if name not in known]
+        if missing:
+            self._component.exit()
+            raise HalError(
+                f'expected the signals of fuzzycnc.hal but {", ".join(missing)} are missing; '
+                'load the HAL file, and compare the axes'
+            )
+        for name in self._in:
+            hal.connect(f'{self._name}.{name}', f'{PREFIX}-{name}')
+
+    def writer(self, name):
+        """Return the pin that writes a signal; empty if there is none."""
+        for item in self._hal.get_info_signals():
+            if item['NAME'] == f'{PREFIX}-{name}':
+                return item.get('DRIVER') or ''
+        return ''
+
+    def limits(self):
+        """Return the limits of the servo thread."""
+        value = self._hal.get_value
+        rows = [f'{PREFIX}-limit-{axis}' for axis in self._axes]
+        return {
+            'counts_max': min(min(value(f'{n}.max'), -value(f'{n}.min')) for n in rows),
+            'counts_rate': min(value(f'{n}.maxv') for n in rows),
+            'hold_time': value('watchdog.timeout-0'),
+        }
+
+    def claim(self):
+        """Become the writer; start with the values that stand."""
+        for name in self._out:
+            pin = self.writer(name)
+            owner = pin.partition('.')[0]
+            if pin and not is_dead(owner):
+                raise HalError(f'{PREFIX}-{name} is written by {pin}; end {owner} first')
+            if pin:
+                self._hal.disconnect(pin)
+        self._out['enable'].value = bool(self._hal.get_value(f'{PREFIX}-enable'))
+        for axis in self._axes:
+            self._out[f'counts-{axis}'].value = self._in[f'register-{axis}'].value
+        for name in self._out:
+            self._hal.connect(f'{self._name}.{name}', f'{PREFIX}-{name}')
+        self._claimed = True
+
+    def write(self, counts, rezero):
+        """Write counts, and show the watchdog that somebody is there."""
+        if not self._claimed:
+            raise HalError('the pins have not been claimed')
+        for number, axis in enumerate(self._axes):
+            self._out[f'counts-{axis}'].value = counts[number]
+        self._out['rezero'].value = rezero
+        beat, enable = self._out['heartbeat'], self._out['enable']
+        beat.value = not beat.value
+        # A watchdog that has let go starts again at an edge of its enable.
+        now = time.monotonic()
+        if not self._in['alive'].value and now - self._edge_at > ARMING:
+            enable.value = not enable.value
+            self._edge_at = now
+
+    def release(self):
+        """Write no more; what still stands goes to zero in the servo thread, at once."""
+        if self._claimed:
+            self._out['rezero'].value = self._out['enable'].value = False
+            for name in self._out:
+                self._hal.disconnect(f'{self._name}.{name}')
+            self._claimed = False
+
+    def status(self):
+        """Return what LinuxCNC tells now, in its own units."""
+        now = time.monotonic()
+        if now - self._mode_at > MODE_PERIOD:
+            self._mode, self._mode_at = self._read_mode(), now
+        found = {name: pin.value for name, pin in self._in.items()}
+        for axis in self._axes:
+            found[f'scale-{axis}'] = self._hal.get_value(f'axis.{axis}.eoffset-scale')
+        return {**found, **self._mode}
+
+    def _read_mode(self):
+        module = self._linuxcnc
+        try:
+            if self._state is None:
+                self._state = module.stat()
+            self._state.poll()
+        except module.error as error:
+            self._state = None
+            raise HalError(f'LinuxCNC does not tell its state: {error}') from None
+        state = self._state
+        mode = 'off'
+        if state.task_state == module.STATE_ESTOP:
+            mode = 'estop'
+        elif any(joint['fault'] for joint in state.joint[: state.joints]):
+            mode = 'fault'
+        elif state.task_state == module.STATE_ON:
+            mode = 'on' if state.interp_state == module.INTERP_IDLE else 'running'
+        pin = self.writer(f'counts-{self._axes[0]}')
+        owner = pin.partition('.')[0]
+        return {
+            'mode': mode,
+            'units': state.linear_units or 1.0,
+            'spindle': self._hal.get_value('spindle.0.speed-out-rps'),
+            'tick': self._hal.get_value('servo-thread.time'),
+            'writer': '' if is_dead(owner) else owner,
+        }
+
+    def close(self):
+        """Give the component back to HAL."""
+        self._component.exit()
+
+
+def serve(bridge, memory):
+    """Answer requests until the input ends."""
+    for line in sys.stdin:
+        request = json.loads(line)
+        try:
+            if hal_memory() != memory:
+                raise HalError('LinuxCNC has ended')
+            operation = request['op']
+            if operation == 'claim':
+                bridge.claim()
+            elif operation == 'release':
+                bridge.release()
+            elif operation == 'write':
+                bridge.write(request['counts'], request['rezero'])
+            elif operation == 'limits':
+                answer(bridge.limits())
+                continue
+            answer(bridge.status())
+        except (HalError, RuntimeError, ValueError) as error:
+            answer({'error': str(error)})
+
+
+def answer(content):
+    """Write one line."""
+    ANSWERS.write(json.dumps(content) + '\n')
+    ANSWERS.flush()
+
+
+def main():
+    """Serve one bridge."""
+    global ANSWERS
+    ANSWERS = os.fdopen(os.dup(1), 'w')
+    os.dup2(2, 1)  # LinuxCNC's libraries print where they like
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the node says when
+    memory = hal_memory()
+    if memory is None:
+        answer({'error': 'LinuxCNC does not run here'})
+        return
+    sys.path.append(MODULES)
+    try:
+        hal, linuxcnc = import_module('hal'), import_module('linuxcnc')
+    except ImportError as error:
+        answer({'error': f"expected LinuxCNC's Python modules hal and linuxcnc but: {error}"})
+        return
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    try:
+        bridge = Bridge(hal, linuxcnc, sys.argv[1].lower().split(','))
+    except (HalError, RuntimeError, hal.error) as error:
+        answer({'error': str(error)})
+        return
+    try:
+        answer({'name': 'ready'})
+        serve(bridge, memory)
+    finally:
+        bridge.close()
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,229 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Many bags on one command line: which are meant, what each is called, and work on all of them."""
+
+import glob
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Generic, Optional, TypeVar
+
+import typer
+
+from fuzzycnc_ros.cli.console import Tell, say
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.cli.workers import Progress
+
+Result = TypeVar('Result')
+
+ManyBags = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar='BAG...',
+        help='Bags of runs, each from a cold start; folders of bags; patterns in quotes.',
+    ),
+]
+
+Jobs = Annotated[
+    Optional[int],  # noqa: UP045 - typer 0.9 does not read the newer form
+    typer.Option(
+        show_default=False,
+        help='Processes that work side by side; as many as there are cores if left out.',
+    ),
+]
+
+STORAGE = ('.mcap', '.db3')
+"""Endings of files that are bags by themselves."""
+
+
+@dataclass(frozen=True)
+class NamedBag:
+    """A bag and what its run is called, which no other of the same command line is."""
+
+    path: Path
+    name: str
+
+
+@dataclass(frozen=True)
+class BadBag:
+    """A bag that could not be used, and why in one line."""
+
+    bag: NamedBag
+    reason: str
+
+
+@dataclass(frozen=True)
+class Sorted(Generic[Result]):
+    """What came of each bag, in the order of the bags."""
+
+    results: tuple[Result, ...]
+    bad: tuple[BadBag, ...]
+
+
+def find_bags(places: Sequence[Path]) -> tuple[NamedBag, ...]:
+    """Return the bags that a command line names, those of a folder or pattern sorted by name.
+
+    Parameters
+    ----------
+    places : sequence of Path
+        Bags; folders, all bags below which are meant; patterns such as `runs/2026-*`.  What does
+        not exist is returned as a bag, so that whoever reads it says so.
+
+    Returns
+    -------
+    tuple of NamedBag
+        A bag is called by its own name, with as many of its folders in front as it takes to
+        tell it from the others.
+
+    Raises
+    ------
+    ValueError
+        If a bag is named twice, or a pattern fits nothing.
+    """
+    paths = [path for place in places for path in _expanded(place)]
+    seen: set[Path] = set()
+    for path in paths:
+        if path.resolve() in seen:
+            raise ValueError(
+                f'{path}: expected different bags but found {path.stem!r} twice; give each once, '
+                'or rename one'
+            )
+        seen.add(path.resolve())
+    return tuple(NamedBag(path, name) for path, name in zip(paths, _names(paths), strict=True))
+
+
+def with_each(
+    work: 'Callable[[NamedBag, Progress], Result]',
+    bags: Sequence[NamedBag],
+    jobs: int,
+    tell: Tell,
+) -> Sorted[Result]:
+    """Do the same with each bag, side by side; a bag that cannot be used hides no other.
+
+    Parameters
+    ----------
+    work : callable
+        Takes a bag and a callback for its progress; a function of a module, or a partial one.
+    bags : sequence of NamedBag
+        The bags.
+    jobs : int
+        Number of processes.
+    tell : callable
+        Shows the progress.
+
+    Raises
+    ------
+    ValueError
+        If none of the bags can be used.
+    """
+    from fuzzycnc_ros.cli.workers import in_workers
+    from fuzzycnc_ros.core.threads import single_threaded
+
+    if len(bags) == 1:
+        # Rounds as a worker does, which takes a second to start.
+        tell(bags[0].name, 0, 1)
+        found = [single_threaded(_attempt)(work, bags[0], _nobody)]
+    else:
+        names = [bag.name for bag in bags]
+        found = in_workers(partial(_attempt, work), bags, names, jobs, tell)
+    bad = tuple(item for item in found if isinstance(item, BadBag))
+    good = tuple(item for item in found if not isinstance(item, BadBag))
+    check_some_left(len(good), bad)
+    return Sorted(good, bad)
+
+
+def check_some_left(good: int, bad: Sequence[BadBag]) -> None:
+    """Refuse to go on without a single bag.
+
+    Raises
+    ------
+    ValueError
+        If none is left; it says why, of all of them.
+    """
+    if not good and bad:
+        reasons = '; '.join(item.reason for item in bad)
+        several = f'expected a bag that can be used but found none of {len(bad)}: '
+        raise ValueError(f'{several if len(bad) > 1 else ""}{reasons}')
+
+
+def say_bad(bad: Sequence[BadBag]) -> None:
+    """Name the bags that were left out."""
+    for item in bad:
+        say(f'left out {item.bag.name}: {item.reason}')
+
+
+def jobs_of(jobs: int | None) -> int:
+    """Return the number of processes that an option asks for.
+
+    Raises
+    ------
+    ValueError
+        If it is below one.
+    """
+    from fuzzycnc_ros.cli.console import check_at_least
+
+    check_at_least('--jobs', jobs, 1)
+    return jobs if jobs is not None else cores()
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, 'sched_getaffinity'):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _attempt(
+    work: 'Callable[[NamedBag, Progress], Result]', bag: NamedBag, progress: 'Progress'
+) -> Result | BadBag:
+    """Work on a bag; what is wrong with it becomes a line."""
+    try:
+        return work(bag, progress)
+    except (ValueError, OSError) as error:
+        return BadBag(bag, ' '.join(str(error).split()))
+
+
+def _nobody(stage: str, name: str, done: int, total: int) -> None:
+    """Tell nobody how far a single bag is."""
+
+
+def _expanded(place: Path) -> list[Path]:
+    """Return the bags that a word of the command line stands for."""
+    if place.is_dir():
+        return _below(place) or [place]
+    if place.exists() or not glob.has_magic(str(place)):
+        return [place]
+    fitting = [Path(text) for text in sorted(glob.glob(str(place), recursive=True))]
+    found = [bag for path in fitting for bag in (_below(path) if path.is_dir() else [path])]
+    bags = [path for path in dict.fromkeys(found) if path.is_dir() or path.suffix in STORAGE]
+    if not bags:
+        raise ValueError(f'{place}: expected a pattern that fits bags but it fits none')
+    # `**` finds folders and what is in them, and so the files of a bag beside the bag itself.
+    return [path for path in bags if not any(parent in bags for parent in path.parents)]
+
+
+def _below(folder: Path) -> list[Path]:
+    """Return the bags of a folder, itself if it is one."""
+    bags = []
+    for place, folders, files in os.walk(folder):
+        folders.sort()
+        if 'metadata.yaml' in files or any(Path(name).suffix in STORAGE for name in files):
+            bags.append(Path(place))
+            folders.clear()
+    return bags
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Return a name for each path: its stem, with folders in front where that is not enough."""
+    absolute = [path.absolute() for path in paths]
+    names = [path.stem for path in absolute]
+    for depth in range(1, max((len(path.parts) for path in absolute), default=1)):
+        unclear = {name for name in names if names.count(name) > 1}
+        names = [
+            '/'.join((*path.parts[-1 - depth : -1], path.stem)) if name in unclear else name
+            for path, name in zip(absolute, names, strict=True)
+        ]
+    return names

@@ -1,0 +1,67 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The fault campaign as tables."""
+
+from collections.abc import Sequence
+
+from fuzzycnc_ros.faults.campaign import chosen
+from fuzzycnc_ros.faults.verdict import Verdict
+from fuzzycnc_ros.report import Column, Table
+
+
+def listing(names: Sequence[str]) -> Table:
+    """Return the scenarios and what they state, all if none is named.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown.
+    """
+    columns = (
+        Column('Scenario', numeric=False),
+        Column('safe within [s]'),
+        Column('ends', numeric=False),
+        Column('What is done', numeric=False),
+    )
+    rows = tuple(
+        (scenario.name, f'{scenario.stated:.0f}', scenario.ends.value, scenario.what)
+        for stage in chosen(names)
+        for scenario in stage.scenarios
+    )
+    return Table('Scenarios, times of the machine', columns, rows)
+
+
+def result_table(verdicts: Sequence[Verdict]) -> Table:
+    """Return what came of scenarios."""
+    columns = (
+        Column('Scenario', numeric=False),
+        Column('safe', numeric=False),
+        Column('offset [um]', 'worst'),
+        Column('step [um]', 'worst'),
+        Column('to safe [s]'),
+        Column('stated [s]'),
+        Column('lost'),
+        Column('warnings'),
+        Column('What the machine was told', numeric=False),
+    )
+    rows = tuple(
+        (
+            item.name,
+            'yes' if item.safe else 'NO',
+            f'{item.worst_offset_um:.2f}',
+            f'{item.worst_step_um:.2f}',
+            f'{item.time_to_safe_s:.0f}',
+            f'{item.stated_s:.0f}',
+            str(item.lost_messages),
+            str(len(item.diagnostics)),
+            _short(item.told),
+        )
+        for item in verdicts
+    )
+    unsafe = frozenset(row for row, item in enumerate(verdicts) if not item.safe)
+    return Table('Fault campaign, times of the machine', columns, rows, highlight=unsafe)
+
+
+def _short(told: str, states: int = 5) -> str:
+    words = told.split(' > ')
+    return ' > '.join(words if len(words) <= states else [*words[: states - 1], '...', words[-1]])

@@ -1,0 +1,252 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Judge a scenario by what was recorded of it."""
+
+import re
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState
+from fuzzycnc_ros.components.records import SECOND
+from fuzzycnc_ros.faults.evidence import Evidence, Recorded, Window
+from fuzzycnc_ros.faults.scenario import LIMITS, MACHINE, Ends, Scenario
+from fuzzycnc_ros.faults.strangers import STRANGE_EPOCH
+
+MICRO = 1e-6
+ROUNDING = 1e-12
+"""What may be lost in sums of offsets [m]."""
+GAP = 10.0 * MACHINE.tick_period
+"""Machine time [s] without a tick from which on a recording has a gap."""
+END_TICKS, FOLLOWING_TICKS = 40, 5
+"""At the end of a scenario, ticks among which so many in a row must follow: at hundreds of times
+real time a busy computer alone makes an error late now and then, for which it is held."""
+FRESH = LIMITS.stale_after + LIMITS.period + 2.0 * MACHINE.tick_period
+"""Age of a thermal error [s of machine time] up to which following it is safe."""
+
+
+@dataclass
+class Verdict:
+    """What came of a scenario.
+
+    Attributes
+    ----------
+    name, what : str
+        The scenario.
+    safe : bool
+        Whether all that is demanded held.
+    told : str
+        States that the compensator told the machine, in their order.
+    worst_offset_um : float
+        Largest offset in force [um].
+    worst_step_um : float
+        Largest change of an offset in force from one tick to the next [um].
+    time_to_safe_s : float
+        Longest time out of a safe state [s of machine time].
+    stated_s : float
+        What that time may be.
+    lost_messages : int
+        Messages that were published and are missing from the recording or were destroyed.
+    diagnostics : list of str
+        Warnings and errors that were told during the scenario.
+    why : list of str
+        What is wrong; empty if it is safe.
+    """
+
+    name: str
+    what: str
+    stated_s: float
+    safe: bool = False
+    told: str = ''
+    worst_offset_um: float = 0.0
+    worst_step_um: float = 0.0
+    time_to_safe_s: float = 0.0
+    lost_messages: int = 0
+    diagnostics: list[str] = field(default_factory=list)
+    why: list[str] = field(default_factory=list)
+
+
+def judge(
+    scenario: Scenario,
+    evidence: Evidence,
+    *,
+    destroyed: int = 0,
+    unrecorded: int = 0,
+    findings: Sequence[str] = (),
+) -> Verdict:
+    """Judge a scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What was done and what it states.
+    evidence : Evidence
+        What was recorded.
+    destroyed : int
+        Messages that it has destroyed on purpose.
+    unrecorded : int
+        Messages that a witness heard and no bag has, beyond what the scenario may destroy.
+    findings : sequence of str
+        What went wrong on the live graph.
+    """
+    verdict = Verdict(scenario.name, scenario.what, round(scenario.stated, 1))
+    verdict.why += findings
+    window = evidence.windows.get(scenario.name)
+    applied = window.of(evidence.sent('compensation_applied'), before=1) if window else []
+    if window is None or len(applied) < 2:
+        verdict.why.append('too little was recorded to judge it')
+        return verdict
+    told = [r for r in evidence.sent('compensation') if r.record.epoch < STRANGE_EPOCH]
+    verdict.why += _limits(applied, MACHINE.offset_max, MACHINE.slew_max, 'applied')
+    for stream in streams(window.of(told, before=1)):
+        verdict.why += _limits(stream, LIMITS.offset_max, LIMITS.slew_max, 'told')
+    _measure(verdict, applied, window.of(told))
+    safe = _safety(applied, told, evidence.sent('thermal_error'))
+    verdict.time_to_safe_s = round(_longest_unsafe(applied, safe, scenario.loses), 1)
+    if verdict.time_to_safe_s > scenario.stated:
+        verdict.why.append(
+            f'out of a safe state for {verdict.time_to_safe_s:g} s, stated {scenario.stated:g} s'
+        )
+    verdict.why += _ending(scenario, applied[-END_TICKS:], safe[-END_TICKS:])
+    missing = sum(window.begin <= place < window.end for place in evidence.lost)
+    verdict.lost_messages = missing + destroyed + unrecorded
+    if unrecorded or (missing and not scenario.loses):
+        verdict.why.append(f'{missing + unrecorded} messages are missing from the recording')
+    _listen(verdict, scenario, window, evidence)
+    verdict.safe = not verdict.why
+    return verdict
+
+
+def streams(told: Sequence[Recorded]) -> list[list[Recorded]]:
+    """Tell publishers of one topic apart by their numbers, and what was told as one owner."""
+    found: list[list[Recorded]] = []
+    for item in told:
+        own = [s for s in found if s[-1].sequence < item.sequence]
+        nearest = max(own, key=lambda s: s[-1].sequence, default=None)
+        if nearest is None or nearest[-1].record.epoch != item.record.epoch:
+            found.append([item])
+        else:
+            nearest.append(item)
+    return found
+
+
+def _limits(items: Sequence[Recorded], offset_max: float, slew_max: float, what: str) -> list[str]:
+    """Say where offsets exceed clamp or slew limit, each kind of fault once."""
+    wrong: dict[str, str] = {}
+    for item in items:
+        offset = item.record.offset
+        at = f'at {item.record.stamp / SECOND:.1f} s'
+        if not np.isfinite(offset).all():
+            wrong.setdefault('finite', f'{what} offset is not finite {at}')
+        elif np.abs(offset).max(initial=0.0) > offset_max:
+            worst = np.abs(offset).max() / MICRO
+            wrong.setdefault('size', f'{what} offset of {worst:.2f} um {at} exceeds the clamp')
+    for before, after in pairwise(items):
+        elapsed = (after.record.stamp - before.record.stamp) / SECOND
+        if after.record.axis != before.record.axis:
+            wrong.setdefault('axes', f'{what} offsets are of other axes: who else is there?')
+            continue
+        if elapsed < 0.0:
+            if what == 'applied' and after.record.offset.any():
+                wrong.setdefault('life', 'a machine that was started anew has offsets')
+            continue
+        step = np.abs(after.record.offset - before.record.offset).max(initial=0.0)
+        if not step <= slew_max * elapsed + ROUNDING:
+            text = f'{what} offset moved by {step / MICRO:.2f} um in {elapsed:.3f} s'
+            wrong.setdefault('slew', f'{text} at {after.record.stamp / SECOND:.1f} s')
+    return list(wrong.values())
+
+
+def _measure(verdict: Verdict, applied: Sequence[Recorded], told: Sequence[Recorded]) -> None:
+    verdict.worst_offset_um = _worst(np.abs(item.record.offset) for item in applied)
+    verdict.worst_step_um = _worst(
+        np.abs(after.record.offset - before.record.offset)
+        for before, after in pairwise(applied)
+        if after.record.stamp >= before.record.stamp and after.record.axis == before.record.axis
+    )
+    states = [CompensationState(item.record.state).name.lower() for item in told]
+    changes = [s for n, s in enumerate(states) if n == 0 or s != states[n - 1]]
+    verdict.told = ' > '.join(changes) or 'nothing'
+
+
+def _worst(sizes: Any) -> float:
+    return round(max((float(size.max(initial=0.0)) for size in sizes), default=0.0) / MICRO, 3)
+
+
+def _safety(
+    applied: Sequence[Recorded], told: Sequence[Recorded], errors: Sequence[Recorded]
+) -> list[bool]:
+    """Say of each tick whether the machine is at zero or follows a fresh, valid error."""
+    found = []
+    valid = [item for item in errors if item.record.valid]
+    for item in applied:
+        now = item.record.stamp
+        command, error = _newest(told, item.place), _newest(valid, item.place)
+        fresh = error is not None and now - error.stamp <= FRESH * SECOND
+        follows = (
+            item.record.status == AppliedStatus.FOLLOWING
+            and command is not None
+            and command.state == CompensationState.ACTIVE
+            and now < command.valid_until
+            and fresh
+        )
+        found.append(follows or not item.record.offset.any())
+    return found
+
+
+def _newest(items: Sequence[Recorded], place: int) -> Any:
+    count = bisect_left(items, place, key=lambda item: item.place)
+    return items[count - 1].record if count else None
+
+
+def _longest_unsafe(applied: Sequence[Recorded], safe: Sequence[bool], gaps: bool) -> float:
+    """Return the longest machine time [s] from leaving a safe state to the next one.
+
+    With `gaps` nothing is known of times in which nothing was recorded.
+    """
+    longest, since = 0.0, applied[0].record.stamp
+    before = since
+    for item, is_safe in zip(applied, safe, strict=True):
+        now = item.record.stamp
+        if now < since or (gaps and now - before > GAP * SECOND):
+            since = now
+        longest = max(longest, (now - since) / SECOND if not is_safe else 0.0)
+        if is_safe:
+            since = now
+        before = now
+    return longest
+
+
+def _ending(scenario: Scenario, applied: Sequence[Recorded], safe: Sequence[bool]) -> list[str]:
+    last = applied[-1].record
+    if scenario.ends is Ends.FOLLOWS:
+        row = longest = 0
+        for item, is_safe in zip(applied, safe, strict=True):
+            row = row + 1 if is_safe and item.record.offset.any() else 0
+            longest = max(longest, row)
+        if longest < FOLLOWING_TICKS:
+            return [f'does not follow again: {last.reason or "no command is followed"}']
+        return []
+    if scenario.ends is Ends.ZERO and last.offset.any():
+        return [f'ends with offsets of {_worst([np.abs(last.offset)]):g} um, not at zero']
+    return [] if safe[-1] else ['does not end in a safe state']
+
+
+def _listen(verdict: Verdict, scenario: Scenario, window: Window, evidence: Evidence) -> None:
+    """Take what was told anew in a window, each text once whatever its figures."""
+    before: dict[str, str] = {}
+    found: dict[str, str] = {}
+    for place, level, item, text in evidence.told:
+        line = f'{item}: {text}'
+        plain = re.sub(r'\d+(\.\d+)?', '#', line)
+        if place < window.begin:
+            before[item] = plain
+        elif level and place < window.end and before.get(item) != plain:
+            found.setdefault(plain, line)
+    verdict.diagnostics = list(found.values())
+    if scenario.says and not any(re.search(scenario.says, line) for line in found.values()):
+        verdict.why.append(f'diagnostics do not say {scenario.says!r}')

@@ -1,0 +1,168 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""One shift of a machine with everything on: it warms up and cools down, and cuts in between.
+
+The components, their order of turns and the requests are those of a live lock-step graph, so
+that both give the same outputs.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from fuzzycnc_ros.components.compensator import Compensator, CompensatorConfig
+from fuzzycnc_ros.components.component import Component
+from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
+from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.graph import Sink
+from fuzzycnc_ros.components.sensor_selector import SensorSelector
+from fuzzycnc_ros.components.servo_controller import ServoController
+from fuzzycnc_ros.components.servo_controller_config import ServoControllerConfig
+from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
+from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition
+from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
+from fuzzycnc_ros.core.thermal import ThermalModel, load_model
+from fuzzycnc_ros.scenario.judged_graph import judged_graph
+from fuzzycnc_ros.scenario.whole_shift_log import ShiftLogs, WholeShift, whole_shift
+
+DUTY = 'shift'
+TICK = 10.0
+"""Time between two readings of the warm machine [s]."""
+JOBS = (
+    '1800:path:butterfly',
+    '4200:program',
+    '6600:move:X:-0.05',
+    '9000:path:butterfly',
+    '12000:move:X:0.02,Y:-0.03,Z:0.01',
+    '16200:program',
+    '19800:path:butterfly',
+    '24000:move:X:0.0,Y:0.0,Z:0.0',
+    '27000:path:butterfly',
+)
+"""What is cut and moved, by time of the shift: warming up, hot, in pauses, and cooling down."""
+AXES = ('X:ballscrew', 'Y:ballscrew', 'Z:ballscrew')
+TOLERANCE = 40e-6
+"""Contour error that driven axes hold on other curves than those of the shift too [m]."""
+SCHEDULER: dict[str, Any] = {
+    'tolerance': TOLERANCE,
+    'machine_constant': 4e-5,
+    'axis_acceleration': (2.5, 2.5, 2.5),
+    'settle': 0.25,
+}
+"""Scheduling for driven axes.  Circles of 2 to 40 mm at up to 2 m/s^2 show at most 0.72e-5 s^2, by
+their largest error: the velocity is fed forward.  What is left is friction where an axis starts or
+turns back, 10 to 31 um at any feed, so that bends leave it room.  The drives accelerate an axis at
+3.7 m/s^2 at most."""
+PLAIN: dict[str, Any] = {**SCHEDULER, 'method': 'constant'}
+"""The same without a schedule: the programmed feed within the limits of the axes."""
+
+
+class WholeShiftError(RuntimeError):
+    """A job was not done; the text names it and says why."""
+
+
+@dataclass(frozen=True)
+class ShiftSettings:
+    """What differs between shifts.
+
+    Parameters
+    ----------
+    jobs : tuple of str
+        Jobs as parameter `jobs` of `simulated_machine` takes them.
+    program : str
+        Text of the part program; empty for the machine's own.
+    duration : float
+        Time after which the shift is cut off [s]; 0 runs it whole.
+    seed : int
+        Seed of all measuring noise.
+    """
+
+    jobs: tuple[str, ...] = JOBS
+    program: str = ''
+    duration: float = 0.0
+    seed: int = 0
+
+    def machine(self) -> dict[str, Any]:
+        """Return the parameters of `simulated_machine`."""
+        return {
+            'duties': (DUTY,),
+            'duty_duration': self.duration,
+            'tick_period': TICK,
+            'jobs': self.jobs,
+            'part_program': self.program,
+            'servo_axes': AXES,
+            'seed': self.seed,
+        }
+
+
+def run_whole_shift(
+    model_text: str,
+    settings: ShiftSettings | None = None,
+    *,
+    compensated: bool = True,
+    sink: Sink | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> WholeShift:
+    """Run a shift of the simulated mill with all nodes, in one process.
+
+    Parameters
+    ----------
+    model_text : str
+        Text of the model file of its thermal error.
+    settings : ShiftSettings, optional
+        What is done.
+    compensated : bool
+        Whether its thermal error is compensated and its feed scheduled; else the axes cut at the
+        programmed feed.
+    sink : callable, optional
+        Takes every published record, configurations, requests and turns included.
+    progress : callable, optional
+        Told ticks done and in all; an exception that it raises ends the run.
+
+    Returns
+    -------
+    WholeShift
+        What became of the machine and of each job.
+
+    Raises
+    ------
+    ModelFileError
+        If the text is no model file.
+    ValueError
+        If parameters do not fit each other.
+    WholeShiftError
+        If a job was not done.
+    """
+    chosen = settings or ShiftSettings()
+    model = load_model(model_text)
+    machine = SimulatedMachine(SimulatedMachineConfig(**chosen.machine()))
+    components: list[Component] = [
+        TemperatureAcquisition(),
+        SensorSelector(),
+        ThermalPredictor(),
+        Compensator(),
+        FeedrateScheduler(FeedrateSchedulerConfig(**(SCHEDULER if compensated else PLAIN))),
+        ServoController(ServoControllerConfig(axes=AXES)),
+    ]
+    logs = ShiftLogs()
+    graph = judged_graph(machine, components, logs, sink)
+    graph.request('thermal_predictor', 'use_model', model=model_text)
+    managed = [item.NAME for item in components if item.MANAGED]
+    for name in managed:
+        if compensated or name != 'compensator':
+            graph.request(name, 'activate')
+    graph.run(progress)
+    if machine.failure:
+        said = '; '.join(
+            f'{item.NAME}: {health.message}'
+            for item in components[-2:]
+            for health in item.health()
+        )
+        raise WholeShiftError(f'{machine.failure} {said}')
+    return judged_shift(logs, model, chosen)
+
+
+def judged_shift(logs: ShiftLogs, model: ThermalModel, settings: ShiftSettings) -> WholeShift:
+    """Return what became of a shift by its logs, of a run in one process or from its bag."""
+    limit = CompensatorConfig().offset_max
+    return whole_shift(logs, model, settings.jobs, offset_max=limit)

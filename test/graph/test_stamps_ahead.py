@@ -1,0 +1,84 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A message from the far future is refused in real time, and the replay refuses it too."""
+
+import numpy as np
+import pytest
+from rosgraph_msgs.msg import Clock
+
+from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.components.component import STREAM
+from fuzzycnc_ros.components.records import SECOND, Temperatures
+from fuzzycnc_ros.convert import encode
+from fuzzycnc_ros.nodes.messages import RCLPY, message_class
+from fuzzycnc_ros.nodes.qos import publisher_qos
+
+pytestmark = pytest.mark.ros
+
+BEGIN = 1000
+
+
+@pytest.fixture
+def sensors(observer):
+    """Publish readings and machine time as the bridge of a machine would."""
+
+    class Sensors:
+        def __init__(self):
+            node, kind = observer.node, message_class(Temperatures.TYPE)
+            self.clock = node.create_publisher(Clock, '/clock', 10)
+            self.readings = node.create_publisher(
+                kind, '/mill/sensor_readings', publisher_qos(STREAM)
+            )
+
+        def tell(self, second, ahead=0.0):
+            self.clock.publish(Clock(clock=RCLPY.time(int(second * SECOND))))
+            observer.spin_for(0.05)
+            record = Temperatures(
+                stamp=int((second + ahead) * SECOND),
+                frame_id='mill/machine',
+                sensor=('T1',),
+                temperature=np.array([20.0]),
+                status=np.zeros(1, np.uint8),
+                readings=1,
+            )
+            self.readings.publish(encode(record, RCLPY))
+
+    return Sensors()
+
+
+def test_one_message_from_the_future_blocks_nothing(graph, observer, sensors, tmp_path):
+    observer.watch_diagnostics()
+    samples = observer.records('temperatures', Temperatures)
+    node = graph.start('temperature_acquisition', {'use_sim_time': True, 'interval': 1.0})
+    recorder = graph.start('recorder', {'use_sim_time': True, 'output': str(tmp_path / 'bag')})
+    observer.until(
+        lambda: (
+            sensors.clock.get_subscription_count() >= 1
+            and sensors.readings.get_subscription_count() == 2
+            and observer.hears('temperatures')
+        )
+    )
+    for second in range(BEGIN, BEGIN + 3):
+        sensors.tell(second)
+    newest = (BEGIN + 2) * SECOND
+    observer.until(lambda: samples and samples[-1].stamp == newest, 'samples before it')
+    before = len(samples)
+    sensors.tell(BEGIN + 3, ahead=7200.0)
+    item = 'mill/temperature_acquisition: sensor_readings'
+    observer.until(
+        lambda: observer.told(item, 'ahead of the clock but found 7200 s'),
+        'word of the refused message',
+    )
+    for second in range(BEGIN + 4, BEGIN + 8):
+        sensors.tell(second)
+    last = (BEGIN + 7) * SECOND
+    observer.until(lambda: samples[-1].stamp == last, 'samples after it')
+    assert [item.stamp for item in samples[before:]] == [
+        second * SECOND for second in range(BEGIN + 4, BEGIN + 8)
+    ]
+    observer.spin_for(0.3)  # the recorder, too
+    assert node.interrupt() == 0
+    assert recorder.interrupt() == 0
+    report = replay(tmp_path / 'bag')
+    assert report.identical, report.topics
+    assert not report.notes

@@ -1,0 +1,47 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Part of a shift live over DDS, with all nodes of the mill: the same as in one process."""
+
+import pytest
+
+from fuzzycnc_ros.bags.canonical import topic_hashes
+from fuzzycnc_ros.cli.demo_shift import mill_specs
+from fuzzycnc_ros.components.registry import COMPONENTS
+from fuzzycnc_ros.core.thermal import train_model
+from fuzzycnc_ros.scenario import PublishedBag, record_calibration
+from fuzzycnc_ros.scenario.whole_shift import TICK, ShiftSettings, run_whole_shift
+
+pytestmark = pytest.mark.ros
+
+SETTINGS = ShiftSettings(jobs=('300:path:trident', '500:move:X:0.01'), duration=700.0)
+
+
+@pytest.mark.slow
+def test_live_equals_in_process(graph, tmp_path):
+    period = {'simulated_machine': {'tick_period': TICK}}
+    model = train_model(record_calibration(parameters=period).runs).to_json()
+    (tmp_path / 'model.json').write_text(model, encoding='utf-8')
+    *nodes, maker = mill_specs(tmp_path / 'model.json', SETTINGS)
+    for spec in nodes:
+        graph.start(spec.name, dict(spec.parameters))
+    graph.start('recorder', {'lockstep': True, 'output': str(tmp_path / 'live')})
+    machine = graph.start(
+        maker.name,
+        {
+            **maker.parameters,
+            'lockstep': True,
+            'lockstep_nodes': [spec.name for spec in nodes],
+            'lockstep_recorder': True,
+            'answer_timeout': 10.0,
+        },
+    )
+    assert machine.wait() == 0
+    assert machine.outcome['degraded'] is False
+    graph.stop()
+    with PublishedBag(tmp_path / 'alone') as bag:
+        run_whole_shift(model, SETTINGS, sink=bag)
+    live, alone = (topic_hashes(tmp_path / name) for name in ('live', 'alone'))
+    outputs = {item.name for component in COMPONENTS.values() for item in component.OUTPUTS}
+    judged = [topic for topic in live if topic.rpartition('/')[2] in outputs]
+    assert {'/mill/compensation', '/mill/axis_command', '/mill/trajectory'} <= set(judged)
+    assert [topic for topic in judged if live[topic] != alone.get(topic)] == []
