@@ -176,7 +176,7 @@ def test_faults_reach_the_readings(fault, check):
 @pytest.mark.parametrize(
     ('changes', 'message'),
     [
-        ({'duties': ('T9',)}, r'duties: expected names among D0, D0b, T1, T2, T3, shift but found T9'),
+        ({'duties': ('T9',)}, r'duties: expected names among .* but found T9'),
         ({'duties': ()}, r'duties: .* but found none'),
         ({'sensor_faults': ('T18:melted:0',)}, r'expected one of dead, stuck, .* found .melted'),
         ({'sensor_faults': ('T99:dead:0',)}, r'expected sensors among T1 to T76 but found T99'),
