@@ -161,7 +161,7 @@ def check_folder(path: Path | None) -> None:
     if path is None:
         return
     if path.is_dir():
-        raise ValueError(f'{path}: expected a file to write but found a folder')
+        raise ValueError(f'{path}: expected a file to write but found a directory')
     if not path.absolute().parent.is_dir():
         raise ValueError(f'{path}: expected an existing folder but found no {path.parent}')
 

@@ -58,8 +58,6 @@ def check_output(program: Path, out: Path, in_place: bool) -> None:
     if str(out) == STREAM:
         return
     check_folder(out)
-    if out.is_dir():
-        raise ValueError(f'--out {out}: expected a file but found a directory')
     if not os.access(out if out.exists() else out.absolute().parent, os.W_OK):
         raise ValueError(f'--out {out}: expected a file that may be written; choose another one')
     if not in_place and program.exists() and out.exists() and program.samefile(out):

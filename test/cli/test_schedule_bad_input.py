@@ -148,7 +148,7 @@ def test_missing_files_and_directories(nothing, part):
     common = ('--tolerance', '0.01mm', '--out')
     nothing('gone.ngc', *common, 'out.ngc', naming=['gone.ngc', 'nothing is there'])
     nothing('folder', *common, 'out.ngc', naming=['folder', 'directory'])
-    nothing(part, *common, 'folder', naming=['--out folder', 'directory'])
+    nothing(part, *common, 'folder', naming=['folder: expected a file', 'directory'])
     nothing(part, *common, 'nowhere/out.ngc', naming=['nowhere/out.ngc', 'folder'])
     nothing(part, *common, 'part.ngc/out.ngc', naming=['part.ngc/out.ngc', 'folder'])
     nothing(
