@@ -18,6 +18,10 @@ def replay(
     exact: Annotated[
         bool, typer.Option('--exact', help="Accept no rounding of another processor's arithmetic.")
     ] = False,
+    hashes: Annotated[
+        bool,
+        typer.Option('--hash', help='Only print the hash of each topic; recompute nothing.'),
+    ] = False,
     json_file: JsonFile = None,
 ) -> None:
     """Recompute the outputs in a bag from its inputs, and compare them byte by byte.
@@ -29,14 +33,21 @@ def replay(
 
     Ends with 1 if anything else differs.
 
+    With --hash nothing is recomputed: what the bag holds on each topic is hashed in its canonical
+    form, in which equal runs agree, and the outputs together.
+
         fuzzycnc simulate --out shift
         fuzzycnc replay shift
         fuzzycnc replay shift --exact --json replay.json
+        fuzzycnc replay shift --hash
     """
     from fuzzycnc_ros.bags.replay import replay as recompute
     from fuzzycnc_ros.report import Column, Table
 
     check_folder(json_file)
+    if hashes:
+        _show_hashes(bag, json_file)
+        return
     with progress_bar('replaying') as tell:
         report = recompute(bag, progress=tell)
     columns = (
@@ -77,6 +88,18 @@ def replay(
     )
     if not (report.identical if exact else report.equivalent):
         raise typer.Exit(1)
+
+
+def _show_hashes(bag: Path, json_file: Path | None) -> None:
+    from fuzzycnc_ros.bags.canonical import combined_hash, topic_hashes
+    from fuzzycnc_ros.report import Column, Table
+
+    found = topic_hashes(bag)
+    columns = (Column('Topic', numeric=False), Column('SHA-256', numeric=False))
+    show(Table('Canonical hashes', columns, tuple(sorted(found.items()))))
+    whole = combined_hash(found)
+    say(f'all topics together: {whole}')
+    write_json(json_file, {'hash': whole, 'topics': found})
 
 
 def _verdict(report: 'ReplayReport') -> str:

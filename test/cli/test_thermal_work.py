@@ -208,8 +208,14 @@ def test_simulate_twice_gives_the_same_bag_and_replay_gives_the_same_outputs(fuz
         patch.chdir('a')
         outcome = fuzzycnc('replay', 'shift', '--json', 'r.json')
         figures = read_json('r.json')
-    assert outcome.code == 0, outcome
+        hashed = fuzzycnc('replay', 'shift', '--hash', '--json', 'h.json')
+        hashes = read_json('h.json')
+    assert outcome.code == hashed.code == 0, outcome
     assert figures['identical'] is True
+    assert f'all topics together: {hashes["hash"]}' in hashed.out
+    for topic, found in figures['topics'].items():
+        assert hashes['topics'][topic] == found['hash'], topic
+        assert found['hash'] in hashed.out
     assert f'identical, hash {figures["hash"]}' in outcome.out
     assert '/mill/compensation' in figures['topics']
     assert '/mill/sensor_selection' in figures['topics']
