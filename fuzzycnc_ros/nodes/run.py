@@ -3,6 +3,7 @@
 """Start nodes, spin them, end cleanly."""
 
 import sys
+import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
@@ -32,6 +33,10 @@ class Served(Protocol):
 
 
 HostFactory = Callable[[], Served]
+
+
+SIGNAL_PATIENCE = 0.5
+"""Wall time [s] that a signal takes at most from Python's handler to the end of the context."""
 
 
 def main(make: HostFactory, arguments: Sequence[str] | None = None) -> None:
@@ -64,7 +69,7 @@ def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -
     except RuntimeError:
         # A signal that arrives while the executor builds its wait set, or a message is made of
         # what was received, ends up here.
-        if rclpy.ok():
+        if not _ends():
             raise
         return 0
     except ParameterError as error:
@@ -75,3 +80,11 @@ def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -
             host.stop()
         executor.shutdown()
         rclpy.try_shutdown()
+
+
+def _ends() -> bool:
+    """Whether the context is being shut down; the handler of a signal does it a little later."""
+    end = time.monotonic() + SIGNAL_PATIENCE
+    while rclpy.ok() and time.monotonic() < end:
+        time.sleep(0.01)
+    return not rclpy.ok()
