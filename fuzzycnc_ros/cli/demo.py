@@ -5,7 +5,7 @@
 from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Optional
 
 import typer
 from rich.console import Console
@@ -44,7 +44,7 @@ def demo(
     ] = Scenario.thermal,
     seed: Annotated[int, typer.Option(help='Seed of all measuring noise.')] = 0,
     program: Annotated[
-        Path | None,
+        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
         typer.Option(help='Part program to cut in the shift, in mm; a plate of its own if none.'),
     ] = None,
 ) -> None:

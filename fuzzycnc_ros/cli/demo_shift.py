@@ -249,6 +249,7 @@ def _run_alone(out: Path, settings: Any, thermal: str, foam: str, seed: int, bar
                 (TRACK,),
                 '' if name == 'before' else foam,
                 machine=SimulatedMachineConfig(seed=seed, sheet_seed=seed),
+                name=QUILT,
                 sink=bag,
             )
 

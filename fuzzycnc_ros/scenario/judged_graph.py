@@ -11,7 +11,11 @@ from fuzzycnc_ros.components.simulated_machine import SimulatedMachine
 
 
 def judged_graph(
-    machine: SimulatedMachine, components: Sequence[Component], log: Sink, sink: Sink | None
+    machine: SimulatedMachine,
+    components: Sequence[Component],
+    log: Sink,
+    sink: Sink | None,
+    name: str = 'mill',
 ) -> InProcessGraph:
     """Return a graph that tells a log every record, and a sink also what nodes say of themselves.
 
@@ -25,15 +29,17 @@ def judged_graph(
         Takes what it judges by.
     sink : callable or None
         Takes every published record, configurations, requests and turns included.
+    name : str
+        Name of the machine, the first part of all frame ids.
     """
     if sink is None:
-        return InProcessGraph(machine, components, sink=log)
+        return InProcessGraph(machine, components, sink=log, name=name)
 
     def both(topic: str, record: Record) -> None:
         log(topic, record)
         sink(topic, record)
 
-    return InProcessGraph(machine, components, sink=both, provenance=True)
+    return InProcessGraph(machine, components, sink=both, provenance=True, name=name)
 
 
 def run_served(

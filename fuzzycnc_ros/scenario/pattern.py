@@ -36,6 +36,7 @@ def run_patterns(
     compensator: DeformationCompensatorConfig | None = None,
     scheduler: FeedrateSchedulerConfig | None = None,
     machine: SimulatedMachineConfig | None = None,
+    name: str = 'mill',
     sink: Sink | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[StitchedPattern, ...]:
@@ -53,6 +54,8 @@ def run_patterns(
         Method, tolerance and limits; by default its own with `STITCH_BLEND`.
     machine : SimulatedMachineConfig, optional
         The machine; its duties, paths and patterns are replaced.
+    name : str
+        Name of the machine, the first part of all frame ids.
     sink : callable, optional
         Takes every published record, configurations, requests and turns included.
     progress : callable, optional
@@ -75,12 +78,12 @@ def run_patterns(
     shifter = DeformationCompensator(compensator)
     planner = FeedrateScheduler(scheduler or FeedrateSchedulerConfig(blend=STITCH_BLEND))
     log = PatternLog()
-    graph = judged_graph(mill, [shifter, planner], log, sink)
-    for name, text in (('model', model), ('offsets', offsets)):
+    graph = judged_graph(mill, [shifter, planner], log, sink, name)
+    for what, text in (('model', model), ('offsets', offsets)):
         if text:
-            answer = graph.request(shifter.NAME, f'use_{name}', **{name: text})
+            answer = graph.request(shifter.NAME, f'use_{what}', **{what: text})
             if not answer.success:
-                raise ValueError(f'{name}: {answer.message}')
+                raise ValueError(f'{what}: {answer.message}')
     for component in (shifter, planner):
         graph.request(component.NAME, 'activate')
     graph.run(progress)

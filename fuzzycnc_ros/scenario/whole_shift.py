@@ -30,14 +30,11 @@ TICK = 10.0
 """Time between two readings of the warm machine [s]."""
 JOBS = (
     '1800:path:butterfly',
-    '4200:program',
-    '6600:move:X:-0.05',
-    '9000:path:butterfly',
-    '12000:move:X:0.02,Y:-0.03,Z:0.01',
-    '16200:program',
+    '5400:move:X:-0.05',
+    '9000:program',
+    '14400:move:X:0.02,Y:-0.03,Z:0.01',
     '19800:path:butterfly',
-    '24000:move:X:0.0,Y:0.0,Z:0.0',
-    '27000:path:butterfly',
+    '25200:move:X:0.0,Y:0.0,Z:0.0',
 )
 """What is cut and moved, by time of the shift: warming up, hot, in pauses, and cooling down."""
 AXES = ('X:ballscrew', 'Y:ballscrew', 'Z:ballscrew')
