@@ -55,7 +55,7 @@ def shift_demo(console: Console, out: Path, seed: int, program: str = '') -> Non
     Raises
     ------
     GraphError
-        If a node fails, a run was degraded, or its outputs are not those of one process.
+        If a node fails, or the outputs of a run are not those of one process.
     """
     started = time.monotonic()
     with progress_of(console) as progress:
@@ -74,10 +74,10 @@ def shift_demo(console: Console, out: Path, seed: int, program: str = '') -> Non
         f'{result.wall_s:.0f} s in all'
     )
     print_files(console, out)
-    if result.degraded or any(result.differing.values()):
-        raise GraphError(
-            'a run was degraded or differs from that in one process; see summary.json'
-        )
+    if any(result.differing.values()):
+        raise GraphError('a run differs from that in one process; see summary.json')
+    if result.degraded:
+        console.print('a node missed a turn (see log); the outputs are equal all the same')
 
 
 def _run(
