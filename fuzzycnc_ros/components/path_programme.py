@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a simulated machine loads by itself, one after the other: it plays the operator."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from fuzzycnc_ros.components.component import Emission
@@ -11,7 +12,7 @@ _USUAL_SPEED = 0.02
 """Speed along a path that progress is told by, before anything is known [m/s]."""
 
 
-class Programme:
+class Programme(ABC):
     """Paths that are loaded one after the other.
 
     Parameters
@@ -62,9 +63,9 @@ class Programme:
         self._since = stamp
         return () if self.over else self._load(stamp, frame_id)
 
+    @abstractmethod
     def _load(self, stamp: int, frame_id: str) -> tuple[Emission, ...]:
         """Return what loads the present path."""
-        raise NotImplementedError
 
     def wait(self, stamp: int, status: str, *, busy: bool) -> None:
         """Give up if the machine has been without a trajectory for too long.

@@ -3,7 +3,6 @@
 """Deformation models as JSON documents; nothing in one is believed before it was checked."""
 
 import json
-from typing import NoReturn
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from fuzzycnc_ros.core.deformation.gain import GAIN_MAX, GAIN_MIN, AxisGain
 from fuzzycnc_ros.core.deformation.gate import Gate
 from fuzzycnc_ros.core.deformation.model import DeformationModel
 from fuzzycnc_ros.core.deformation.rule_network import RuleNetwork
-from fuzzycnc_ros.core.thermal.document import ModelFileError, Node
+from fuzzycnc_ros.core.thermal.document import Node, parse_document
 
 SCHEMA = 'fuzzycnc/deformation-model'
 """What a model file says it is."""
@@ -67,16 +66,7 @@ def read_model(text: str) -> DeformationModel:
         If the text is too large, no JSON, of another schema or version, or holds a value of
         another type, shape or range.
     """
-    if len(text) > SIZE_MAX:
-        raise ModelFileError(
-            f'model file: expected at most {SIZE_MAX} characters, but found {len(text)}'
-        )
-    try:
-        root = Node(json.loads(text, parse_constant=_no_constant), 'model file')
-    except ModelFileError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise ModelFileError(f'model file: expected JSON, but found {error}') from error
+    root = parse_document(text, 'model file', SIZE_MAX)
     if root.get('schema').text() != SCHEMA:
         root.get('schema').refuse(f'the schema {SCHEMA!r}')
     version = root.get('schema_version')
@@ -165,7 +155,3 @@ def _gain(node: Node, size: int) -> AxisGain:
     if not (variance >= 0.0).all():
         node.get('variance').refuse('no negative variance')
     return AxisGain(value, variance)
-
-
-def _no_constant(name: str) -> NoReturn:
-    raise ModelFileError(f'model file: expected finite numbers, but found {name}')

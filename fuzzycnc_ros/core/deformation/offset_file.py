@@ -4,12 +4,11 @@
 
 import json
 from dataclasses import dataclass
-from typing import NoReturn
 
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.document import ModelFileError, Node
+from fuzzycnc_ros.core.thermal.document import parse_document
 
 FORMAT = 'fuzzycnc stitch offsets'
 """What the file says it is."""
@@ -93,16 +92,7 @@ def read_offsets(text: str) -> StitchOffsets:
         If the text is too large, no JSON, of another format or version, or holds points that are
         not finite or not parallel.
     """
-    if len(text) > SIZE_MAX:
-        raise ModelFileError(
-            f'offsets file: expected at most {SIZE_MAX} characters, but found {len(text)}'
-        )
-    try:
-        root = Node(json.loads(text, parse_constant=_no_constant), 'offsets file')
-    except ModelFileError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise ModelFileError(f'offsets file: expected JSON, but found {error}') from error
+    root = parse_document(text, 'offsets file', SIZE_MAX)
     if root.get('format').text() != FORMAT:
         root.get('format').refuse(f'the format {FORMAT!r}')
     version = root.get('version')
@@ -117,7 +107,3 @@ def read_offsets(text: str) -> StitchOffsets:
     if len(offset) != len(nominal):
         root.get('offset').refuse(f'as many as there are nominal points, {len(nominal)}')
     return StitchOffsets(path_id.text(), root.get('material').text(), nominal, offset)
-
-
-def _no_constant(name: str) -> NoReturn:
-    raise ModelFileError(f'offsets file: expected finite numbers, but found {name}')

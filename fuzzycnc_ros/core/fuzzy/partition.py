@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fuzzy partitions: what clusterings share in which each sample belongs to every cluster."""
 
+from abc import ABC, abstractmethod
 from typing import ClassVar
 
 import numpy as np
@@ -14,7 +15,7 @@ FUZZIFIER_MAX = 50.0
 """Largest fuzzifier; far above any use, and the powers of small memberships stay numbers."""
 
 
-class FuzzyPartition(ClusterEstimator):
+class FuzzyPartition(ClusterEstimator, ABC):
     """Base of fuzzy clusterings from random starts; they differ in the distances that count."""
 
     n_clusters: int
@@ -49,9 +50,9 @@ class FuzzyPartition(ClusterEstimator):
         """Return the cluster of highest membership of each sample, shape (n,)."""
         return np.asarray(self.predict_membership(X).argmax(axis=1), dtype=np.int64)
 
+    @abstractmethod
     def _squared_distances(self, samples: Array) -> Array:
         """Return squared distances above 0 of samples (n, p) to the clusters, shape (c, n)."""
-        raise NotImplementedError
 
     def _begin(self, samples: ArrayLike) -> tuple[Array, Array, np.random.Generator]:
         """Return checked samples about their mean, that mean, and the generator of the starts."""

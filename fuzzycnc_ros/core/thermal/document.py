@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading of JSON documents that nothing is believed in: types, shapes, finiteness."""
 
+import json
 from math import isfinite
 from typing import Any, NoReturn
 
@@ -96,3 +97,36 @@ class Node:
             if len(rows[-1]) != columns:
                 node.refuse(f'{columns} numbers')
         return np.array(rows, dtype=np.float64).reshape(len(rows), columns)
+
+
+def parse_document(text: str, what: str, size_max: int) -> Node:
+    """Return the root of a JSON document of finite numbers.
+
+    Parameters
+    ----------
+    text : str
+        The document.
+    what : str
+        What kind of file it is, for messages.
+    size_max : int
+        Largest document that is read [characters].
+
+    Raises
+    ------
+    ModelFileError
+        If it is too large, no JSON, or holds a number that is not finite.
+    """
+
+    def no_constant(name: str) -> NoReturn:
+        raise ModelFileError(f'{what}: expected finite numbers, but found {name}')
+
+    if len(text) > size_max:
+        raise ModelFileError(
+            f'{what}: expected at most {size_max} characters, but found {len(text)}'
+        )
+    try:
+        return Node(json.loads(text, parse_constant=no_constant), what)
+    except ModelFileError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise ModelFileError(f'{what}: expected JSON, but found {error}') from error

@@ -9,13 +9,13 @@ and finiteness are checked, and nothing is executed, unlike with pickle.
 import json
 from collections.abc import Mapping, Sequence
 from math import isfinite
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, Candidate, Settings
-from fuzzycnc_ros.core.thermal.document import ModelFileError, Node
+from fuzzycnc_ros.core.thermal.document import ModelFileError, Node, parse_document
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.recursions import read_recursion, write_recursion
 from fuzzycnc_ros.core.thermal.selected import SensorCluster, SensorSelection
@@ -101,17 +101,7 @@ def read_document(text: str) -> dict[str, Any]:
         If it is too large, no JSON, of another schema or version, or holds a value of
         another type or shape.
     """
-    if len(text) > SIZE_MAX:
-        raise ModelFileError(
-            f'model file: expected at most {SIZE_MAX} characters, but found {len(text)}'
-        )
-    try:
-        document = json.loads(text, parse_constant=_no_constant)
-    except ModelFileError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise ModelFileError(f'model file: expected JSON, but found {error}') from error
-    root = Node(document, 'model file')
+    root = parse_document(text, 'model file', SIZE_MAX)
     if root.get('schema').text() != SCHEMA:
         root.get('schema').refuse(f'the schema {SCHEMA!r}')
     version = root.get('schema_version').value
@@ -130,10 +120,6 @@ def read_document(text: str) -> dict[str, Any]:
         raise ModelFileError('model file: expected recursions that are not nested') from error
     except ValueError as error:
         raise ModelFileError(f'model file: {error}') from error
-
-
-def _no_constant(name: str) -> NoReturn:
-    raise ModelFileError(f'model file: expected finite numbers, but found {name}')
 
 
 def _held_out(values: Array) -> list[float | None] | None:
