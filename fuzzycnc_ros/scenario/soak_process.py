@@ -32,10 +32,12 @@ def held_by(process: int | None = None) -> Held:
     Raises
     ------
     OSError
-        If it is gone, or the system has no `/proc` as Linux has.
+        If it is gone or about to be, or the system has no `/proc` as Linux has.
     """
     folder = Path('/proc', str(os.getpid() if process is None else process))
     pages = int((folder / 'statm').read_text(encoding='ascii').split()[1])
+    if pages == 0:  # a process that ends gives its memory back before it leaves the list
+        raise ProcessLookupError(f'process {process} is ending')
     # Looking at the files of a process opens one more in the process that looks.
     files = len(os.listdir(folder / 'fd')) - (process is None)
     return Held(pages * os.sysconf('SC_PAGE_SIZE'), len(os.listdir(folder / 'task')), files)

@@ -136,24 +136,51 @@ def test_a_step_before_the_window_is_none_of_its_business():
 
 
 @pytest.mark.parametrize(
-    'change',
+    ('change', 'stated'),
     [
-        lambda tick: {'compensation': command(tick * TICK, state=CompensationState.HOLDING)},
-        lambda tick: {'compensation_applied': applied(tick * TICK, status=AppliedStatus.EXPIRED)},
-        lambda tick: {'thermal_error': error(tick * TICK, valid=False)},
+        (
+            lambda tick: {'compensation': command(tick * TICK, state=CompensationState.HOLDING)},
+            BY_COMPENSATOR,
+        ),
+        (lambda tick: {'thermal_error': error(tick * TICK, valid=False)}, BY_COMPENSATOR),
+        (
+            lambda tick: {
+                'compensation_applied': applied(tick * TICK, status=AppliedStatus.EXPIRED)
+            },
+            BY_MACHINE,
+        ),
     ],
-    ids=['holding', 'expired', 'invalid error'],
+    ids=['holding', 'invalid error', 'expired'],
 )
-def test_offsets_that_nothing_fresh_stands_behind_are_unsafe_once_the_time_is_over(change):
-    ticks = range(10, 10 + int(BY_MACHINE // 12))
-    longer = range(10, 30 + int(BY_MACHINE // 12))
-    within = judged(lambda tick: change(tick) if tick in ticks else {})
+@pytest.mark.parametrize('scenario', [SCENARIO, replace(SCENARIO, stated=BY_COMPENSATOR)])
+def test_offsets_that_nothing_fresh_stands_behind_are_unsafe_once_the_time_is_over(
+    scenario, change, stated
+):
+    count = int(stated // 12)
+    ticks, longer = range(10, 10 + count), range(10, 30 + count)
+    within = judged(lambda tick: change(tick) if tick in ticks else {}, scenario, ticks=150)
     assert within.safe, within.why
-    assert 0 < within.time_to_safe_s <= BY_MACHINE
-    over = judged(lambda tick: change(tick) if tick in longer else {})
+    assert within.time_to_safe_s <= scenario.stated
+    over = judged(lambda tick: change(tick) if tick in longer else {}, scenario, ticks=150)
     assert not over.safe
-    assert over.time_to_safe_s > BY_MACHINE
     assert 'out of a safe state' in over.why[0]
+
+
+def test_the_time_to_safe_is_that_of_the_side_which_has_to_make_it_safe():
+    def change(tick):
+        return {
+            'compensation': command(tick * TICK, state=CompensationState.HOLDING),
+            'compensation_applied': applied(
+                tick * TICK,
+                status=AppliedStatus.EXPIRED if tick in range(20, 25) else AppliedStatus.FOLLOWING,
+            ),
+        }
+
+    held = judged(lambda tick: change(tick) if tick in range(15, 30) else {})
+    assert held.time_to_safe_s == 5 * 12.0  # from the last tick that follows to the last that does not
+    both = replace(SCENARIO, stated=BY_COMPENSATOR)
+    held = judged(lambda tick: change(tick) if tick in range(15, 30) else {}, both)
+    assert held.time_to_safe_s == 15 * 12.0
 
 
 def test_nothing_is_known_of_a_time_without_a_recorder():

@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A soak: equal runs are equal, what grows or gets lost is found."""
 
+import os
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -134,6 +137,13 @@ def test_what_this_process_holds(tmp_path):
 def test_a_process_that_is_gone():
     with pytest.raises(FileNotFoundError):
         held_by(2**22 + 1)
+
+
+def test_a_process_that_has_given_its_memory_back():
+    with subprocess.Popen([sys.executable, '-c', '']) as process:
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        with pytest.raises(ProcessLookupError, match='is ending'):
+            held_by(process.pid)
 
 
 def test_growth_is_from_the_first_to_the_last_quarter():
