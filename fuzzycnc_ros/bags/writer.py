@@ -22,6 +22,7 @@ from fuzzycnc_ros.bags.errors import (
 from fuzzycnc_ros.bags.libraries import load
 from fuzzycnc_ros.bags.metadata import Metadata, Profiles, Qos, TopicInfo
 from fuzzycnc_ros.bags.sink import Sink
+from fuzzycnc_ros.bags.spilled_index import spill_index
 from fuzzycnc_ros.bags.typestore import (
     message_definition,
     serialize,
@@ -120,6 +121,7 @@ class BagWriter:
             compression=self._module.CompressionType[compression.upper()],
         )
         with self._guard():
+            self._index = spill_index(self._writer, self.path)
             self._writer.start(profile='ros2', library='fuzzycnc_ros')
             self._writer.add_metadata(
                 METADATA_RECORD, {'message_set': str(message_set), **self._custom}
@@ -321,6 +323,13 @@ class BagWriter:
         """
         if self._sink.closed:
             return
+        try:
+            self._close()
+        finally:
+            if self._index is not None:
+                self._index.close()
+
+    def _close(self) -> None:
         if self._failure:  # already reported when it happened
             self._sink.close()
             return

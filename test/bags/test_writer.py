@@ -5,6 +5,7 @@
 import resource
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import mcap.reader
@@ -13,6 +14,7 @@ import pytest
 import rosbags.rosbag2
 import yaml
 
+from fuzzycnc_ros.bags import spilled_index
 from fuzzycnc_ros.bags.errors import (
     BagError,
     BagExistsError,
@@ -25,7 +27,7 @@ from fuzzycnc_ros.bags.errors import (
 from fuzzycnc_ros.bags.metadata import LATCHED, STREAM, Qos
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
-from fuzzycnc_ros.bags.typestore import serialize, type_hash
+from fuzzycnc_ros.bags.typestore import message_type, serialize, type_hash
 from fuzzycnc_ros.bags.writer import BagWriter
 
 STRING = 'std_msgs/msg/String'
@@ -50,6 +52,39 @@ def test_mcap_that_is_too_old_is_refused(tmp_path, monkeypatch):
     with pytest.raises(MissingLibraryError, match=r'mcap 1.5 or newer'):
         BagWriter(tmp_path / 'bag')
     assert not (tmp_path / 'bag').exists()
+
+
+def chunks(path, count):
+    """Write a bag with a chunk for each message; return its bytes."""
+    with BagWriter(path, flush_interval=None) as writer:
+        writer.add_topic('/a', STRING)
+        payload = serialize(message_type(STRING)(data='x'))
+        for number in range(count):
+            writer.write('/a', number, number, payload)
+            writer.flush()
+    return writer.file.read_bytes()
+
+
+def test_the_index_of_a_long_recording_is_not_kept_in_memory(tmp_path, monkeypatch):
+    chunks(tmp_path / 'first', 10)  # libraries are loaded
+    tracemalloc.start()
+    try:
+        with BagWriter(tmp_path / 'bag', flush_interval=None) as writer:
+            writer.add_topic('/a', STRING)
+            payload = serialize(message_type(STRING)(data='x'))
+            before = tracemalloc.get_traced_memory()[0]
+            for number in range(5000):
+                writer.write('/a', number, number, payload)
+                writer.flush()
+            grown = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    assert grown < 100_000  # in a list it would be millions
+    assert len(list((tmp_path / 'bag').iterdir())) == 2
+    monkeypatch.setattr(spilled_index, '_LIST', 'what another version has')
+    spilled = (tmp_path / 'first' / 'first_0.mcap').read_bytes()
+    (tmp_path / 'other').mkdir()
+    assert chunks(tmp_path / 'other' / 'first', 10) == spilled
 
 
 def test_misuse_is_refused(tmp_path):
