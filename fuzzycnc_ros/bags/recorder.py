@@ -94,10 +94,10 @@ class _Item(NamedTuple):
 
 @dataclass
 class _Counts:
+    sequence: SequenceCounter
     received: int = 0
     written: int = 0
     dropped: int = 0
-    sequence: SequenceCounter = field(default_factory=SequenceCounter)
 
     def snapshot(self) -> TopicProgress:
         return TopicProgress(
@@ -151,7 +151,14 @@ class RecordingThread:
         self._thread = threading.Thread(target=self._run, name='bag-writer', daemon=True)
         self._thread.start()
 
-    def add_topic(self, name: str, type_name: str, qos: Qos | Profiles | None = None) -> None:
+    def add_topic(
+        self,
+        name: str,
+        type_name: str,
+        qos: Qos | Profiles | None = None,
+        *,
+        publishers: Callable[[], int] | None = None,
+    ) -> None:
         """Announce a topic; a type that this machine does not know is recorded undefined.
 
         Parameters
@@ -160,6 +167,9 @@ class RecordingThread:
             Topic and type.
         qos : Qos or list of dict, optional
             What its publishers offer.
+        publishers : callable, optional
+            Says how many publishers it has now, for the count of what is missing where `put` is
+            not told who sent a message; called by `put`.
 
         Raises
         ------
@@ -175,7 +185,7 @@ class RecordingThread:
                 self._writer.add_topic(name, type_name, qos, definition='', encoding='')
                 self._unknown_types[type_name] = str(error)
         with self._lock:
-            self._counts.setdefault(name, _Counts())
+            self._counts.setdefault(name, _Counts(SequenceCounter(publishers)))
 
     @property
     def unknown_types(self) -> dict[str, str]:
@@ -256,6 +266,11 @@ class RecordingThread:
                 pending_bytes=self._pending_bytes,
                 error=str(self._error or ''),
             )
+
+    @property
+    def failed(self) -> bool:
+        """Whether the bag could not be written any further; costs less than `progress`."""
+        return self._error is not None
 
     def check(self) -> None:
         """Raise the error that ended the writing, if there is one.

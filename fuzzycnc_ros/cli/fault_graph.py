@@ -1,20 +1,20 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A supervised graph of thermal compensation that faults are put into."""
+"""A supervised graph of a simulated machine that faults are put into."""
 
 import os
-import random
 import resource
 import signal
 import time
+from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, ClassVar
 
-import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -24,47 +24,26 @@ from fuzzycnc_ros.bags.files import storage_files
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
 from fuzzycnc_ros.cli.supervision import RestartPolicy, Supervisor
 from fuzzycnc_ros.cli.up import node_specs
-from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState
-from fuzzycnc_ros.components.component import HISTORY, STREAM
-from fuzzycnc_ros.components.records import (
-    SECOND,
-    Compensation,
-    CompensationApplied,
-    MachineState,
-    Record,
-    RecorderProgress,
-    Temperatures,
-    ThermalError,
-)
-from fuzzycnc_ros.components.registry import COMPONENTS
+from fuzzycnc_ros.components.component import HISTORY
+from fuzzycnc_ros.components.host_records import RecorderProgress
+from fuzzycnc_ros.components.records import SECOND, Record
 from fuzzycnc_ros.convert import decode
-from fuzzycnc_ros.faults.evidence import MARKS
-from fuzzycnc_ros.faults.relay import THERMAL, Relay, direct, remappings
+from fuzzycnc_ros.faults.evidence import MARKS, RECORDS
+from fuzzycnc_ros.faults.relay import Relay, direct, durability, remappings
 from fuzzycnc_ros.faults.scenario import Stage
-from fuzzycnc_ros.faults.strangers import STRANGE_EPOCH, Strangers, highest_order
 from fuzzycnc_ros.nodes.qos import create_subscription, publisher_qos, subscription_qos
 
 MACHINE = 'mill'
 MAKES_TIME = 'simulated_machine'
 WITNESS = 'witness'
-DUTY = 'T2'
-AT_WORK = 2e-6
-"""Offset from which on compensation is at work [m]."""
-LASTING = 10
-"""Ticks in a row in which it has to be at work: after a jump of clocks it comes and goes."""
 PATIENCE = 60.0
 """Wall time [s] for what must happen on the graph; a loaded computer takes long to start nodes."""
 MEETING = 0.8
 """Wall time [s] in which all readers have met a node that speaks to one of them."""
-REPORTS = 1.2
-"""Wall time [s] in which every node has reported its health once."""
-SPEAKS = {
-    'temperature_acquisition': ('temperatures', Temperatures),
-    'thermal_predictor': ('thermal_error', ThermalError),
-    'compensator': ('compensation', Compensation),
-    'recorder': ('recorder/progress', RecorderProgress),
-}
-"""What shows that a node is at work again."""
+RECORDER_PATIENCE = 10.0
+"""Wall time [s] that a recorder gets at the end."""
+REPORTS = 2
+"""Reports of its health after which a node has told of what was done before the first."""
 
 
 class _Lifecycles:
@@ -82,22 +61,23 @@ class _Lifecycles:
         return False
 
 
-class LiveGraph:
+class LiveGraph(ABC):
     """The nodes of a stage under supervision, a witness, and the relay in its routes.
 
     Parameters
     ----------
     stage : Stage
-        Speed of machine time and routes of the relay.
-    model : Path
-        Model of the predictor; it is copied, as scenarios damage it.
+        Nodes, speed of machine time and routes of the relay.
     folder : Path
         Where bags, logs and states go.
-    seed : int
-        Of what is random.
     """
 
-    def __init__(self, stage: Stage, model: Path, folder: Path, seed: int) -> None:
+    SPEAKS: ClassVar[Mapping[str, tuple[str, type[Any]]]]
+    """Topic of a node that shows that it is at work again."""
+    REJOINS: ClassVar[float]
+    """Machine time [min] in which a node that shows nothing is at work again."""
+
+    def __init__(self, stage: Stage, folder: Path) -> None:
         self.rate = stage.rate
         self.folder = folder
         self.destroyed = 0
@@ -107,30 +87,31 @@ class LiveGraph:
         self.outages: list[tuple[str, float, float]] = []
         """Node that was dead, and from when to when [s of wall time] what it publishes, or all if
         it is the recorder, may be missing: readers meet a new life one after the other."""
-        self._random = random.Random(seed)
-        self._model = folder / 'model.json'
-        self._model.write_bytes(model.read_bytes())
-        self._applied: CompensationApplied | None = None
-        self._told: Compensation | None = None
-        self._error: ThermalError | None = None
+        self._routes = stage.routes
+        self._nodes = stage.nodes
         self._spoken: dict[str, int] = {}
-        self._now = self._working = 0
+        self._reports: Counter[str] = Counter()  # of the health of each node
+        self._now = 0
         self._full_since = 0.0  # wall time from which on the disk refuses [s]; 0 if it does not
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
         self.node = rclpy.create_node(WITNESS, namespace=f'/{MACHINE}', context=self.context)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
-        self.relay = Relay(self.node, stage.routes)
+        self.relay = Relay(self.node, stage.routes, stage.nodes)
         self._marks = self.node.create_publisher(String, MARKS, publisher_qos(HISTORY))
-        self._listen(stage)
+        for name, (topic, kind) in self.SPEAKS.items():
+            self._listen(topic, kind, self._noting(name))
+        self._listen('recorder/progress', RecorderProgress, self._noting('recorder'))
+        self._listen_to_machine()
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._count_reports, 10)
         self.graph = GraphProcesses(MACHINE, folder=folder, remap=remappings(stage.routes))
         policy = RestartPolicy(delay=0.2, restarts_max=20)
         self.supervisor = Supervisor(lambda text: None, _Lifecycles(), policy)
         *others, machine = self._specs()
         for spec in others:
             self.supervisor.start(self.graph, [spec])
-        # What the machine says first, cold, must reach everybody through the relay.
+        # What the machine says first must reach everybody through the relay.
         self.until(self.relay.matched, 'all readers have met the relay')
         self.supervisor.start(self.graph, [machine])
 
@@ -154,6 +135,12 @@ class LiveGraph:
         self.node.destroy_node()
         rclpy.try_shutdown(context=self.context)
 
+    def let_record(self) -> None:
+        """Let a busy recorder take what was said: a node that ends takes the rest along."""
+        spoken, until = self._spoken.get('recorder', 0), time.monotonic() + RECORDER_PATIENCE
+        while self._spoken.get('recorder', 0) < spoken + REPORTS and time.monotonic() < until:
+            self._spin()
+
     @property
     def bags(self) -> list[Path]:
         """The bags that were recorded, in their order."""
@@ -169,24 +156,25 @@ class LiveGraph:
         self._marks.publish(String(data=text))
         self.wait(0.05)
 
+    @abstractmethod
     def at_work(self) -> bool:
-        """Whether the machine has followed a compensator that moves it for some ticks."""
-        return self._working >= LASTING
+        """Whether the machine does what it is there for."""
 
-    def _works(self) -> bool:
-        return (
-            self._applied is not None
-            and self._told is not None
-            and self._error is not None
-            and self._applied.status == AppliedStatus.FOLLOWING
-            and self._told.state == CompensationState.ACTIVE
-            and self._error.valid
-            and bool(np.abs(self._applied.offset).max() > AT_WORK)
-        )
+    @abstractmethod
+    def _listen_to_machine(self) -> None:
+        """Hear what the machine says."""
 
-    def at_zero(self) -> bool:
-        """Whether no offset is in force."""
-        return self._applied is not None and not self._applied.offset.any()
+    @abstractmethod
+    def _note(self, topic: str, record: Any) -> None:
+        """Note what a node has said."""
+
+    @abstractmethod
+    def _specs(self) -> list[NodeSpec]:
+        """Return the nodes, the machine last."""
+
+    @abstractmethod
+    def _operate(self) -> None:
+        """Do what an operator does so that the machine works again; nothing if it does."""
 
     def until(self, condition: Callable[[], bool], what: str) -> bool:
         """Wait until a condition holds; note it as a finding if it does not in time."""
@@ -199,14 +187,19 @@ class LiveGraph:
         return True
 
     def run(self, minutes: float) -> None:
-        """Let machine time pass [min], and two reports of every node."""
-        since, wall = self._now, time.monotonic()
-        self.until(
-            lambda: (
-                self._now - since >= 60.0 * minutes * SECOND and time.monotonic() - wall >= REPORTS
-            ),
-            f'{minutes:g} min of machine time',
-        )
+        """Let machine time pass [min], and two reports of every node that lives."""
+        since, told = self._now, self._reports.copy()
+
+        def over() -> bool:
+            dead = self.graph.poll()
+            silent = (
+                name
+                for name in self.graph.names
+                if name not in dead and self._reports[name] - told[name] < REPORTS
+            )
+            return self._now - since >= 60.0 * minutes * SECOND and not any(silent)
+
+        self.until(over, f'{minutes:g} min of machine time, and reports of all nodes')
 
     def wait(self, duration: float) -> None:
         """Let wall time pass [s]."""
@@ -229,21 +222,12 @@ class LiveGraph:
         ):
             return
         spoken = self._spoken.get(node, 0)
-        if node in SPEAKS:
+        if node in (*self.SPEAKS, 'recorder'):
             self.until(lambda: self._spoken.get(node, 0) > spoken + 1, f'{node} speaks again')
         else:
-            self.run(5.0)
+            self.run(self.REJOINS)
         self.wait(MEETING)
         self.outages.append((node, down, time.monotonic()))
-
-    def restart_machine(self) -> None:
-        """Kill the simulated machine and start it anew."""
-        self.signal(MAKES_TIME, signal.SIGKILL)
-        while MAKES_TIME not in self.graph.poll():
-            time.sleep(0.01)
-        self.graph.start(next(spec for spec in self._specs() if spec.name == MAKES_TIME))
-        self._now = 0
-        self.until(lambda: self._now > 0, 'the machine ticks again')
 
     def fill_disk(self) -> None:
         """Let the recorder's file grow no further: every write beyond fails."""
@@ -252,22 +236,6 @@ class LiveGraph:
         limit = (size, resource.RLIM_INFINITY)
         self._full_since = time.monotonic()
         resource.prlimit(self.graph.pid('recorder'), resource.RLIMIT_FSIZE, limit)
-
-    def refused_everywhere(self) -> None:
-        """Set each live parameter of each node out of its range; all must be refused."""
-        for name in (*SPEAKS, 'sensor_selector'):
-            if name == 'recorder':
-                continue
-            for item in fields(COMPONENTS[name].CONFIG):
-                if not item.metadata['live'] or item.metadata['high'] is None:
-                    continue
-                high = item.metadata['high']
-                wrong: list[Any] = [type(high)(2 * high + 1), 'many']
-                if isinstance(item.default, float):
-                    wrong = [2.0 * high + 1.0, -2.0 * abs(high) - 1.0, float('nan'), 'many']
-                for value in wrong:
-                    if not self.set_parameters(name, {item.name: value}):
-                        self.findings.append(f'{name} takes {item.name} = {value}')
 
     def set_parameters(self, node: str, values: Mapping[str, Any]) -> list[str]:
         """Set parameters of a node; return why they were refused, empty if taken."""
@@ -285,98 +253,52 @@ class LiveGraph:
         finally:
             self.node.destroy_client(client)
 
-    def damage_model(self) -> str:
-        """Cut the model file at a random byte; return its name."""
-        size = self._model.stat().st_size
-        with self._model.open('r+b') as file:
-            file.truncate(self._random.randrange(1, size - 1))
-        return str(self._model)
-
-    def stranger(self, topic: str, names: tuple[str, ...]) -> Strangers:
-        """Return nodes that publish a topic which is not theirs."""
-
-        def order() -> Record:
-            return highest_order(topic, self._now + SECOND, self._told)
-
-        return Strangers(self.context, f'/{MACHINE}', topic, names, order)
-
-    def second_compensator(self) -> Callable[[], None]:
-        """Start another compensator of the machine; return what ends it."""
-        folder = self.folder / 'second'
-        folder.mkdir(exist_ok=True)
-        params = folder / 'second.yaml'
-        params.write_text('/**: {ros__parameters: {autostart: true, use_sim_time: true}}\n')
-        second = GraphProcesses(
-            MACHINE, folder=folder, params=[params], remap=['__node:=compensator_2']
-        )
-        second.start(NodeSpec('compensator'))
-        return second.stop
-
-    def _specs(self) -> list[NodeSpec]:
+    def _stage_specs(self, machine: Mapping[str, Any], **given: Any) -> list[NodeSpec]:
+        """Return the specifications of the stage's nodes, recorder and machine."""
         return node_specs(
-            duties=(DUTY,),
-            model=self._model,
+            nodes=(*self._nodes, MAKES_TIME),
             record=self.folder / 'bag',
             autostart=True,
-            state_directory=self.folder / 'state',
             machine_parameters={
                 'rate': self.rate,
-                'lockstep_nodes': [*THERMAL, WITNESS],  # the relay is there with the witness
+                'lockstep_nodes': [*self._nodes, WITNESS],  # the relay is there with the witness
                 'start_timeout': PATIENCE / 2,
+                **machine,
             },
+            **given,
         )
 
-    def _listen(self, stage: Stage) -> None:
-        def hear(name: str, topic: str, kind: Any, note: Callable[[Any], None]) -> None:
-            def on_message(message: Any) -> None:
-                self._spoken[name] = self._spoken.get(name, 0) + 1
-                note(decode(kind, message))
+    def _listen(self, topic: str, kind: type[Any], note: Callable[[str, Any], None]) -> None:
+        """Hear a topic as its publisher says it, and hand it to `note`."""
+        heard = direct(topic) if topic in self._routes else topic
+        create_subscription(
+            self.node,
+            kind.TYPE,
+            heard,
+            lambda message: note(topic, decode(kind, message)),
+            subscription_qos(durability(topic), lockstep=True),
+        )
 
-            create_subscription(
-                self.node,
-                kind.TYPE,
-                topic,
-                on_message,
-                subscription_qos(STREAM, lockstep=True),
-            )
+    def _noting(self, name: str) -> Callable[[str, Any], None]:
+        def note(topic: str, record: Any) -> None:
+            self._spoken[name] = self._spoken.get(name, 0) + 1
+            self._note(topic, record)
 
-        notes: dict[str, Callable[[Any], None]] = {
-            'compensator': self._note_told,
-            'thermal_predictor': self._note_error,
-        }
-        for node, (topic, kind) in SPEAKS.items():
-            heard = direct(topic) if topic in stage.routes else topic
-            hear(node, heard, kind, notes.get(node, lambda record: None))
-        for topic, kind, note in (
-            ('compensation_applied', CompensationApplied, self._note_applied),
-            ('machine_state', MachineState, self._note_state),
-        ):
-            hear(MAKES_TIME, direct(topic) if topic in stage.routes else topic, kind, note)
+        return note
 
-    def _note_told(self, record: Compensation) -> None:
-        if record.epoch < STRANGE_EPOCH:
-            self._told = record
-            self._hear('compensation', record)
+    def _count_reports(self, message: DiagnosticArray) -> None:
+        names = {status.name.partition(':')[0] for status in message.status}
+        self._reports.update(name.removeprefix(f'{MACHINE}/') for name in names)
 
-    def _note_error(self, record: ThermalError) -> None:
-        self._error = record
-        self._hear('thermal_error', record)
-
-    def _note_applied(self, record: CompensationApplied) -> None:
-        self._applied = record
-        self._working = self._working + 1 if self._works() else 0
-        self._hear('compensation_applied', record)
-
-    def _note_state(self, record: MachineState) -> None:
-        self._now = record.stamp
-        self._hear('machine_state', record)
-
-    def _hear(self, topic: str, record: Any) -> None:
-        self.heard.append((topic, record.stamp, time.monotonic()))
+    def _hear(self, topic: str, record: Record) -> None:
+        """Note a message; if a scenario is judged by its topic it must be in the recording."""
+        if topic in RECORDS:
+            self.heard.append((topic, record.stamp, time.monotonic()))
 
     def _spin(self) -> None:
         self._executor.spin_once(timeout_sec=0.002 if self.relay.fault else 0.02)
         self.relay.send_due()
+        self._operate()
         try:
             self.supervisor.poll(time.monotonic())
         except GraphError as error:

@@ -2,20 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run the scenarios of one stage on a live graph and judge them by its bags."""
 
-import fcntl
 import os
-import socket
-import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fuzzycnc_ros.cli.graph_processes import GraphError
+from fuzzycnc_ros.cli.free_domain import free_domain
 from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.faults.campaign import chosen
-from fuzzycnc_ros.faults.scenario import Ends, Scenario, Stage
+from fuzzycnc_ros.faults.scenario import Ends, Kind, Scenario, Stage
 from fuzzycnc_ros.faults.verdict import Verdict, judge
 
 if TYPE_CHECKING:
@@ -27,10 +24,6 @@ PUBLISHED = {name: {item.name for item in c.OUTPUTS} for name, c in COMPONENTS.i
 """Topics that a node publishes."""
 STILLBORN = 2
 """Graphs in a row that may not come to work before that is held against the scenario."""
-DOMAINS = 100
-"""ROS domains 1 to 100: above 101 the ports lie among those that the system hands out."""
-FIRST_PORT, PORTS_EACH = 7410, 250
-"""Port that the first participant of domain 0 takes, and ports of each domain (DDS-RTPS)."""
 LAST_SECOND = 1.0
 """Wall time [s] before a recorder ends that it may lose."""
 
@@ -64,7 +57,7 @@ def run_stage(
     (stage,) = chosen(names)
     waiting, verdicts = list(stage.scenarios), []
     lives = stillborn = 0
-    with nullcontext(domain) if domain is not None else _free_domain() as number:
+    with nullcontext(domain) if domain is not None else free_domain() as number:
         os.environ['ROS_DOMAIN_ID'] = str(number)
         while waiting:
             own = folder / f'{stage.name}_{lives}'
@@ -73,35 +66,11 @@ def run_stage(
                 stage, waiting, progress, model, own, seed, patient=stillborn < STILLBORN
             )
             verdicts += found
-            # A graph that does not compensate any more proves nothing for what follows.
+            # A graph that does not work any more proves nothing for what follows.
             waiting = waiting[len(found) :]
             stillborn = 0 if found else stillborn + 1
             lives += 1
     return verdicts
-
-
-@contextmanager
-def _free_domain() -> Iterator[int]:
-    """Yield a ROS domain that nobody on this host uses; a lock file holds it against others.
-
-    Raises
-    ------
-    GraphError
-        If there is none.
-    """
-    for offset in range(DOMAINS):
-        number = 1 + (os.getpid() + offset) % DOMAINS
-        path = Path(tempfile.gettempdir()) / f'fuzzycnc-domain-{os.getuid()}-{number}.lock'
-        with path.open('w') as handle:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-                    probe.bind(('', FIRST_PORT + PORTS_EACH * number))
-            except OSError:
-                continue
-            yield number
-            return
-    raise GraphError(f'expected a free ROS domain among 1 to {DOMAINS} but all are in use')
 
 
 def _one_life(
@@ -119,17 +88,16 @@ def _one_life(
     One that does not come to work on a busy computer proves nothing: if `patient` there is no
     verdict then, else at least one.
     """
-    from fuzzycnc_ros.cli.fault_graph import LiveGraph
     from fuzzycnc_ros.faults.cutting import cut_and_repair
     from fuzzycnc_ros.faults.evidence import Evidence, whole
 
     done: list[tuple[Scenario, int, list[str], tuple[float, float]]] = []
-    with LiveGraph(stage, model, folder, seed) as live:
+    with _graph(stage, model, folder, seed) as live:
         for scenario in waiting:
             place = len(stage.scenarios) - len(waiting) + len(done)
             progress(stage.name, scenario.name, place, len(stage.scenarios))
             live.destroyed, live.findings = 0, []
-            ready = live.until(live.at_work, 'the graph compensates')
+            ready = live.until(live.at_work, 'the graph works')
             if not ready and (done or patient):
                 break
             began = time.monotonic()
@@ -137,14 +105,16 @@ def _one_life(
             if ready:
                 scenario.act(live)
                 if scenario.ends is Ends.FOLLOWS:
-                    live.until(live.at_work, 'compensation is at work again')
+                    live.until(live.at_work, 'the graph works again')
                     live.wait(0.3)
             if live.ended and patient:
                 break  # the duty was over before the scenario was
+            span = (began, time.monotonic())
             live.mark(f'end {scenario.name}')
-            done.append((scenario, live.destroyed, live.findings, (began, time.monotonic())))
+            done.append((scenario, live.destroyed, live.findings, span))
             if live.ended or live.findings:
                 break
+        live.let_record()
     if not done:
         return []
     bags = live.bags
@@ -159,12 +129,25 @@ def _one_life(
             judge(
                 scenario,
                 evidence,
+                kind=stage.kind,
                 destroyed=destroyed + lost,
                 unrecorded=beyond,
                 findings=findings,
             )
         )
     return verdicts
+
+
+def _graph(stage: Stage, model: Path, folder: Path, seed: int) -> 'LiveGraph':
+    """Return the graph of a stage."""
+    from fuzzycnc_ros.cli.fault_moving import DriveGraph, PathGraph, PatternGraph
+    from fuzzycnc_ros.cli.fault_thermal import ThermalGraph
+
+    if stage.kind is Kind.OFFSETS:
+        return ThermalGraph(stage, folder, model, seed)
+    if stage.kind is Kind.DRIVE:
+        return DriveGraph(stage, folder)
+    return PathGraph(stage, folder) if stage.kind is Kind.PATH else PatternGraph(stage, folder)
 
 
 def _unrecorded(

@@ -63,10 +63,12 @@ def faults(
 
     Nodes are killed and stopped, messages lost, delayed, doubled and reordered, values and clocks
     falsified, the disk filled, bags cut, models damaged, parameters set out of range, strangers
-    let in. Each scenario states beforehand how long the machine may be out of a safe state, which
-    is: at zero offset, or following a fresh and valid error. It is judged by its bag: no offset
-    beyond the clamp, no step beyond the slew limit in any sample, nothing lost from the recording
-    but what the scenario destroys. The command ends with 1 if one is not safe.
+    let in: on a mill that is compensated, on axes that follow paths or are driven by the servo
+    controller, and on patterns that are stitched. Each scenario states beforehand how long the
+    machine may be out of a safe state, which is: at zero offset, or following a fresh and valid
+    error; at rest, or moved by somebody who answers for it. It is judged by its bag: no limit
+    exceeded in any sample, nothing lost from the recording but what the scenario destroys. The
+    command ends with 1 if one is not safe.
 
         fuzzycnc faults --json faults.json
 
@@ -126,16 +128,17 @@ def campaign(
     from fuzzycnc_ros.cli.workers import in_workers
     from fuzzycnc_ros.core.thermal import load_model, train_model
     from fuzzycnc_ros.faults.campaign import chosen
+    from fuzzycnc_ros.faults.scenario import Kind
     from fuzzycnc_ros.scenario import record_calibration
 
     stages = chosen(names)
     file = folder / 'model.json'
-    if model is None:
-        text = train_model(record_calibration(seed=seed).runs).to_json()
-    else:
+    if model is not None:
         load_model(model)
-        text = model.read_text(encoding='utf-8')
-    file.write_text(text, encoding='utf-8')
+        file.write_text(model.read_text(encoding='utf-8'), encoding='utf-8')
+    elif any(stage.kind is Kind.OFFSETS for stage in stages):
+        text = train_model(record_calibration(seed=seed).runs).to_json()
+        file.write_text(text, encoding='utf-8')
     side_by_side = jobs or min(SIDE_BY_SIDE, os.cpu_count() or 1)
     work: Any = partial(run_stage, model=file, folder=folder, seed=seed)
     pieces = [tuple(scenario.name for scenario in stage.scenarios) for stage in stages]

@@ -4,12 +4,14 @@
 
 import signal
 from collections.abc import Callable
+from typing import Any
 
-from fuzzycnc_ros.faults.falsified import falsified, shifted, shifted_clock
+from fuzzycnc_ros.faults.falsified import Falsified, falsified, shifted, shifted_clock
 from fuzzycnc_ros.faults.relay import CLOCK, Delay, Drop, Duplicate, Falsify, RouteFault
-from fuzzycnc_ros.faults.scenario import Live
+from fuzzycnc_ros.faults.scenario import Live, MovingLive, ThermalLive
 
 Action = Callable[[Live], None]
+ThermalAction = Callable[[ThermalLive], None]
 
 SEED = 7
 STOPPED = 1.5
@@ -34,30 +36,39 @@ def kill(node: str) -> Action:
     return act
 
 
-def kill_machine(live: Live) -> None:
+def kill_machine(live: ThermalLive) -> None:
     """Kill what makes time and start it anew."""
     live.restart_machine()
     live.run(5.0)
 
 
-def stop(node: str) -> Action:
-    """Return what stops a process and lets it go on."""
+def stop(node: str, minutes: float = 2.0) -> Action:
+    """Return what stops a process, lets it go on, and waits a while [min of machine time]."""
 
     def act(live: Live) -> None:
         live.signal(node, signal.SIGSTOP)
         live.wait(STOPPED)
         live.signal(node, signal.SIGCONT)
-        live.run(2.0)
+        live.run(minutes)
 
     return act
 
 
-def disturb(make: Callable[[Live], RouteFault], minutes: float = DISTURBED) -> Action:
-    """Return what disturbs the routes of the relay for a while."""
+def nothing(live: Any) -> None:
+    """Let the graph go on."""
+
+
+def disturb(
+    make: Callable[[Live], RouteFault],
+    minutes: float = DISTURBED,
+    meanwhile: Callable[[Any], None] = nothing,
+) -> Action:
+    """Return what disturbs the routes of the relay for a while, and does something meanwhile."""
 
     def act(live: Live) -> None:
         fault = make(live)
         live.relay.fault = fault
+        meanwhile(live)
         live.run(minutes)
         live.relay.fault = None
         live.destroyed += getattr(fault, 'count', 0)
@@ -65,14 +76,14 @@ def disturb(make: Callable[[Live], RouteFault], minutes: float = DISTURBED) -> A
     return act
 
 
-def drop(share: float) -> Action:
-    """Return what loses a share of all messages."""
-    return disturb(lambda live: Drop(share, SEED))
+def drop(share: float, minutes: float = DISTURBED) -> Action:
+    """Return what loses a share of all messages for a while."""
+    return disturb(lambda live: Drop(share, SEED), minutes)
 
 
-def delay(seconds: float) -> Action:
-    """Return what delays all messages [s of machine time]."""
-    return disturb(lambda live: Delay(seconds / live.rate, seconds / live.rate, SEED))
+def delay(seconds: float, minutes: float = DISTURBED) -> Action:
+    """Return what delays all messages [s of machine time] for a while."""
+    return disturb(lambda live: Delay(seconds / live.rate, seconds / live.rate, SEED), minutes)
 
 
 def duplicate(seconds: float) -> Action:
@@ -80,14 +91,24 @@ def duplicate(seconds: float) -> Action:
     return disturb(lambda live: Duplicate(seconds / live.rate))
 
 
-def reorder(seconds: float) -> Action:
+def reorder(seconds: float, minutes: float = DISTURBED) -> Action:
     """Return what delays each message by another time up to this one [s of machine time]."""
-    return disturb(lambda live: Delay(0.0, seconds / live.rate, SEED))
+    return disturb(lambda live: Delay(0.0, seconds / live.rate, SEED), minutes)
 
 
-def falsify(topic: str, kind: str) -> Action:
+def falsify(
+    wrong: Falsified,
+    kind: str,
+    minutes: float = FAULTY,
+    meanwhile: Callable[[Any], None] = nothing,
+) -> Action:
     """Return what makes the values on a topic wrong for a while."""
-    return disturb(lambda live: Falsify(topic, falsified(topic, kind)), FAULTY)
+    return disturb(lambda live: Falsify(wrong.topic, falsified(wrong, kind)), minutes, meanwhile)
+
+
+def begin_anew(live: MovingLive) -> None:
+    """Have what leads the axes begin something else at once."""
+    live.begin_anew()
 
 
 def shift_stamps(topic: str, seconds: float) -> Action:
@@ -100,20 +121,20 @@ def shift_clock(seconds: int) -> Action:
     return disturb(lambda live: Falsify(CLOCK, shifted_clock(seconds)), 5.0)
 
 
-def fill_disk(live: Live) -> None:
+def fill_disk(live: ThermalLive) -> None:
     """Let the recorder's file grow no further; it ends, and is started again with another one."""
     live.wait(UNWRITTEN)
     live.fill_disk()
     live.await_restart('recorder')
 
 
-def set_out_of_range(live: Live) -> None:
+def set_out_of_range(live: ThermalLive) -> None:
     """Set parameters out of their range while the node works."""
     live.refused_everywhere()
     live.run(5.0)
 
 
-def use_damaged_model(live: Live) -> None:
+def use_damaged_model(live: ThermalLive) -> None:
     """Let the predictor take over a model whose file is damaged."""
     file = live.damage_model()
     if not live.set_parameters('thermal_predictor', {'model': file}):
@@ -121,7 +142,7 @@ def use_damaged_model(live: Live) -> None:
     live.run(5.0)
 
 
-def start_with_damaged_model(live: Live) -> None:
+def start_with_damaged_model(live: ThermalLive) -> None:
     """Damage the model file and kill the predictor: it cannot be started again."""
     live.damage_model()
     live.signal('thermal_predictor', signal.SIGKILL)
@@ -129,7 +150,7 @@ def start_with_damaged_model(live: Live) -> None:
     live.run(2.0)
 
 
-def foreign_offsets(live: Live) -> None:
+def foreign_offsets(live: ThermalLive) -> None:
     """Let a stranger publish offsets, of the highest rank, beside the compensator."""
     strangers = live.stranger('compensation', ('stranger',))
     live.wait(1.0)
@@ -140,7 +161,7 @@ def foreign_offsets(live: Live) -> None:
     strangers.leave()
 
 
-def foreign_axis_commands(live: Live) -> None:
+def foreign_axis_commands(live: ThermalLive) -> None:
     """Let two strangers command the drives."""
     strangers = live.stranger('axis_command', ('driver_1', 'driver_2'))
     live.wait(1.0)
@@ -149,7 +170,7 @@ def foreign_axis_commands(live: Live) -> None:
     strangers.leave()
 
 
-def two_compensators(live: Live) -> None:
+def two_compensators(live: ThermalLive) -> None:
     """Start a second compensator on the same machine."""
     end = live.second_compensator()
     live.until(live.at_zero, 'offsets go to zero')

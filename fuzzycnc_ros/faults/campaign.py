@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from fuzzycnc_ros.faults import actions
 from fuzzycnc_ros.faults.falsified import FIELDS, KINDS
+from fuzzycnc_ros.faults.moving import MOVING
 from fuzzycnc_ros.faults.relay import CLOCK, THERMAL
 from fuzzycnc_ros.faults.scenario import BY_COMPENSATOR, BY_MACHINE, Ends, Scenario, Stage
 
@@ -189,7 +190,7 @@ def _values(topic: str) -> Stage:
             Scenario(
                 f'{kind}_{topic}',
                 f'{FIELDS[topic].field} of {topic}: {kind}',
-                actions.falsify(topic, kind),
+                actions.falsify(FIELDS[topic], kind),
                 BY_COMPENSATOR,
                 says=SAYS.get(f'{kind}_{topic}', ''),
             )
@@ -201,6 +202,7 @@ def _values(topic: str) -> Stage:
 
 STAGES = (
     _kills(),
+    *MOVING,
     _strangers(),
     _stops(),
     _disturbances(),

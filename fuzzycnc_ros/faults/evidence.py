@@ -20,10 +20,17 @@ from fuzzycnc_ros.bags.repair import repair
 from fuzzycnc_ros.bags.sequence import SequenceCounter
 from fuzzycnc_ros.components.component import STREAM
 from fuzzycnc_ros.components.records import (
+    AxisCommand,
+    AxisState,
+    CompensatedPath,
     Compensation,
     CompensationApplied,
     MachineState,
+    ServoState,
     ThermalError,
+    ToolPath,
+    Trajectory,
+    TrajectoryState,
 )
 from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.convert import decode
@@ -36,6 +43,13 @@ RECORDS = {
     'compensation_applied': CompensationApplied,
     'thermal_error': ThermalError,
     'machine_state': MachineState,
+    'axis_state': AxisState,
+    'tool_path': ToolPath,
+    'trajectory': Trajectory,
+    'trajectory_state': TrajectoryState,
+    'axis_command': AxisCommand,
+    'servo_state': ServoState,
+    'compensated_path': CompensatedPath,
 }
 """Topics that a scenario is judged by."""
 

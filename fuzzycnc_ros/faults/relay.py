@@ -9,13 +9,13 @@ topic itself, so that a bag has what was sent beside what arrived.
 import heapq
 import random
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
-from fuzzycnc_ros.components.component import STREAM
+from fuzzycnc_ros.components.component import STREAM, Durability
 from fuzzycnc_ros.components.records import Record
 from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.convert import decode, encode
@@ -112,11 +112,17 @@ def record_types() -> dict[str, type[Record]]:
     return {item.name: item.record for c in COMPONENTS.values() for item in c.INPUTS}
 
 
-def readers(topic: str) -> int:
-    """Return how many nodes of thermal compensation read a topic."""
+def durability(topic: str) -> Durability:
+    """Return how the nodes that read a topic keep it."""
+    kept = {item.name: item.durability for c in COMPONENTS.values() for item in c.INPUTS}
+    return kept.get(topic, STREAM)
+
+
+def readers(topic: str, nodes: Sequence[str]) -> int:
+    """Return how many of some nodes read a topic."""
     if topic == CLOCK:
-        return len(THERMAL)
-    inputs = [{item.name for item in COMPONENTS[name].INPUTS} for name in THERMAL]
+        return len(nodes)
+    inputs = [{item.name for item in COMPONENTS[name].INPUTS} for name in nodes]
     return sum(topic in names for names in inputs)
 
 
@@ -129,32 +135,35 @@ class Relay:
         The node; its namespace is that of the machine.
     topics : iterable of str
         Topics whose publishers are remapped.
+    nodes : sequence of str
+        Nodes of the graph beside machine and recorder.
     """
 
-    def __init__(self, node: Node, topics: Any) -> None:
+    def __init__(self, node: Node, topics: Iterable[str], nodes: Sequence[str]) -> None:
         self.fault: RouteFault | None = None
         self._node = node
         self._waiting: list[tuple[float, int, str, bytes]] = []
         self._serial = 0
         self._publishers: dict[str, Any] = {}
         types = record_types()
-        self._readers = {topic: readers(topic) for topic in topics}
+        self._readers = {topic: readers(topic, nodes) for topic in topics}
         for topic in topics:
             type_name = _CLOCK_TYPE if topic == CLOCK else types[topic].TYPE
+            kept = durability(topic)
             self._publishers[topic] = node.create_publisher(
-                message_class(type_name), topic, publisher_qos(STREAM)
+                message_class(type_name), topic, publisher_qos(kept)
             )
             create_subscription(
                 node,
                 type_name,
                 direct(topic),
                 self._handler(topic),
-                subscription_qos(STREAM, lockstep=True),
+                subscription_qos(kept, lockstep=True),
                 raw=True,
             )
 
     def matched(self) -> bool:
-        """Whether each topic has met the recorder and the thermal nodes that read it.
+        """Whether each topic has met the recorder and the nodes that read it.
 
         The machine itself is started later.
         """

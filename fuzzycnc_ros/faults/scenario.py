@@ -5,14 +5,23 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from math import log
 from typing import Any, Protocol
 
 from fuzzycnc_ros.components.compensator import CompensatorConfig
+from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.servo_axes import make_plant
+from fuzzycnc_ros.components.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.components.simulated_machine_config import SimulatedMachineConfig
-from fuzzycnc_ros.faults.relay import Relay
+from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.faults.relay import THERMAL, Relay
 
 LIMITS, MACHINE = CompensatorConfig(), SimulatedMachineConfig()
+SCHEDULER, SERVO = FeedrateSchedulerConfig(), ServoControllerConfig()
 _TICKS = 2.0 * MACHINE.tick_period
+
+RESTING = 2e-3
+"""Speed below which an axis rests [m/s]."""
 
 BY_MACHINE = LIMITS.validity + MACHINE.offset_max / MACHINE.slew_max + _TICKS
 """Machine time [s] in which the machine side is at zero by itself: the last command expires, and
@@ -27,6 +36,34 @@ BY_COMPENSATOR = (
 """Machine time [s] in which the compensator is at zero: it notices, holds, and ramps the largest
 offset away."""
 
+_BRAKING = SCHEDULER.path_velocity / SCHEDULER.path_acceleration
+BY_PATH = SCHEDULER.lead + _BRAKING + SCHEDULER.settle + 2.0 * SCHEDULER.period
+"""Machine time [s] in which axes rest that get no more parts of a trajectory, from when the next
+one was to be sent: what they have been given is over, they brake on the path, and arrive."""
+AXIS: LinearAxis = make_plant('lathe', period=SERVO.period).linear()
+"""Nominal model of the driven axes."""
+_COASTING = AXIS.lag * log(AXIS.gain / RESTING)
+BY_DRIVE = SERVO.command_validity + SERVO.silence_max + _COASTING + 10.0 * SERVO.period
+"""Machine time [s] in which a driven axis rests that nobody answers for: what is wrong is found,
+the last command runs out of date, and the axis coasts from full speed to rest."""
+
+
+SPEED_MAX = MACHINE.axis_velocity_max
+"""Largest speed of an axis whose drives get no false duties [m/s]: what the machine allows."""
+
+
+class Kind(Enum):
+    """What the machine of a stage does, and so what is safe."""
+
+    OFFSETS = 'offsets'
+    """It warms up and is compensated."""
+    PATH = 'path'
+    """It follows tool paths with axes of its own."""
+    DRIVE = 'drive'
+    """Its axes are driven from outside."""
+    PATTERN = 'pattern'
+    """It stitches soft sheets."""
+
 
 class Ends(Enum):
     """What the machine must do at the end of a scenario."""
@@ -40,6 +77,8 @@ class Ends(Enum):
 
 class Live(Protocol):
     """A running graph that faults are put into.
+
+    It has an operator too, who sends paths, moves and patterns anew when nothing moves any more.
 
     Attributes
     ----------
@@ -59,10 +98,7 @@ class Live(Protocol):
     findings: list[str]
 
     def at_work(self) -> bool:
-        """Whether the machine follows a compensator that moves it."""
-
-    def at_zero(self) -> bool:
-        """Whether no offset is in force."""
+        """Whether the machine does what it is there for."""
 
     def until(self, condition: Callable[[], bool], what: str) -> bool:
         """Wait until a condition holds; note it as a finding if it does not in time."""
@@ -78,6 +114,20 @@ class Live(Protocol):
 
     def await_restart(self, node: str) -> None:
         """Wait until a node that was killed is started again and speaks."""
+
+
+class MovingLive(Live, Protocol):
+    """A graph whose axes move."""
+
+    def begin_anew(self) -> None:
+        """Have what leads the axes begin something else at once."""
+
+
+class ThermalLive(Live, Protocol):
+    """A graph of thermal compensation."""
+
+    def at_zero(self) -> bool:
+        """Whether no offset is in force."""
 
     def restart_machine(self) -> None:
         """Kill the simulated machine and start it anew."""
@@ -122,7 +172,7 @@ class Scenario:
     what : str
         What is done, in a few words.
     act : callable
-        Does it to a live graph, and undoes it where that is possible.
+        Does it to a live graph of its stage's kind, and undoes it where that is possible.
     stated : float
         Machine time [s] that the machine may be out of a safe state.
     ends : Ends
@@ -133,16 +183,23 @@ class Scenario:
         Whether the scenario destroys a part of the recording, but for the last second before.
     cuts : bool
         Whether the finished bag is damaged afterwards.
+    found : bool
+        Whether what is false can be told from what is right, so that it may drive nothing for
+        longer than `stated`.
+    speed_max : float
+        Largest speed of a driven axis [m/s].
     """
 
     name: str
     what: str
-    act: Callable[[Live], None]
+    act: Callable[[Any], None]
     stated: float
     ends: Ends = Ends.FOLLOWS
     says: str = ''
     loses: bool = False
     cuts: bool = False
+    found: bool = True
+    speed_max: float = SPEED_MAX
 
 
 @dataclass(frozen=True)
@@ -159,9 +216,15 @@ class Stage:
         Topics into which the relay is put, each with the node that publishes it.
     scenarios : tuple of Scenario
         In the order in which they are run.
+    kind : Kind
+        What the machine does.
+    nodes : tuple of str
+        Nodes of the graph beside machine and recorder.
     """
 
     name: str
     rate: float
     scenarios: tuple[Scenario, ...]
     routes: Mapping[str, str]
+    kind: Kind = Kind.OFFSETS
+    nodes: tuple[str, ...] = THERMAL

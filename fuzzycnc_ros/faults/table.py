@@ -24,7 +24,7 @@ def listing(names: Sequence[str]) -> Table:
         Column('What is done', numeric=False),
     )
     rows = tuple(
-        (scenario.name, f'{scenario.stated:.0f}', scenario.ends.value, scenario.what)
+        (scenario.name, f'{scenario.stated:.3g}', scenario.ends.value, scenario.what)
         for stage in chosen(names)
         for scenario in stage.scenarios
     )
@@ -50,8 +50,8 @@ def result_table(verdicts: Sequence[Verdict]) -> Table:
             'yes' if item.safe else 'NO',
             f'{item.worst_offset_um:.2f}',
             f'{item.worst_step_um:.2f}',
-            f'{item.time_to_safe_s:.0f}',
-            f'{item.stated_s:.0f}',
+            f'{item.time_to_safe_s:.3g}',
+            f'{item.stated_s:.3g}',
             str(item.lost_messages),
             str(len(item.diagnostics)),
             _short(item.told),

@@ -3,37 +3,24 @@
 """Judge a scenario by what was recorded of it."""
 
 import re
-from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Any
 
-import numpy as np
+from fuzzycnc_ros.faults.drive_verdict import measure_drive
+from fuzzycnc_ros.faults.evidence import Evidence, Window
+from fuzzycnc_ros.faults.measured import Measured
+from fuzzycnc_ros.faults.offset_verdict import measure_offsets
+from fuzzycnc_ros.faults.path_verdict import measure_path
+from fuzzycnc_ros.faults.pattern_verdict import measure_pattern
+from fuzzycnc_ros.faults.scenario import Kind, Scenario
 
-from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState
-from fuzzycnc_ros.components.records import SECOND
-from fuzzycnc_ros.faults.evidence import Evidence, Recorded, Window
-from fuzzycnc_ros.faults.scenario import (
-    BY_COMPENSATOR,
-    BY_MACHINE,
-    LIMITS,
-    MACHINE,
-    Ends,
-    Scenario,
-)
-from fuzzycnc_ros.faults.strangers import STRANGE_EPOCH
-
-MICRO = 1e-6
-ROUNDING = 1e-12
-"""What may be lost in sums of offsets [m]."""
-GAP = 10.0 * MACHINE.tick_period
-"""Machine time [s] without a tick from which on a recording has a gap."""
-END_TICKS, FOLLOWING_TICKS = 40, 5
-"""At the end of a scenario, ticks among which so many in a row must follow: at hundreds of times
-real time a busy computer alone makes an error late now and then, for which it is held."""
-FRESH = LIMITS.stale_after + LIMITS.period + 2.0 * MACHINE.tick_period
-"""Age of a thermal error [s of machine time] up to which following it is safe."""
+Measure = Callable[[Scenario, Window, Evidence], Measured | None]
+MEASURES: Mapping[Kind, Measure] = {
+    Kind.OFFSETS: measure_offsets,
+    Kind.PATH: measure_path,
+    Kind.DRIVE: measure_drive,
+    Kind.PATTERN: measure_pattern,
+}
 
 
 @dataclass
@@ -47,11 +34,12 @@ class Verdict:
     safe : bool
         Whether all that is demanded held.
     told : str
-        States that the compensator told the machine, in their order.
+        States that the machine was told or told itself, in their order.
     worst_offset_um : float
-        Largest offset in force [um].
+        Largest offset in force, or distance from where the axes should be [um].
     worst_step_um : float
-        Largest change of an offset in force from one tick to the next [um].
+        Largest change of it, or of the commanded or driven position, from one sample to the next
+        [um].
     time_to_safe_s : float
         Longest time out of a safe state [s of machine time]; where the machine side has to be safe
         by itself, without the time in which it follows a command.
@@ -82,6 +70,7 @@ def judge(
     scenario: Scenario,
     evidence: Evidence,
     *,
+    kind: Kind = Kind.OFFSETS,
     destroyed: int = 0,
     unrecorded: int = 0,
     findings: Sequence[str] = (),
@@ -94,6 +83,8 @@ def judge(
         What was done and what it states.
     evidence : Evidence
         What was recorded.
+    kind : Kind
+        What the machine does.
     destroyed : int
         Messages that it has destroyed on purpose.
     unrecorded : int
@@ -101,21 +92,18 @@ def judge(
     findings : sequence of str
         What went wrong on the live graph.
     """
-    verdict = Verdict(scenario.name, scenario.what, round(scenario.stated, 1))
+    verdict = Verdict(scenario.name, scenario.what, round(scenario.stated, 3))
     verdict.why += findings
     window = evidence.windows.get(scenario.name)
-    applied = window.of(evidence.sent('compensation_applied'), before=1) if window else []
-    if window is None or len(applied) < 2:
+    measured = MEASURES[kind](scenario, window, evidence) if window is not None else None
+    if window is None or measured is None:
         verdict.why.append('too little was recorded to judge it')
         return verdict
-    told = [r for r in evidence.sent('compensation') if r.record.epoch < STRANGE_EPOCH]
-    verdict.why += _limits(applied, MACHINE.offset_max, MACHINE.slew_max, 'applied')
-    for stream in streams(window.of(told, before=1)):
-        verdict.why += _limits(stream, LIMITS.offset_max, LIMITS.slew_max, 'told')
-    _measure(verdict, applied, window.of(told))
-    safe = _safety(applied, told, evidence.sent('thermal_error'))
-    verdict.why += _times(verdict, scenario, applied, safe)
-    verdict.why += _ending(scenario, applied[-END_TICKS:], safe[-END_TICKS:])
+    verdict.told = measured.told
+    verdict.worst_offset_um = measured.worst_offset_um
+    verdict.worst_step_um = measured.worst_step_um
+    verdict.time_to_safe_s = measured.time_to_safe_s
+    verdict.why += measured.why
     missing = sum(window.begin <= place < window.end for place in evidence.lost)
     verdict.lost_messages = missing + destroyed + unrecorded
     if unrecorded or (missing and not scenario.loses):
@@ -123,146 +111,6 @@ def judge(
     _listen(verdict, scenario, window, evidence)
     verdict.safe = not verdict.why
     return verdict
-
-
-def streams(told: Sequence[Recorded]) -> list[list[Recorded]]:
-    """Tell publishers of one topic apart by their numbers, and what was told as one owner."""
-    found: list[list[Recorded]] = []
-    for item in told:
-        own = [s for s in found if s[-1].sequence < item.sequence]
-        nearest = max(own, key=lambda s: s[-1].sequence, default=None)
-        if nearest is None or nearest[-1].record.epoch != item.record.epoch:
-            found.append([item])
-        else:
-            nearest.append(item)
-    return found
-
-
-def _limits(items: Sequence[Recorded], offset_max: float, slew_max: float, what: str) -> list[str]:
-    """Say where offsets exceed clamp or slew limit, each kind of fault once."""
-    wrong: dict[str, str] = {}
-    for item in items:
-        offset = item.record.offset
-        at = f'at {item.record.stamp / SECOND:.1f} s'
-        if not np.isfinite(offset).all():
-            wrong.setdefault('finite', f'{what} offset is not finite {at}')
-        elif np.abs(offset).max(initial=0.0) > offset_max:
-            worst = np.abs(offset).max() / MICRO
-            wrong.setdefault('size', f'{what} offset of {worst:.2f} um {at} exceeds the clamp')
-    for before, after in pairwise(items):
-        elapsed = (after.record.stamp - before.record.stamp) / SECOND
-        if after.record.axis != before.record.axis:
-            wrong.setdefault('axes', f'{what} offsets are of other axes: who else is there?')
-            continue
-        if elapsed < 0.0:
-            if what == 'applied' and after.record.offset.any():
-                wrong.setdefault('life', 'a machine that was started anew has offsets')
-            continue
-        step = np.abs(after.record.offset - before.record.offset).max(initial=0.0)
-        if not step <= slew_max * elapsed + ROUNDING:
-            text = f'{what} offset moved by {step / MICRO:.2f} um in {elapsed:.3f} s'
-            wrong.setdefault('slew', f'{text} at {after.record.stamp / SECOND:.1f} s')
-    return list(wrong.values())
-
-
-def _measure(verdict: Verdict, applied: Sequence[Recorded], told: Sequence[Recorded]) -> None:
-    verdict.worst_offset_um = _worst(np.abs(item.record.offset) for item in applied)
-    verdict.worst_step_um = _worst(
-        np.abs(after.record.offset - before.record.offset)
-        for before, after in pairwise(applied)
-        if after.record.stamp >= before.record.stamp and after.record.axis == before.record.axis
-    )
-    states = [CompensationState(item.record.state).name.lower() for item in told]
-    changes = [s for n, s in enumerate(states) if n == 0 or s != states[n - 1]]
-    verdict.told = ' > '.join(changes) or 'nothing'
-
-
-def _worst(sizes: Any) -> float:
-    return round(max((float(size.max(initial=0.0)) for size in sizes), default=0.0) / MICRO, 3)
-
-
-def _safety(
-    applied: Sequence[Recorded], told: Sequence[Recorded], errors: Sequence[Recorded]
-) -> list[bool]:
-    """Say of each tick whether the machine is at zero or follows a fresh, valid error."""
-    found = []
-    valid = [item for item in errors if item.record.valid]
-    for item in applied:
-        now = item.record.stamp
-        command, error = _newest(told, item.place), _newest(valid, item.place)
-        fresh = error is not None and now - error.stamp <= FRESH * SECOND
-        follows = (
-            item.record.status == AppliedStatus.FOLLOWING
-            and command is not None
-            and command.state == CompensationState.ACTIVE
-            and now < command.valid_until
-            and fresh
-        )
-        found.append(follows or not item.record.offset.any())
-    return found
-
-
-def _newest(items: Sequence[Recorded], place: int) -> Any:
-    count = bisect_left(items, place, key=lambda item: item.place)
-    return items[count - 1].record if count else None
-
-
-def _times(
-    verdict: Verdict, scenario: Scenario, applied: Sequence[Recorded], safe: Sequence[bool]
-) -> list[str]:
-    """Measure how long the machine was out of a safe state, and say where that was too long.
-
-    A command that holds is the compensator's affair: on a busy computer an error may be late at
-    any time. The machine side answers for the time in which it follows none, in all scenarios.
-    """
-    following = [item.record.status == AppliedStatus.FOLLOWING for item in applied]
-    alone = [now or led for now, led in zip(safe, following, strict=True)]
-    by_itself = _longest_unsafe(applied, alone, scenario.loses)
-    in_all = _longest_unsafe(applied, safe, scenario.loses)
-    own = scenario.stated <= BY_MACHINE
-    verdict.time_to_safe_s = round(by_itself if own else in_all, 1)
-    found = []
-    if by_itself > BY_MACHINE:
-        found.append(
-            f'out of a safe state for {by_itself:g} s without a command, stated {BY_MACHINE:g} s'
-        )
-    stated = max(scenario.stated, BY_COMPENSATOR)
-    if in_all > stated:
-        found.append(f'out of a safe state for {in_all:g} s, stated {stated:g} s')
-    return found
-
-
-def _longest_unsafe(applied: Sequence[Recorded], safe: Sequence[bool], gaps: bool) -> float:
-    """Return the longest machine time [s] from leaving a safe state to the next one.
-
-    With `gaps` nothing is known of times in which nothing was recorded.
-    """
-    longest, since = 0.0, applied[0].record.stamp
-    before = since
-    for item, is_safe in zip(applied, safe, strict=True):
-        now = item.record.stamp
-        if now < since or (gaps and now - before > GAP * SECOND):
-            since = now
-        longest = max(longest, (now - since) / SECOND if not is_safe else 0.0)
-        if is_safe:
-            since = now
-        before = now
-    return longest
-
-
-def _ending(scenario: Scenario, applied: Sequence[Recorded], safe: Sequence[bool]) -> list[str]:
-    last = applied[-1].record
-    if scenario.ends is Ends.FOLLOWS:
-        row = longest = 0
-        for item, is_safe in zip(applied, safe, strict=True):
-            row = row + 1 if is_safe and item.record.offset.any() else 0
-            longest = max(longest, row)
-        if longest < FOLLOWING_TICKS:
-            return [f'does not follow again: {last.reason or "no command is followed"}']
-        return []
-    if scenario.ends is Ends.ZERO and last.offset.any():
-        return [f'ends with offsets of {_worst([np.abs(last.offset)]):g} um, not at zero']
-    return [] if safe[-1] else ['does not end in a safe state']
 
 
 def _listen(verdict: Verdict, scenario: Scenario, window: Window, evidence: Evidence) -> None:

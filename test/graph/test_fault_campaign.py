@@ -11,7 +11,7 @@ from fuzzycnc_ros.cli.fault_stage import run_stage
 from fuzzycnc_ros.faults.campaign import STAGES
 
 QUICK = ('strangers', 'compensation')
-"""Stages that are run without `slow` too; with all of them the file takes five minutes."""
+"""Stages that are run without `slow` too; with all of them the file takes ten minutes."""
 
 pytestmark = pytest.mark.ros
 
