@@ -3,13 +3,18 @@
 """The topics of a bag, from the channels of all its files."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from fuzzycnc_ros.bags.errors import BagFormatError
 from fuzzycnc_ros.bags.metadata import Profiles, parse_qos
 from fuzzycnc_ros.bags.storage import Contents
+
+QOS_MAX = 1000
+"""Most different QoS texts that are read; a topic that has another counts as of unknown QoS."""
+
+_LISTED = 30  # topics that a message lists
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,8 @@ def connect(path: Path, files: Sequence[Contents]) -> dict[str, Connection]:
     promised: Counter[str] = Counter()
     for contents in files:
         promised.update(contents.promised or {})
+    known_qos: dict[str, Profiles] = {}
+    offered: dict[str, dict[str, None]] = {}  # the texts of each topic, each once
     for channel in (c for contents in files for c in contents.channels):
         known = found.get(channel.topic)
         if known and known.type != channel.type:
@@ -64,14 +71,26 @@ def connect(path: Path, files: Sequence[Contents]) -> dict[str, Connection]:
                 f'{path}: expected one type on {channel.topic} but found {known.type} '
                 f'and {channel.type}'
             )
-        profiles = list(known.profiles) if known else []
-        profiles += [p for p in parse_qos(channel.qos) if p not in profiles]
+        if channel.qos not in known_qos and len(known_qos) < QOS_MAX:
+            known_qos[channel.qos] = parse_qos(channel.qos)
+        offered.setdefault(channel.topic, {})[channel.qos] = None
         found[channel.topic] = Connection(
             channel.topic,
             channel.type,
             promised[channel.topic],
-            profiles,
+            [],
             channel.type_hash,
             channel.definition,
         )
+    for topic, texts in offered.items():
+        profiles = found[topic].profiles
+        for text in texts:
+            profiles += [p for p in known_qos.get(text, []) if p not in profiles]
     return found
+
+
+def listed(topics: Iterable[str], none: str) -> str:
+    """Return topics as text, `none` if there are none; of very many, the first ones."""
+    names = list(topics)
+    more = f' and {len(names) - _LISTED} more' if len(names) > _LISTED else ''
+    return ', '.join(names[:_LISTED]) + more or none

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.csv_mapping import ISO8601, TIME_UNITS, CsvMapping
 from fuzzycnc_ros.bags.errors import CsvError
+from fuzzycnc_ros.core.repeated_names import repeated_names
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, SAMPLES_MIN
 
 _EMPTY = ('', 'nan', 'na', 'n/a', 'null', 'none', '-')  # how programs write a missing number
@@ -204,7 +205,7 @@ def _parse(path: Path, text: str, mapping: CsvMapping) -> Table:
         raise CsvError(
             f'{path}, line {reader.line_num}: expected CSV but found {error}'
         ) from error
-    repeated = sorted({name for name in header if header.count(name) > 1})
+    repeated = repeated_names(header)
     if repeated:
         raise CsvError(
             f'{path}, line 1: expected each column once but found '

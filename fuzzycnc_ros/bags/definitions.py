@@ -19,11 +19,15 @@ from fuzzycnc_ros.bags.libraries import load
 SEPARATOR = '=' * 80
 """Line between the definitions that one schema text embeds."""
 
-DEFINITION_MAX = 256 * 1024
+DEFINITION_MAX = 64 * 1024
 """Longest definition text that is parsed [characters]; the longest of ROS has 20,000."""
 
-ARRAY_MAX = 4096
-"""Longest fixed array of strings or messages; rosbags unrolls its code for each element."""
+DEPTH_MAX = 32
+"""Deepest nesting of messages; the deepest of ROS has 6 levels."""
+
+MEMBERS_MAX = 2048
+"""Most members of a message, those of the messages in it and of fixed arrays counted one by one:
+rosbags writes code for each element of an array of strings or messages."""
 
 _TYPE_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*/(msg|srv|action)/[A-Za-z][A-Za-z0-9_]*')
 _FIELD_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
@@ -77,7 +81,7 @@ def parse(text: str, type_name: str, encoding: str = 'ros2msg') -> Types:
     ------
     BagTypeError
         If the text is too long, cannot be parsed, has names that are no identifiers, refers to
-        itself, or has fixed arrays beyond reason.
+        itself, or has more levels or members than any message needs.
     """
     if encoding not in ('ros2msg', 'ros2idl'):
         raise BagTypeError(
@@ -127,22 +131,37 @@ def _check(types: Types) -> None:
             if not _FIELD_NAME.fullmatch(field):
                 raise BagTypeError(f'{name}: expected a field name but found {field!r}')
         for field, (kind, detail) in fields:
-            if kind != _ARRAY:
-                continue
-            (inner, inner_detail), length = detail
-            unrolled = inner == _NAME or inner_detail[0] == 'string'
-            if length < 0 or (unrolled and length > ARRAY_MAX):
-                raise BagTypeError(
-                    f'{name}: expected an array of at most {ARRAY_MAX} entries in {field!r} '
-                    f'but found {length}'
-                )
+            if kind == _ARRAY and detail[1] < 0:
+                raise BagTypeError(f'{name}: expected a length of {field!r}, found {detail[1]}')
+    counts: dict[str, int] = {}
     for name in types:
-        _check_depth(types, name, ())
+        _count_members(types, name, (), counts)
 
 
-def _check_depth(types: Types, name: str, parents: tuple[str, ...]) -> None:
+def _count_members(
+    types: Types, name: str, parents: tuple[str, ...], counts: dict[str, int]
+) -> int:
+    """Return the members of a type with all that it contains; each type is counted once."""
     if name in parents:
         raise BagTypeError(f'{name}: expected a definition that does not contain itself')
-    if name in types:
-        for reference in references(types, name):
-            _check_depth(types, reference, (*parents, name))
+    if len(parents) > DEPTH_MAX:
+        raise BagTypeError(f'{name}: expected at most {DEPTH_MAX} levels of messages')
+    if name not in types:
+        return 1  # this machine's own
+    if name not in counts:
+        total = 0
+        for _, (kind, detail) in types[name][1]:
+            inner = (kind, detail) if kind in (_BASE, _NAME) else detail[0]
+            number = 1
+            if inner[0] == _NAME:
+                number = _count_members(types, inner[1], (*parents, name), counts)
+            if kind == _ARRAY and (inner[0] == _NAME or inner[1][0] == 'string'):
+                number *= detail[1]
+            total += number
+        if total > MEMBERS_MAX:
+            raise BagTypeError(
+                f'{name}: expected at most {MEMBERS_MAX} members, with those of the messages in '
+                f'it and of arrays, but found {total}'
+            )
+        counts[name] = total
+    return counts[name]

@@ -8,8 +8,11 @@ from pathlib import Path
 from fuzzycnc_ros.bags.errors import BagFormatError
 from fuzzycnc_ros.bags.storage import Block, RawMessage
 
-OVERLAP_MAX = 1024 * 1024 * 1024
+OVERLAP_MAX = 128 * 1024 * 1024
 """Most bytes of chunks overlapping in time that are sorted together; more is no recording."""
+
+MESSAGES_MAX = 1_000_000
+"""Most messages that are."""
 
 Report = Callable[[Exception], None]
 """Takes what is wrong with a block; raises it, or the block is left out."""
@@ -34,7 +37,7 @@ def in_log_order(
     Raises
     ------
     BagFormatError
-        If more than `OVERLAP_MAX` bytes overlap in time.
+        If more than `OVERLAP_MAX` bytes or `MESSAGES_MAX` messages overlap in time.
     """
     blocks = [
         (place, block)
@@ -66,5 +69,10 @@ def _merged(path: Path, group: Mapping[int, Block], report: Report) -> list[RawM
             messages += block.read()
         except BagFormatError as error:
             report(error)
+        if len(messages) > MESSAGES_MAX:
+            raise BagFormatError(
+                f'{path}: expected chunks one after the other in time but {len(group)} of '
+                f'them, more than {MESSAGES_MAX} messages, overlap'
+            )
     messages.sort(key=lambda message: message.log_time)  # stable: ties stay in file order
     return messages

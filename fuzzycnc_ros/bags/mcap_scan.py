@@ -28,12 +28,13 @@ from fuzzycnc_ros.bags.mcap_record import (
     STATISTICS,
     Cursor,
 )
-from fuzzycnc_ros.bags.storage import Channel, check_regular
+from fuzzycnc_ros.bags.storage import TOPICS_MAX, Channel, check_regular
 
 MAGIC = b'\x89MCAP0\r\n'
 
 _CHUNK_HEAD = struct.Struct('<QQQII')
 _HEAD_MAX = 16 * 1024 * 1024
+_INDEX_MAX = 256 * 1024 * 1024  # a recording of a day and a terabyte has 100 MB
 _RUN_MAX = 1024 * 1024  # messages outside of chunks are read in runs of about this size
 
 
@@ -98,6 +99,7 @@ class McapScan:
         self._attachments: list[tuple[int, int]] = []
         self._schemas: dict[int, tuple[str, str, str]] = {}
         self._channels: dict[int, Channel] = {}
+        self._announced: dict[tuple[int, int], bytes] = {}
         self.statistics: dict[int, int] | None = None
         self._file = path.open('rb')
         try:
@@ -211,6 +213,9 @@ class McapScan:
     def _announce(self, opcode: int, body: bytes) -> None:
         cursor = Cursor(body)
         identifier = cursor.number('<H')
+        if self._announced.setdefault((opcode, identifier), body) != body:
+            what = 'schema' if opcode == SCHEMA else 'channel'
+            raise BagFormatError(f'{what} {identifier} is announced again as another')
         if opcode == SCHEMA:
             name, encoding = cursor.text(), cursor.text()
             self._schemas[identifier] = (name, encoding, cursor.text())
@@ -220,6 +225,8 @@ class McapScan:
         facts = cursor.mapping()
         if schema not in self._schemas:
             raise BagFormatError(f'topic {topic!r} has no message type')
+        if len(self._channels) >= TOPICS_MAX and identifier not in self._channels:
+            raise BagFormatError(f'expected at most {TOPICS_MAX} topics')
         name, schema_encoding, definition = self._schemas[schema]
         self._channels[identifier] = Channel(
             topic=topic,
@@ -236,9 +243,14 @@ class McapScan:
         if start == 0 or crc == 0:
             return
         # The checksum covers the footer as well, up to the checksum itself.
-        if not len(MAGIC) <= start <= body or crc != zlib.crc32(
-            self._bytes(start, body + 16 - start)
-        ):
+        found, position, end = 0, start, body + 16
+        if end - start > _INDEX_MAX:
+            self.problems.append(f'{self.path}: the index is larger than {_INDEX_MAX} bytes')
+            return
+        while len(MAGIC) <= start <= body and position < end:
+            found = zlib.crc32(self._bytes(position, min(end - position, _RUN_MAX)), found)
+            position += _RUN_MAX
+        if found != crc:
             self.problems.append(f'{self.path}: the checksum of the index is wrong')
 
     def _bytes(self, offset: int, length: int) -> bytes:

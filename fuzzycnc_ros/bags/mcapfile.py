@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from types import TracebackType
 
 from fuzzycnc_ros.bags.errors import BagFormatError, MissingLibraryError
@@ -25,14 +26,30 @@ from fuzzycnc_ros.bags.mcap_record import (
 from fuzzycnc_ros.bags.mcap_scan import Chunk, McapScan
 from fuzzycnc_ros.bags.storage import Attachment, Block, Contents, RawMessage
 
-CHUNK_MAX = 256 * 1024 * 1024
-"""Largest uncompressed chunk that is read [bytes]; rosbag2 closes them below 1 MB."""
+CHUNK_MAX = 64 * 1024 * 1024
+"""Largest uncompressed chunk that is read [bytes]; rosbag2 closes them below 1 MB, or when they
+hold one message."""
+
+RECORDS_MAX = 250_000
+"""Most records of a chunk; a megabyte of the smallest messages has 33,000."""
+
+FREE_RECORDS, FREE_BYTES = 1_000_000, 2**30
+"""Records, and bytes of chunks, of any file; beyond them a file must be as large as has one byte
+for each record and for 2,000 bytes of chunks: what is smaller was made to keep its reader busy."""
+
+ATTACHMENT_MAX = 128 * 1024 * 1024
+"""Largest attachment that is read [bytes]; a model takes less than one megabyte."""
 
 _RECORD = struct.Struct('<BQ')
 
 
 class McapFile(McapScan):
     """The messages and attachments of an MCAP file of rosbag2."""
+
+    def __init__(self, path: Path) -> None:
+        self._weighed: set[int] = set()  # offsets of chunks that count below
+        self._records = self._inflated = 0
+        super().__init__(path)
 
     def __enter__(self) -> 'McapFile':
         """Return the file."""
@@ -103,8 +120,9 @@ class McapFile(McapScan):
         Raises
         ------
         BagFormatError
-            If the chunk is damaged, larger than 256 MiB, or not what its head states.
+            If the chunk is damaged, larger than 64 MiB, or not what its head states.
         """
+        self._check_weight()
         if max(chunk.size, chunk.length) > CHUNK_MAX:
             raise self._damaged(
                 chunk, f'expected at most {CHUNK_MAX} bytes but its head states {chunk.size}'
@@ -127,7 +145,12 @@ class McapFile(McapScan):
         messages: list[RawMessage] = []
         position, end = 0, len(data)
         channels = self._channels
+        records = 0
         while position < end:
+            records += 1
+            if records > RECORDS_MAX:
+                self._weigh(chunk, records, end)
+                raise self._damaged(chunk, f'expected at most {RECORDS_MAX} records')
             if position + 9 > end or (
                 position + 9 + int.from_bytes(data[position + 1 : position + 9], 'little') > end
             ):
@@ -151,7 +174,26 @@ class McapFile(McapScan):
                     self._announce(opcode, data[body:position])
                 except BagFormatError as error:
                     raise self._damaged(chunk, str(error)) from error
+        self._weigh(chunk, records, end)
         return messages
+
+    def _weigh(self, chunk: Chunk, records: int, size: int) -> None:
+        """Count what a chunk holds, the first time that it is read."""
+        if chunk.offset not in self._weighed:
+            self._weighed.add(chunk.offset)
+            self._records += records
+            self._inflated += size
+
+    def _check_weight(self) -> None:
+        """Refuse a file that holds more than one of its size ever does."""
+        if (
+            self._records > FREE_RECORDS + self.size
+            or self._inflated > FREE_BYTES + 2000 * self.size
+        ):
+            raise BagFormatError(
+                f'{self.path}: expected a recording but {self.size} bytes stand for more than '
+                f'{self._records} records of {self._inflated} bytes'
+            )
 
     def salvage(self) -> list[RawMessage]:
         """Return the whole messages inside the chunk or record that a tear runs through."""
@@ -163,12 +205,13 @@ class McapFile(McapScan):
             return []
         with suppress(BagFormatError, *decompression_errors()):
             chunk = self._chunk_head(begin + 9, self.size - begin - 9, torn=True)
-            data = self._bytes(chunk.offset, self.size - chunk.offset)
+            data = self._bytes(chunk.offset, min(self.size - chunk.offset, CHUNK_MAX))
+            size = min(chunk.size, CHUNK_MAX)
             if chunk.compression == 'zstd':
-                data = load('zstandard').ZstdDecompressor().decompressobj().decompress(data)
+                data = load('zstandard').ZstdDecompressor().stream_reader(data).read(size)
             elif chunk.compression:
                 return []
-            return self.parse(data[: chunk.size], chunk, torn=True)
+            return self.parse(data[:size], chunk, torn=True)
         return []
 
     def _decompressed(self, chunk: Chunk, data: bytes) -> bytes:
@@ -191,6 +234,11 @@ class McapFile(McapScan):
         )
 
     def _attachment(self, body: int, length: int) -> Attachment:
+        if length > ATTACHMENT_MAX:
+            raise BagFormatError(
+                f'{self.path}: the attachment at byte {body}: expected at most {ATTACHMENT_MAX} '
+                f'bytes but found {length}'
+            )
         data = self._bytes(body, length)
         cursor = Cursor(data)
         try:

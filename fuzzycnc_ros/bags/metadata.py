@@ -24,6 +24,7 @@ STATE_KEY = 'fuzzycnc_state'
 STATE_RECORDING, STATE_CLOSED = 'recording', 'closed'
 
 _DEPTH_MAX = 32  # rosbag2 nests 7 levels
+_NODES_MAX = 100_000  # rosbag2 writes about 30 for a topic
 _NEVER = {'sec': 9223372036, 'nsec': 854775807}  # rmw's infinite duration
 _EMPTY_START = 2**63 - 1  # what rosbag2 writes as the start of a bag without messages
 
@@ -246,7 +247,7 @@ def read_metadata(folder: Path) -> Metadata | None:
         raise BagFormatError(
             f'{path}: expected YAML but found: {line}; run `fuzzycnc info --repair`'
         ) from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise BagFormatError(
             f'{path}: expected the entries of rosbag2 but one is missing or wrong '
             f'({type(error).__name__}: {error}); run `fuzzycnc info --repair`'
@@ -284,17 +285,36 @@ def _metadata(content: dict[str, Any]) -> Metadata:
 
 
 def _load(text: str) -> Any:
-    """Load YAML; the fast loader crashes the process on deep nesting, so that is ruled out."""
+    """Load YAML that is neither too deep nor too much, references counted for what they stand for.
+
+    The fast loader crashes the process on deep nesting; ten lines of references to references
+    stand for more than any memory holds.
+    """
     yaml = load('yaml')
     loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
-    depth = 0
+    sizes: dict[str, int] = {}
+    opened: list[tuple[str | None, int]] = []
+    total = 0
     for event in yaml.parse(text, Loader=loader):
-        if isinstance(event, yaml.events.CollectionStartEvent):
-            depth += 1
-        elif isinstance(event, yaml.events.CollectionEndEvent):
-            depth -= 1
-        if depth > _DEPTH_MAX:
+        if isinstance(event, yaml.AliasEvent):
+            if event.anchor not in sizes:  # of what it is a part of itself
+                raise yaml.YAMLError(f'expected no *{event.anchor} in what it stands for')
+            total += sizes[event.anchor]
+        elif isinstance(event, yaml.CollectionStartEvent):
+            opened.append((event.anchor, total))
+            total += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = opened.pop()
+            if anchor is not None:
+                sizes[anchor] = total - before
+        elif isinstance(event, yaml.ScalarEvent):
+            total += 1
+            if event.anchor is not None:
+                sizes[event.anchor] = 1
+        if len(opened) > _DEPTH_MAX:
             raise yaml.YAMLError(f'expected at most {_DEPTH_MAX} levels')
+        if total > _NODES_MAX:
+            raise yaml.YAMLError(f'expected at most {_NODES_MAX} values')
     return yaml.load(text, Loader=loader)
 
 
@@ -302,5 +322,6 @@ def _dump(value: object) -> str:
     yaml = load('yaml')
 
     # rosbag2's files repeat equal values where YAML would refer back to the first.
-    dumper = type('Dumper', (yaml.SafeDumper,), {'ignore_aliases': lambda self, data: True})
+    fast = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
+    dumper = type('Dumper', (fast,), {'ignore_aliases': lambda self, data: True})
     return str(yaml.dump(value, Dumper=dumper, sort_keys=False, allow_unicode=True))

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from fuzzycnc_ros.bags.connections import Connection
+from fuzzycnc_ros.bags.connections import Connection, listed
 from fuzzycnc_ros.bags.errors import BagError, BagTopicError, BagTypeError
 from fuzzycnc_ros.bags.metadata import Profiles
 from fuzzycnc_ros.bags.reader import BagReader
@@ -328,9 +328,9 @@ def require_topics(reader: BagReader, topics: Iterable[str], wanted: str) -> lis
     found = {topic: c.message_count for topic, c in reader.connections.items() if c.message_count}
     kept = [topic for topic in topics if topic in found]
     if not kept:
-        there = ', '.join(f'{topic} ({count})' for topic, count in found.items())
+        there = (f'{topic} ({count})' for topic, count in found.items())
         raise BagTopicError(
             f'{reader.path}: expected topics {wanted} but the bag has '
-            f'{there or "no messages at all"}'
+            f'{listed(there, "no messages at all")}'
         )
     return kept

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
-from fuzzycnc_ros.bags.connections import connect
+from fuzzycnc_ros.bags.connections import connect, listed
 from fuzzycnc_ros.bags.decoder import Decoder
 from fuzzycnc_ros.bags.errors import (
     BagCountError,
@@ -136,10 +136,10 @@ class BagReader:
         found = {topic: c for topic, c in self.connections.items() if c.message_count}
         missing = [topic for topic in types if topic not in found]
         if missing:
-            there = ', '.join(f'{t} ({c.message_count})' for t, c in found.items())
+            there = (f'{t} ({c.message_count})' for t, c in found.items())
             raise BagTopicError(
                 f'{self.path}: expected messages on {", ".join(missing)} but the bag has '
-                f'{there or "no messages at all"}'
+                f'{listed(there, "no messages at all")}'
             )
         for topic, wanted in types.items():
             if wanted is not None and found[topic].type != wanted:
@@ -193,7 +193,7 @@ class BagReader:
         if unknown:
             raise BagTopicError(
                 f'{self.path}: expected the topics {", ".join(sorted(unknown))} but the bag has '
-                f'{", ".join(self.connections) or "none"}'
+                f'{listed(self.connections, "none")}'
             )
         decodes = {} if raw else {t: self.decoder.decode(self.connections[t].type) for t in wanted}
         whole = start is None and stop is None

@@ -9,66 +9,46 @@ for byte in canonical form.
 
 import json
 import os
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, fields
-from math import inf
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from fuzzycnc_ros.bags.canonical import canonical_message, combined_hash, topic_hashes
+from fuzzycnc_ros.bags.canonical import combined_hash, topic_hashes
 from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.bags.replay_comparison import TopicComparison, compare_topic
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.bags.typestore import deserialize, message_type
+from fuzzycnc_ros.bags.typestore import message_type
 from fuzzycnc_ros.components.component import Component, Emission, Input
-from fuzzycnc_ros.components.merge import Merger
-from fuzzycnc_ros.components.provenance import REFUSED
-from fuzzycnc_ros.components.records import (
-    SECOND,
+from fuzzycnc_ros.components.host_records import (
     DeadlineFired,
     MachineTick,
     NodeConfiguration,
     NodeEvent,
+)
+from fuzzycnc_ros.components.merge import Merger
+from fuzzycnc_ros.components.provenance import REFUSED
+from fuzzycnc_ros.components.records import (
+    SECOND,
     Record,
 )
 from fuzzycnc_ros.components.registry import COMPONENTS, MACHINES
 from fuzzycnc_ros.components.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.convert import Target, decode, encode, stamp_of
+from fuzzycnc_ros.convert import Target, decode, encode
 from fuzzycnc_ros.core.config import Config
 
 ROSBAGS = Target(message_type, numpy_arrays=True)
 """Builds rosbags' messages."""
 
-ROUNDING = 1e-9
-"""Relative difference that linear algebra on another processor may cause [-]."""
+PLUMBING = ('node_configuration', 'node_event', 'deadline_fired', 'machine_tick')
+"""What a replay reads beside the topics of components; pictures of a camera fill no memory."""
+
+DEADLINES_MAX = 500
+"""Deadlines that may fire without a trace; beside them, ten for each recorded message and turn."""
 
 Progress = Callable[[str, int, int], None]
 """Told the node, components done and in all."""
-
-
-@dataclass(frozen=True)
-class TopicComparison:
-    """Recorded against recomputed messages of one topic."""
-
-    topic: str
-    recorded: int
-    recomputed: int
-    identical: int
-    first_difference: str = ''
-    largest_difference: float = 0.0
-    """Largest relative difference of a number [-]; infinite if anything else differs."""
-
-    @property
-    def equal(self) -> bool:
-        """Whether nothing differs."""
-        return self.recorded == self.recomputed == self.identical
-
-    @property
-    def equivalent(self) -> bool:
-        """Whether nothing differs but the rounding of another processor's arithmetic."""
-        return self.equal or self.largest_difference <= ROUNDING
 
 
 @dataclass(frozen=True)
@@ -160,7 +140,7 @@ def replay(
         notes.extend(player.notes)
         for topic, messages in player.outputs.items():
             outputs.extend(messages)
-            topics.append(_compare(topic, recording.raw.get(topic, []), messages))
+            topics.append(compare_topic(topic, recording.raw.get(topic, []), messages))
     return ReplayReport(topics, topic_hashes(outputs), notes)
 
 
@@ -173,7 +153,14 @@ class _Recording:
 
     def __init__(self, reader: BagReader) -> None:
         self.raw: dict[str, list[tuple[str, bytes]]] = defaultdict(list)
-        for topic, kind, _, payload in reader.messages(raw=True):
+        known = set(PLUMBING)
+        for component in COMPONENTS.values():
+            known.update(item.name for item in component.INPUTS)
+            known.update(item.name for item in component.OUTPUTS)
+        wanted = [
+            topic for topic in reader.connections if not known.isdisjoint(topic.split('/')[-2:])
+        ]
+        for topic, kind, _, payload in reader.messages(wanted, raw=True):
             self.raw[topic].append((kind, payload))
         self._decoder = reader.decoder
         self.nodes: dict[str, list[NodeConfiguration]] = defaultdict(list)
@@ -194,6 +181,24 @@ class _Recording:
         ]
 
 
+class _BoundedMerger(Merger):
+    """A merge that a bag whose stamps are wrong cannot keep busy for ever."""
+
+    deadlines_left = 0
+    """How many deadlines may still fire."""
+
+    def fire(self, deadline: int) -> list[Emission]:
+        """Fire one deadline of the component."""
+        self.deadlines_left -= 1
+        if self.deadlines_left < 0:
+            raise ReplayError(
+                f'{self.component.NAME}: expected stamps of one recording but up to '
+                f'{deadline / SECOND:.0f} s there are far more deadlines than recorded messages; '
+                'cut the bag where the stamps jump'
+            )
+        return super().fire(deadline)
+
+
 class _ComponentReplay:
     """One component, set up and driven as recorded."""
 
@@ -207,7 +212,7 @@ class _ComponentReplay:
         self._component.machine = configurations[0].frame_id.split('/')[0]
         if isinstance(self._component, SensorSelector):
             self._component.run_reader = read_run
-        self._merger = Merger(self._component)
+        self._merger = _BoundedMerger(self._component)
         self.outputs: dict[str, list[tuple[str, str, int, Any]]] = {
             f'{self._space}/{item.name}': [] for item in kind.OUTPUTS
         }
@@ -218,6 +223,8 @@ class _ComponentReplay:
             for found in (_arguments(item) for item in self._events if item.name == REFUSED)
         }
         self._points = self._collect_points(configurations)
+        told = sum(len(recording.raw.get(topic, ())) for topic in self.outputs)
+        self._merger.deadlines_left = DEADLINES_MAX + 10 * (told + len(self._points))
         first = configurations[0]
         if isinstance(self._component, ThermalPredictor) and first.model:
             self._component.use_model(first.model)
@@ -335,67 +342,3 @@ def _object(text: str, where: str) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise ReplayError(f'{where}: expected a JSON object but found {text[:60]!r}')
     return found
-
-
-def _compare(
-    topic: str, recorded: list[tuple[str, bytes]], recomputed: list[tuple[str, str, int, Any]]
-) -> TopicComparison:
-    before, after = _by_stamp(recorded), _by_stamp((k, m) for _, k, _, m in recomputed)
-    identical, difference, largest = 0, '', 0.0
-    for key in sorted(set(before) | set(after)):
-        if key not in before or key not in after:
-            apart, what = inf, 'not recomputed' if key in before else 'not recorded'
-        else:
-            (kind, old), (_, new) = before[key], after[key]
-            if old == new:
-                identical += 1
-                continue
-            what = 'differs'
-            apart = relative_difference(deserialize(old, kind), deserialize(new, kind))
-        largest = max(largest, apart)
-        difference = difference or f'{what}, at machine time {key[0] / SECOND:.3f} s'
-    return TopicComparison(topic, len(recorded), len(recomputed), identical, difference, largest)
-
-
-def _by_stamp(messages: Iterable[tuple[str, Any]]) -> dict[tuple[int, int], tuple[str, bytes]]:
-    """Return type and canonical bytes by stamp [ns] and number among those of the stamp.
-
-    One message that is missing must not make all that follow it look different.
-    """
-    seen: Counter[int] = Counter()
-    found = {}
-    for kind, message in messages:
-        payload = canonical_message(message, kind)
-        stamp = stamp_of(deserialize(payload, kind).header.stamp)
-        found[stamp, seen[stamp]] = (kind, payload)
-        seen[stamp] += 1
-    return found
-
-
-def relative_difference(first: Any, second: Any) -> float:
-    """Return the largest relative difference [-] between two messages of rosbags.
-
-    Infinite if a text, a count, a flag or a length differs, or a NaN stands against a number.
-    """
-    if isinstance(first, (float, np.ndarray)):
-        a, b = np.asarray(first), np.asarray(second)
-        if a.shape != b.shape:
-            return inf
-        if a.dtype.kind != 'f':
-            return 0.0 if np.array_equal(a, b) else inf
-        if not np.array_equal(np.isnan(a), np.isnan(b)):
-            return inf
-        size = np.maximum(np.abs(a), np.abs(b))
-        apart = np.divide(np.abs(a - b), size, out=np.zeros_like(size), where=size > 0.0)
-        return float(np.nanmax(apart, initial=0.0))
-    if isinstance(first, (list, tuple)):
-        if len(first) != len(second):
-            return inf
-        pairs = zip(first, second, strict=True)
-        return max((relative_difference(a, b) for a, b in pairs), default=0.0)
-    if isinstance(first, (str, int, bool)):
-        return 0.0 if first == second else inf
-    names = [item.name for item in fields(first)]
-    return max(
-        (relative_difference(getattr(first, n), getattr(second, n)) for n in names), default=0.0
-    )

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.errors import BagDataError, BagTopicError, RunError
 from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.components.spindle_speed import TOPICS, speed_told, speeds_at
+from fuzzycnc_ros.core.repeated_names import repeated_names
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 
 TEMPERATURES_TYPE = 'fuzzycnc_msgs/msg/Temperatures'
 DISPLACEMENT_TYPE = 'fuzzycnc_msgs/msg/Displacement'
-MACHINE_STATE_TYPE = 'fuzzycnc_msgs/msg/MachineState'
 
 _STATUS_OK = 0
 
@@ -77,8 +78,8 @@ def read_run(
     ThermalRun
         Time in s from the first temperature sample of the bag; readings whose status is not OK
         are NaN; each sample has the newest displacement that is not newer than itself and newer
-        than the sample before, NaN if there is none, and the newest spindle speed of
-        `machine_state` that is not newer than itself, where the bag has that topic.
+        than the sample before, NaN if there is none, and the spindle speed that a predictor
+        would have known, where the bag has `machine_state` or `spindle_speed` with one.
 
     Raises
     ------
@@ -98,15 +99,14 @@ def read_run(
         other = find_topic(
             reader, displacement, DISPLACEMENT_TYPE, machine if namespace is None else namespace
         )
-        state = _state_topic(reader, machine if namespace is None else namespace)
+        sources = _speed_topics(reader, machine if namespace is None else namespace)
         temperature = _Samples(source, topic, ('sensor',), 'sensor')
         moving = _Samples(source, other, ('axis', 'channel'), 'channel')
-        speeds: list[tuple[int, float]] = []
-        topics = [topic, other] if state is None else [topic, other, state]
-        for kind, _, _, message in reader.messages(topics):  # one pass over the file
-            if kind == state:
-                if np.isfinite(message.spindle_speed):  # one that is not known says nothing
-                    speeds.append((_stamp(message), message.spindle_speed))
+        told: list[tuple[str, int, float]] = []
+        for kind, _, _, message in reader.messages([topic, other, *sources]):  # one pass
+            if kind in sources:
+                teller = sources[kind]
+                told.append((teller, _stamp(message), speed_told(teller, message)))
             elif kind == topic:
                 temperature.add(message, message.temperature, message.status == _STATUS_OK)
             else:
@@ -120,6 +120,7 @@ def read_run(
     measured, moved = temperature.series(), moving.series()
     time = (measured.stamp - measured.stamp[0]) / 1e9
     joined = _join(measured.stamp, moved, average)
+    speed = speeds_at(measured.stamp, told)
     inside = (time >= (-np.inf if start is None else start)) & (
         time <= (np.inf if stop is None else stop)
     )
@@ -144,7 +145,7 @@ def read_run(
             channel=moved.names[1],
             axis=moved.names[0],
             displacement=joined[inside],
-            spindle_speed=None if not speeds else _held(measured.stamp, speeds)[inside],
+            spindle_speed=None if speed is None else speed[inside],
         )
     except ThermalDataError as error:
         raise RunError(f'{source}: {error}') from error
@@ -231,7 +232,7 @@ class _Samples:
                     f'{_list(now)}; cut the bag there'
                 )
         unique = getattr(message, self._unique)
-        repeated = sorted({name for name in unique if unique.count(name) > 1})
+        repeated = repeated_names(unique)
         if repeated:
             raise RunError(
                 f'{self._where}: expected each {self._unique} name once but found '
@@ -253,25 +254,15 @@ class _Samples:
         return Series(stamp, names, np.array(self._rows, dtype=np.float64))
 
 
-def _state_topic(reader: BagReader, machine: str) -> str | None:
-    """Return the machine's topic `machine_state`, None if the bag has none with messages."""
-    wanted = _absolute(f'{machine}/machine_state')
+def _speed_topics(reader: BagReader, machine: str) -> dict[str, str]:
+    """Return the machine's topics that may tell the spindle speed, to the name of the source."""
+    wanted = {_absolute(f'{machine}/{name}'): name for name in TOPICS}
+    found = {}
     for topic, connection in reader.connections.items():
-        if (
-            _absolute(topic) == wanted
-            and connection.type == MACHINE_STATE_TYPE
-            and connection.message_count
-        ):
-            return topic
-    return None
-
-
-def _held(stamp: NDArray[np.int64], speeds: Sequence[tuple[int, float]]) -> NDArray[np.float64]:
-    """Return the newest speed at each stamp, NaN before the first, as a predictor sees it."""
-    ordered = sorted(speeds)
-    at = np.searchsorted([when for when, _ in ordered], stamp, side='right') - 1
-    values = np.array([speed for _, speed in ordered])
-    return np.where(at >= 0, values[np.maximum(at, 0)], np.nan)
+        name = wanted.get(_absolute(topic))
+        if name and connection.type == TOPICS[name].TYPE and connection.message_count:
+            found[topic] = name
+    return found
 
 
 def _absolute(topic: str) -> str:

@@ -3,15 +3,27 @@
 """Reading the sqlite3 storage of rosbag2; the database is opened read-only."""
 
 import sqlite3
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from fuzzycnc_ros.bags.errors import BagFormatError
-from fuzzycnc_ros.bags.storage import Block, Channel, Contents, RawMessage, check_regular
+from fuzzycnc_ros.bags.storage import (
+    TOPICS_MAX,
+    Block,
+    Channel,
+    Contents,
+    RawMessage,
+    check_regular,
+)
+
+MESSAGE_MAX = 64 * 1024 * 1024
+"""Largest message, and any other entry [bytes]."""
 
 _ROWS = 5000  # rows that are read in one go
+_SIZE = 16 * 1024 * 1024  # bytes that are, unless one message is larger
 
 
 class SqliteFile:
@@ -36,6 +48,7 @@ class SqliteFile:
         self._database = sqlite3.connect(
             f'file:{quote(str(path.absolute()))}?mode=ro', uri=True, isolation_level=None
         )
+        self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MESSAGE_MAX)
 
     def close(self) -> None:
         """Close the file."""
@@ -52,6 +65,11 @@ class SqliteFile:
         tables = self._tables()
         definitions = self._definitions() if 'message_definitions' in tables else {}
         columns = {row[1] for row in self._query('PRAGMA table_info(topics)')}
+        ((topics,),) = self._query('SELECT count(*) FROM topics')
+        if topics > TOPICS_MAX:
+            raise BagFormatError(
+                f'{self.path}: expected at most {TOPICS_MAX} topics but found {topics}'
+            )
         optional = ('offered_qos_profiles', 'type_description_hash')
         wanted = ', '.join(name if name in columns else "''" for name in optional)
         for identifier, topic, kind, encoding, qos, type_hash in self._query(
@@ -67,19 +85,34 @@ class SqliteFile:
                 type_hash=str(type_hash),
                 message_encoding=str(encoding),
             )
-        blocks = []
-        for row in self._query(
-            f'SELECT id / {_ROWS}, min(timestamp), max(timestamp), sum(length(data)) '
-            f'FROM messages GROUP BY id / {_ROWS} ORDER BY 1'
-        ):
-            number, start, stop, size = self._integers(row)
-            blocks.append(Block(start, stop, size, partial(self._read, number)))
+        blocks = self._blocks()
         promised = {channel.topic: 0 for channel in self._channels.values()}
         for identifier, count in self._query(
             'SELECT topic_id, count(*) FROM messages GROUP BY topic_id'
         ):
             promised[self._channel(identifier).topic] += count
         return Contents(list(self._channels.values()), blocks, promised)
+
+    def _blocks(self) -> list[Block]:
+        """Return the messages in blocks, of as many rows as are read in one go."""
+        blocks: list[Block] = []
+        found: list[list[int]] = []
+        total = 0
+        # Sizes are looked up row by row: a GROUP BY would drag all messages through memory.
+        for row in self._rows('SELECT id, timestamp, length(data) FROM messages ORDER BY id'):
+            numbers = self._integers(row)
+            if found and (len(found) == _ROWS or total + numbers[2] > _SIZE):
+                blocks.append(self._block(found, total))
+                found, total = [], 0
+            found.append(numbers)
+            total += numbers[2]
+        return [*blocks, self._block(found, total)] if found else blocks
+
+    def _block(self, rows: list[list[int]], size: int) -> Block:
+        """Return a block of rows: number, time and size of each."""
+        times = [time for _, time, _ in rows]
+        read = partial(self._read, rows[0][0], rows[-1][0])
+        return Block(min(times), max(times), size, read)
 
     def _tables(self) -> set[str]:
         """Return the names of the tables; a view could keep a query busy for ever."""
@@ -94,6 +127,10 @@ class SqliteFile:
                 f'{self.path}: expected a sqlite3 bag of rosbag2 but found no table '
                 f'{", ".join(sorted(missing))}'
             )
+        for table in ('topics', 'messages', 'message_definitions'):
+            # A column that is worked out takes what a file of a kilobyte likes.
+            if any(row[6] for row in self._query(f'PRAGMA table_xinfo({table})')):
+                raise BagFormatError(f'{self.path}: expected no generated columns in {table}')
         return tables
 
     def _integers(self, row: tuple[object, ...]) -> list[int]:
@@ -112,10 +149,11 @@ class SqliteFile:
             )
         }
 
-    def _read(self, number: int) -> list[RawMessage]:
+    def _read(self, first: int, last: int) -> list[RawMessage]:
         rows = self._query(
-            f'SELECT topic_id, timestamp, data FROM messages WHERE id / {_ROWS} = ? ORDER BY id',
-            number,
+            'SELECT topic_id, timestamp, data FROM messages WHERE id BETWEEN ? AND ? ORDER BY id',
+            first,
+            last,
         )
         messages = []
         for topic, time, data in rows:
@@ -132,8 +170,11 @@ class SqliteFile:
         return self._channels[identifier]
 
     def _query(self, text: str, *values: object) -> list[Any]:
+        return list(self._rows(text, *values))
+
+    def _rows(self, text: str, *values: object) -> Iterator[Any]:
         try:
-            return self._database.execute(text, values).fetchall()
+            yield from self._database.execute(text, values)
         except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
             raise BagFormatError(
                 f'{self.path}: expected a sqlite3 bag of rosbag2 but found: {error}; '

@@ -10,6 +10,9 @@ from typing import NamedTuple
 
 from fuzzycnc_ros.bags.errors import BagFormatError
 
+TOPICS_MAX = 10_000
+"""Most topics of a storage file; a shop of a hundred machines has fewer."""
+
 
 @dataclass(frozen=True)
 class Channel:

@@ -79,6 +79,68 @@ def test_two_anonymous_publishers_without_loss_show_no_gap(turns, first):
     assert counter.missing == 0
 
 
+def missing_of(numbers, publishers):
+    counter = SequenceCounter(lambda: publishers)
+    for number in numbers:
+        counter.update(number)
+    return counter.missing
+
+
+@pytest.mark.parametrize(
+    ('numbers', 'publishers', 'expected'),
+    [
+        ([41, 57, 42, 58, 43, 59], 2, 0),  # a reader that comes late
+        ([41, 57, 42, 60], 2, 2),
+        ([57, 41, 70, 58, 71, 42], 3, 0),
+        ([41, 44], 1, 2),
+        ([41, 44], 0, 2),  # not known
+    ],
+)
+def test_publishers_that_a_late_reader_hears_first_are_no_gap(numbers, publishers, expected):
+    assert missing_of(numbers, publishers) == expected
+
+
+def test_nothing_continues_a_publisher_that_is_gone():
+    """A node restarts and its earlier life leaves the graph: a gap of the new one is seen."""
+    alive = 1
+    counter = SequenceCounter(lambda: alive)
+    for number in range(1, 51):
+        counter.update(number)
+    alive = 2  # the dead one is still believed in
+    for number in range(1, 40):
+        counter.update(number)
+    alive = 1
+    counter.update(40)
+    counter.update(51)  # the number that the dead one would have had next
+    assert counter.missing == 10
+    assert counter.streams == 2
+
+
+def test_publishers_that_leave_one_after_the_other_are_no_gap():
+    """At the end of a run: nobody says which of them has left."""
+    alive = 3
+    counter, last = SequenceCounter(lambda: alive), [20, 10, 0]
+    for turn in range(60):
+        if turn in (20, 40):
+            alive -= 1
+        for publisher in range(3 - alive, 3) if turn % 2 else reversed(range(3 - alive, 3)):
+            last[publisher] += 1
+            counter.update(last[publisher])
+    assert counter.missing == 0
+
+
+@given(
+    st.lists(st.integers(0, 2), max_size=120),
+    st.tuples(*[st.integers(1, 10_000)] * 3).filter(lambda first: len(set(first)) == 3),
+)
+def test_three_publishers_without_loss_show_no_gap_whatever_they_begin_with(turns, first):
+    counter, following = SequenceCounter(lambda: 3), list(first)
+    for turn in turns:
+        counter.update(following[turn])
+        following[turn] += 1
+    assert counter.missing == 0
+
+
 @given(st.sets(st.integers(1, 80)))
 def test_gaps_are_what_lies_between_the_numbers(numbers):
     ordered = sorted(numbers)

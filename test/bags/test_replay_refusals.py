@@ -9,8 +9,9 @@ import pytest
 from fuzzycnc_ros.bags.replay import ReplayError, replay
 from fuzzycnc_ros.bags.typestore import message_type
 from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.components.host_records import NodeEvent
 from fuzzycnc_ros.components.provenance import configuration_record
-from fuzzycnc_ros.components.records import SECOND, NodeEvent
+from fuzzycnc_ros.components.records import SECOND
 from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.convert import Target, encode
 

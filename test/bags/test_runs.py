@@ -2,11 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading thermal runs from bags."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.errors import BagDataError, BagTopicError, RunError
 from fuzzycnc_ros.bags.runs import read_run
+from fuzzycnc_ros.bags.typestore import message_type
+from fuzzycnc_ros.components.codes import SpeedStatus
+from fuzzycnc_ros.components.records import SpindleSpeed
+from fuzzycnc_ros.convert import Target, encode
+
+sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
+from component_bench import machine_state
 
 SECOND = 10**9
 
@@ -176,3 +186,45 @@ def test_compensated_displacements_are_refused_unless_asked_for(make_bag, new):
     with pytest.raises(RunError, match=r'at stamp 5.5 s compensation was active'):
         read_run(make_bag(messages))
     assert len(read_run(make_bag(messages, 'two'), compensated=True).time) == 40
+
+
+def speed_messages(count: int = 40, **told):
+    """Return what topics tell of the spindle speed each second [rad/s], by topic."""
+    target = Target(message_type, numpy_arrays=True)
+    messages = []
+    for topic, speed in told.items():
+        for k in range(count):
+            stamp = (k + 1) * SECOND
+            if topic == 'machine_state':
+                record = machine_state(k + 1, spindle_speed=speed(k))
+            else:
+                status = SpeedStatus.OK if np.isfinite(speed(k)) else SpeedStatus.MISSING
+                record = SpindleSpeed(stamp=stamp, speed=abs(speed(k)), status=int(status))
+            messages.append((f'/mill/{topic}', encode(record, target), stamp))
+    return messages
+
+
+@pytest.mark.parametrize('topic', ['machine_state', 'spindle_speed'])
+def test_spindle_speed_comes_from_either_topic(make_bag, new, topic):
+    speeds = speed_messages(**{topic: lambda k: np.nan if 10 <= k < 20 else float(k)})
+    run = read_run(make_bag(run_messages(new) + speeds), start=5.0)
+    wanted = np.arange(40.0)
+    wanted[10:20] = 9.0
+    np.testing.assert_array_equal(run.spindle_speed, wanted[5:])
+    assert run.name == 'bag'
+
+
+def test_spindle_speed_of_the_controller_has_precedence(make_bag, new):
+    speeds = speed_messages(machine_state=lambda k: 100.0, spindle_speed=lambda k: 5.0)
+    run = read_run(make_bag(run_messages(new) + speeds))
+    assert set(run.spindle_speed) == {100.0}
+    speeds = speed_messages(machine_state=lambda k: np.nan, spindle_speed=lambda k: 5.0)
+    run = read_run(make_bag(run_messages(new) + speeds, name='unknown'))
+    assert set(run.spindle_speed) == {5.0}
+
+
+def test_unknown_speed_and_that_of_another_machine_are_none(make_bag, new):
+    speeds = speed_messages(machine_state=lambda k: np.nan, spindle_speed=lambda k: np.nan)
+    other = [('/lathe/spindle_speed', *item[1:]) for item in speed_messages(spindle_speed=float)]
+    run = read_run(make_bag(run_messages(new) + speeds + other))
+    assert run.spindle_speed is None

@@ -24,7 +24,7 @@ TEMPERATURES = 'fuzzycnc_msgs/msg/Temperatures'
     [
         ('uint8 x\n' * 40000, 'at most'),
         ('Foo[100000] many\n================', 'cannot be parsed'),
-        ('string[100000000] many\n', 'array of at most'),
+        ('string[100000000] many\n', 'at most 2048 members'),
         ('a/msg/B inner\n', 'contain itself'),
         ('uint8 x; import os\n', 'cannot be parsed'),
         ('\x00', 'cannot be parsed'),

@@ -8,8 +8,10 @@
 import os
 import resource
 import signal
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from hypothesis import HealthCheck, Phase, settings
@@ -23,6 +25,22 @@ MEMORY_MAX = 500_000_000
 """Memory that one input may take [bytes]."""
 
 SEEDS = st.integers(0, 2**63)
+
+
+@dataclass
+class Worst:
+    """What the inputs of a test took at most."""
+
+    pieces: int = 0
+    """Pieces of work that were bounded."""
+    time: float = 0.0
+    """Processor time [s]."""
+    memory: int = 0
+    """Memory on top of what was taken before [bytes]."""
+
+
+WORST: dict[str, Worst] = {}
+"""By test, in the order of the run; the summary of a campaign shows it."""
 
 
 def fuzz(usual: int, share: float = 1.0):
@@ -49,8 +67,10 @@ def bounded() -> Iterator[None]:
         raise TookTooLong(f'expected at most {TIME_MAX} s of processor time')
 
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (_size() + MEMORY_MAX, hard))
+    resource.setrlimit(resource.RLIMIT_AS, (_status('VmSize') + MEMORY_MAX, hard))
     before = signal.signal(signal.SIGPROF, too_long)
+    _forget_peak()
+    taken, begun = _status('VmRSS'), time.process_time()
     signal.setitimer(signal.ITIMER_PROF, TIME_MAX)
     try:
         yield
@@ -58,6 +78,7 @@ def bounded() -> Iterator[None]:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.signal(signal.SIGPROF, before)
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+        _note(time.process_time() - begun, _status('VmHWM') - taken)
 
 
 def refusal(kind: type[ValueError], work: Callable[[], object]) -> str:
@@ -73,7 +94,20 @@ def refusal(kind: type[ValueError], work: Callable[[], object]) -> str:
     return reason
 
 
-def _size() -> int:
-    """Return the address space of this process [bytes]."""
-    pages = int(Path('/proc/self/statm').read_text().split()[0])
-    return pages * resource.getpagesize()
+def _note(duration: float, memory: int) -> None:
+    test = os.environ.get('PYTEST_CURRENT_TEST', '').split('::')[-1].removesuffix(' (call)')
+    worst = WORST.setdefault(test, Worst())
+    worst.pieces += 1
+    worst.time = max(worst.time, duration)
+    worst.memory = max(worst.memory, memory)
+
+
+def _forget_peak() -> None:
+    """Let the most memory that was taken count from now on."""
+    Path('/proc/self/clear_refs').write_text('5')
+
+
+def _status(name: str) -> int:
+    """Return a figure of this process [bytes]."""
+    text = Path('/proc/self/status').read_text()
+    return 1024 * int(text.split(f'{name}:', 1)[1].split(maxsplit=1)[0])

@@ -16,6 +16,7 @@ NUMBERS = (
 FRAGMENTS = (
     '\x00', '\ufeff', '\r', '\n', '\r\n', '\t', '"', "'", '{', '}', '[', ']', '(', ')', ';', ',',
     ':', '%', '../../../etc/passwd', '&a [*a, *a]', '*b', '<<', '!!python/object/apply:os.system',
+    '!!int ""', '!!float x', '!!bool x', '!!timestamp x', '!!python/name:os.system ""', '.inf',
     '[' * 3000, '{"a":' * 3000, '(' * 3000, 'A' * 70_000, '- ' * 3000, '\ud7ff', '\u202e', '#!',
 )  # fmt: skip
 VALUES = (

@@ -23,7 +23,7 @@ from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.components.compensator import Compensator, CompensatorConfig
 from fuzzycnc_ros.components.graph import InProcessGraph
-from fuzzycnc_ros.components.records import NodeConfiguration, NodeEvent
+from fuzzycnc_ros.components.host_records import NodeConfiguration, NodeEvent
 from fuzzycnc_ros.components.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
 from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition

@@ -19,10 +19,16 @@ from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.cli.import_csv import _read_mapping
 from fuzzycnc_ros.cli.machine_file import read_machine
 from fuzzycnc_ros.cli.servo_settings import read_settings
+from fuzzycnc_ros.core.deformation.offset_file import read_offsets
+from fuzzycnc_ros.core.thermal.document import ModelFileError
+from fuzzycnc_ros.nodes.opcua_control_file import read_control
+from fuzzycnc_ros.nodes.parameters import ParameterError
+from fuzzycnc_ros.nodes.sources.device_file import read_devices
 
 sys.path.insert(0, str(Path(__file__).parent))
 from campaign import SEEDS, fuzz, refusal
-from file_mutations import mutated_bytes, mutated_text
+from file_mutations import mutated_bytes, mutated_json, mutated_text
+from pattern_targets import offsets_text
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 
@@ -54,6 +60,48 @@ spindle_speed: rpm
 rename: {a: left, b: right}
 machine: mill
 rows: [0, 20]
+"""
+DEVICES_FILE = """devices:
+  - name: rtd
+    protocol: modbus_tcp
+    host: 192.168.10.50
+    unit: 1
+    table: input
+    type: int16
+    scale: 0.1
+    open_circuit: [0x7FFF, 0x8000]
+    sensors: {front: 0, rear: 1, ambient: {register: 7, scale: 0.01}}
+  - name: control
+    protocol: opc_ua
+    url: opc.tcp://192.168.10.2:4840/
+    period: 0.5
+    sensors:
+      motor: ns=2;s=Spindle.Temperature.Front
+      column: {path: "0:Objects/2:Machine/2:Column/2:Temperature", offset: -273.15}
+    spindle_speed: {node: ns=2;s=Spindle.ActualSpeed, unit: rpm}
+"""
+CONTROL_FILE = """url: opc.tcp://192.168.10.2:4840/
+unit: um
+position_unit: mm
+hand_shake:
+  sequence: ns=2;s=Comp.Sequence
+  heartbeat: ns=2;s=Comp.Heartbeat
+  valid_for: ns=2;s=Comp.ValidFor
+  acknowledged: ns=2;s=Comp.Acknowledged
+state:
+  on: ns=2;s=Comp.On
+  homed: ns=2;s=Comp.Homed
+axes:
+  X:
+    offset: ns=2;s=Comp.X.K0
+    slope: ns=2;s=Comp.X.Slope
+    reference_position: ns=2;s=Comp.X.P0
+    travel: [-100, 500]
+    applied: ns=2;s=Comp.X.Applied
+    position: ns=2;s=Comp.X.Position
+  Z:
+    offset: {node: ns=2;s=Comp.Z.Counts, scale: 0.01}
+    applied: {path: "0:Objects/2:Machine/2:Z/2:Applied"}
 """
 SETTINGS_FILE = """settings:
   gain: 1.5
@@ -125,6 +173,61 @@ def test_settings_files(folder, seed):
     file = folder / 'settings.yaml'
     file.write_bytes(damaged(SETTINGS_FILE, random.Random(seed)))
     refused_or_read(read_settings, file)
+
+
+@pytest.mark.parametrize(
+    ('read', 'text'),
+    [(read_devices, DEVICES_FILE), (read_control, CONTROL_FILE)],
+    ids=['devices', 'control'],
+)
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_device_files(folder, read, text, seed):
+    file = folder / 'devices.yaml'
+    file.write_bytes(damaged(text, random.Random(seed)))
+    refused_or_read(read, file)
+
+
+@pytest.mark.parametrize(
+    ('read', 'text'), [(read_devices, DEVICES_FILE), (read_control, CONTROL_FILE)]
+)
+def test_the_device_files_themselves_are_read(folder, read, text):
+    file = folder / 'good.yaml'
+    file.write_text(text)
+    assert read(file)
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        '[' * 100_000,
+        'devices: &a [*a]',
+        'devices: [{name: !!int ""}]',
+        'devices: [{name: x, protocol: modbus_tcp, host: h, sensors: {T: {register: !!int ""}}}]',
+        'devices: [{name: x, protocol: modbus_tcp, host: h, sensors: {T: !!python/name:os ""}}]',
+        'devices: [{name: x, protocol: modbus_tcp, host: h, period: !!timestamp x}]',
+        f'devices: [{{name: x, protocol: modbus_tcp, host: h, period: {"9" * 400}}}]',
+        'devices: [{name: x, protocol: modbus_tcp, host: h, sensors: {T: {register: 1, '
+        f'open_circuit: 0x{"F" * 9000}}}}}}}]',
+    ],
+)
+def test_device_files_whose_values_are_none(folder, text):
+    file = folder / 'none.yaml'
+    file.write_text(text)
+    assert str(file) in refusal(ParameterError, lambda: read_devices(file))
+
+
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_offset_files(seed):
+    rng = random.Random(seed)
+    text = offsets_text()
+    text = mutated_json(text, rng) if rng.random() < 0.5 else mutated_text(text, rng)
+    found = []
+    if not refusal(ModelFileError, lambda: found.append(read_offsets(text))):
+        assert np.isfinite(found[0].nominal).all()
+        assert np.isfinite(found[0].offset).all()
+        assert len(found[0].nominal) == len(found[0].offset)
 
 
 def refused_or_read(read, file):

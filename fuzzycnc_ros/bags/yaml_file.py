@@ -18,6 +18,15 @@ DEPTH_MAX = 50
 """Deepest nesting that is read."""
 
 
+def value_errors() -> tuple[type[Exception], ...]:
+    """Return what PyYAML raises for a value that its tag does not fit, such as `!!int ''`."""
+    import yaml
+
+    return (
+        yaml.YAMLError, ValueError, OverflowError, LookupError, AttributeError, TypeError,
+    )  # fmt: skip
+
+
 def compose(path: Path, wanted: str) -> Any:
     """Return the root node of a YAML file, None if it is empty; nodes know their lines.
 
@@ -71,6 +80,6 @@ def construct(path: Path, node: Any) -> Any:
 
     try:
         return None if node is None else yaml.SafeLoader('').construct_document(node)
-    except (yaml.YAMLError, ValueError, OverflowError) as error:
+    except value_errors() as error:
         line = node.start_mark.line + 1
         raise ValueError(f'{path}: line {line}: expected a value but: {error}') from error

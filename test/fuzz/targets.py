@@ -1,0 +1,66 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a component at work must offer so that hostile records can be sent to it."""
+
+import random
+import sys
+from copy import deepcopy
+from functools import cached_property
+from pathlib import Path
+
+from fuzzycnc_ros.components.records import SECOND, Record
+
+sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
+from component_bench import Bench
+
+
+class Target:
+    """A component at work.
+
+    `good` returns a record of an input as it belongs; `recover` gives good records from a time on
+    and asserts that they get good answers.
+    """
+
+    component: str
+    """Name of the component."""
+    inputs: tuple[str, ...]
+    start = 1000 * SECOND
+    """Stamp of the first record that may be hostile [ns]."""
+    step = SECOND
+    """Time between two records [ns]."""
+    makes_time = False
+    """Whether no stamp of a record moves its time on."""
+
+    @cached_property
+    def prepared(self) -> Bench:
+        """A component at work; only copies of it are used."""
+        return self.make()
+
+    def bench(self) -> Bench:
+        """Return a component at work."""
+        return deepcopy(self.prepared)
+
+    def make(self) -> Bench:
+        """Return a component at work."""
+        raise NotImplementedError
+
+    def good(self, name: str, stamp: int, rng: random.Random) -> Record:
+        """Return a record of an input."""
+        raise NotImplementedError
+
+    def go_on(self, bench: Bench, stamp: int, until: int) -> int:
+        """Work up to a time [ns]; return the stamp of the next records, at least that of these."""
+        work(bench, max(until, bench.merger.time))
+        return stamp + self.step
+
+    def recover(self, bench: Bench, stamp: int) -> None:
+        """Assert that good records get good answers."""
+        raise NotImplementedError
+
+    def check(self, bench: Bench) -> None:
+        """Assert what must hold for everything that was published."""
+
+
+def work(bench: Bench, stamp: int) -> None:
+    """Work up to a stamp [ns]."""
+    bench.emitted += bench.merger.advance(stamp)

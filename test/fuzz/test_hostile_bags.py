@@ -1,0 +1,141 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags made to do harm go through everything that reads bags.
+
+Each is read or refused, within the bounds of `campaign`.
+"""
+
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.bags.playback import messages, played_topics
+from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.bags.repair import repair
+from fuzzycnc_ros.bags.replay import ReplayError, replay
+from fuzzycnc_ros.bags.runs import read_run
+from fuzzycnc_ros.bags.typestore import message_definition
+from fuzzycnc_ros.cli.evaluate import judge_bag
+from fuzzycnc_ros.cli.many_bags import NamedBag
+from fuzzycnc_ros.core.thermal import train_model
+
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
+import hostile_files
+import hostile_runs
+import predictor_bench
+import raw_bags as raw
+from campaign import refusal
+
+pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
+
+
+@cache
+def model_text() -> str:
+    """Return a model of the machine that the runs are of."""
+    return predictor_bench.model_text()
+
+
+def read_all(bag: Path, strict: bool) -> None:
+    """Read a bag with all that it holds."""
+    with BagReader(bag, strict=strict) as reader:
+        reader.attachments()
+        for _ in reader.messages():
+            pass
+
+
+def play(bag: Path) -> None:
+    """Take a bag as the player does."""
+    with BagReader(bag) as reader:
+        for _ in messages(reader, played_topics(reader, reader.connections)):
+            pass
+
+
+def train(bag: Path) -> None:
+    """Train on a bag."""
+    train_model([read_run(bag)], candidates=('least_squares', 'lag_ridge')).to_json()
+
+
+def evaluate(bag: Path) -> None:
+    """Judge a model on a bag."""
+    judged, _ = judge_bag(
+        NamedBag(bag, bag.stem),
+        lambda *told: None,
+        model_text=model_text(),
+        start=None,
+        end=None,
+        page=False,
+    )
+    assert np.isfinite(judged.in_domain)
+
+
+def uses(bag: Path, out: Path) -> Iterator[Callable[[], object]]:
+    """Yield everything that reads a bag."""
+    yield lambda: read_all(bag, True)
+    yield lambda: read_all(bag, False)
+    yield lambda: repair(bag, out)
+    yield lambda: play(bag)
+    yield lambda: replay(bag)
+    yield lambda: read_run(bag)
+    yield lambda: train(bag)
+    yield lambda: evaluate(bag)
+
+
+@pytest.mark.parametrize(
+    'make', hostile_files.CASES + hostile_runs.CASES, ids=lambda make: make.__name__
+)
+def test_hostile_bags_are_read_or_refused(make, tmp_path):
+    bag = make(tmp_path / ('bag.mcap' if make in hostile_files.CASES else 'bag'))
+    for use in uses(bag, tmp_path / 'repaired'):
+        refusal(ValueError, use)
+    shutil.rmtree(tmp_path, ignore_errors=True)
+
+
+def test_honest_bags_are_read(tmp_path):
+    """What is refused above is not refused for the way it is written."""
+    run = hostile_runs.run_of(tmp_path / 'run', lambda record, row: record)
+    named = ('read', 'read', 'repair', 'play', 'replay', 'read_run', 'train', 'evaluate')
+    for name, use in zip(named, uses(run, tmp_path / 'repaired'), strict=True):
+        assert bool(refusal(ValueError, use)) is (name == 'replay'), name  # it is no recording
+    hello = raw.chunk(raw.message(1, 2), 2, 2)
+    file = raw.mcap(
+        tmp_path / 'a.mcap',
+        [
+            hostile_files.announced(definition=message_definition(raw.STRING)),
+            hello,
+            raw.attachment('a'),
+        ],
+    )
+    database = raw.db3(
+        tmp_path / 'a.db3',
+        [
+            "INSERT INTO topics VALUES(1, '/topic0', 'std_msgs/msg/String', 'cdr', '')",
+            f'INSERT INTO messages {raw.rows(12_000)} SELECT n, 1, n, x'
+            f"'{raw.HELLO.hex()}' FROM numbers",
+        ],
+    )
+    for bag, count in ((file, 1), (database, 12_000)):
+        with BagReader(bag) as reader:
+            found = list(reader.messages())
+        assert [item.message.data for item in found] == count * ['hi']
+        assert [item.log_time for item in found] == sorted(item.log_time for item in found)
+
+
+def test_large_messages_are_read_a_few_at_a_time(tmp_path):
+    bag = hostile_files.database_of_large_messages(tmp_path / 'a')
+
+    def read():
+        with BagReader(bag) as reader:
+            assert sum(len(item.message) for item in reader.messages(raw=True)) == 600_000_000
+
+    assert refusal(ValueError, read) == ''
+
+
+def test_replay_of_stamps_that_jump_says_so(tmp_path):
+    bag = hostile_runs.run_whose_stamps_jump(tmp_path / 'bag')
+    assert 'cut the bag where the stamps jump' in refusal(ReplayError, lambda: replay(bag))
