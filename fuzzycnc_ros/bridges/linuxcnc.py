@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.bridges import linuxcnc_hal
+from fuzzycnc_ros.bridges.controller import Controller
+from fuzzycnc_ros.bridges.link import LinkError
 from fuzzycnc_ros.components.codes import MachineMode
 from fuzzycnc_ros.components.linuxcnc_status import (
     ControllerLimits,
@@ -34,7 +36,7 @@ STILL = 1.0
 """Wall time [s] after which a servo thread whose own time never changes stands still."""
 
 
-class LinuxcncError(RuntimeError):
+class LinuxcncError(LinkError):
     """LinuxCNC is not there, has ended, or refuses; the text says what to do."""
 
 
@@ -43,7 +45,7 @@ def linuxcnc_runs() -> bool:
     return linuxcnc_hal.hal_memory() is not None
 
 
-class Linuxcnc:
+class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits]):
     """Pins of one bridge in a running LinuxCNC.
 
     Parameters
@@ -81,10 +83,10 @@ class Linuxcnc:
         """Return the present status."""
         return self._status(self._ask({'op': 'read'}))
 
-    def write(self, output: ControllerOutput) -> ControllerStatus:
-        """Write counts; return the present status."""
-        counts = [float(number) for number in output.counts]
-        return self._status(self._ask({'op': 'write', 'counts': counts, 'rezero': output.rezero}))
+    def write(self, orders: ControllerOutput) -> ControllerStatus:
+        """Write counts, and the heartbeat; return the present status."""
+        counts = [float(number) for number in orders.counts]
+        return self._status(self._ask({'op': 'write', 'counts': counts, 'rezero': orders.rezero}))
 
     def limits(self) -> ControllerLimits:
         """Return the limits of the HAL file."""
@@ -164,6 +166,7 @@ class Linuxcnc:
             register=column('request', metre),
             counts=column('register', 1.0),
             scale=column('scale', metre),
+            tick=found['tick'],
             spindle_speed=2.0 * math.pi * found['spindle'],
         )
 

@@ -163,6 +163,7 @@ class Bridge:
         found = {name: pin.value for name, pin in self._in.items()}
         for axis in self._axes:
             found[f'scale-{axis}'] = self._hal.get_value(f'axis.{axis}.eoffset-scale')
+        found['tick'] = self._hal.get_value('servo-thread.time')
         return {**found, **self._mode}
 
     def _read_mode(self):
@@ -188,7 +189,6 @@ class Bridge:
             'mode': mode,
             'units': state.linear_units or 1.0,
             'spindle': self._hal.get_value('spindle.0.speed-out-rps'),
-            'tick': self._hal.get_value('servo-thread.time'),
             'writer': '' if is_dead(owner) else owner,
         }
 

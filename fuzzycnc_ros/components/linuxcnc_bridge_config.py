@@ -4,16 +4,14 @@
 
 from dataclasses import dataclass
 
-from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.components.controller_bridge_config import ControllerBridgeConfig
+from fuzzycnc_ros.core.config import param
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinuxcncBridgeConfig(Config):
+class LinuxcncBridgeConfig(ControllerBridgeConfig):
     """Parameters of `linuxcnc_bridge`."""
 
-    autostart: bool = param(
-        False, '-', 'Configure and activate at start; otherwise a lifecycle manager does'
-    )
     axes: tuple[str, ...] = param(
         ('X', 'Y', 'Z'), '-', 'Axes that take offsets, as in the HAL file'
     )
@@ -23,21 +21,8 @@ class LinuxcncBridgeConfig(Config):
     slew_max: float = param(
         5e-6, 'm/s', 'Fastest change of an offset; below the HAL file', low=1e-9, high=1e-3
     )
-    lead_max: float = param(
-        5.0, 's', 'How far ahead of the machine a command may be stamped', low=0.0, high=3600.0
-    )
-    adopt_time: float = param(
-        120.0,
-        's',
-        'How long offsets that stand at the activation are kept while no command comes',
-        low=0.0,
-        high=7200.0,
-    )
     cycle_period: float = param(
         0.005, 's', 'Time between two looks at LinuxCNC', low=0.001, high=0.1
-    )
-    report_period: float = param(
-        0.2, 's', 'Time between two reports while nothing changes', low=0.01, high=10.0
     )
     interpreter: str = param(
         '/usr/bin/python3', '-', "Python that LinuxCNC's modules hal and linuxcnc are built for"

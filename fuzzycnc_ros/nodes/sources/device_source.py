@@ -5,27 +5,27 @@
 import logging
 from pathlib import Path
 from queue import Empty
-from typing import Any
 
 import numpy as np
 from rclpy.node import Node
 
-from fuzzycnc_ros.components.codes import MachineMode
+from fuzzycnc_ros.components.codes import SpeedStatus
 from fuzzycnc_ros.components.component import STREAM, Health, Level
-from fuzzycnc_ros.components.records import MachineState
+from fuzzycnc_ros.components.records import SpindleSpeed
 from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisitionConfig
 from fuzzycnc_ros.convert import encode
 from fuzzycnc_ros.nodes.messages import RCLPY
 from fuzzycnc_ros.nodes.parameters import ParameterError
 from fuzzycnc_ros.nodes.qos import create_publisher
 from fuzzycnc_ros.nodes.sources import modbus, opc_ua
-from fuzzycnc_ros.nodes.sources.device_file import (
+from fuzzycnc_ros.nodes.sources.device_file import read_devices
+from fuzzycnc_ros.nodes.sources.devices import (
     SPINDLE,
     AnyDevice,
+    Channel,
     Device,
     ModbusDevice,
     OpcUaDevice,
-    read_devices,
 )
 from fuzzycnc_ros.nodes.sources.link import Link, Reading
 from fuzzycnc_ros.nodes.sources.polling import Polled, Poller
@@ -70,8 +70,8 @@ class DeviceSource(Source):
         self._sets = ReadingSets(
             [len(device.sensors) for device in chosen], max(device.period for device in chosen)
         )
-        spindle = any(device.has_spindle for device in self._devices)
-        self._spindle = SpindleState(node, frame_id) if spindle else None
+        spindle = next((d.channels[-1] for d in self._devices if d.has_spindle), None)
+        self._spindle = None if spindle is None else Spindle(node, frame_id, spindle)
         self._poller = Poller(self._devices, connect, self._now)
         look = min(device.period for device in self._devices) / 2.0
         # Wall time: devices are read in real time, whatever the node's clock says.
@@ -181,55 +181,37 @@ class DeviceHealth:
         return self.health()
 
 
-class SpindleState:
-    """Publish the spindle speed in a `machine_state`, where no controller publishes one.
+class Spindle:
+    """Publish the spindle speed."""
 
-    The state says no more than the spindle tells: no axis counts as homed and no offset is
-    allowed, so that nothing is compensated on its word.
-    """
-
-    def __init__(self, node: Node, frame_id: str) -> None:
-        self._node, self._frame_id = node, frame_id
-        self._topic = node.resolve_topic_name('machine_state')
-        self._publisher: Any = None
-        self._yields = False
+    def __init__(self, node: Node, frame_id: str, channel: Channel) -> None:
+        self._frame_id, self._channel = frame_id, channel
+        self._publisher = create_publisher(node, SpindleSpeed.TYPE, SPINDLE, STREAM)
+        self._speed, self._status = np.nan, SpeedStatus.MISSING
 
     def publish(self, stamp: int, speed: float) -> None:
         """Publish a speed [rad/s], NaN if it is not known."""
-        own = self._publisher is not None
-        self._yields = self._node.count_publishers(self._topic) > own
-        if self._yields:
-            if own:
-                # Not even a silent one: readers may refuse a topic that two could publish.
-                self._node.destroy_publisher(self._publisher)
-                self._publisher = None
-            return
-        if not own:
-            self._publisher = create_publisher(
-                self._node, MachineState.TYPE, 'machine_state', STREAM
-            )
-        record = MachineState(
-            stamp=stamp,
-            frame_id=self._frame_id,
-            state=MachineMode.RUNNING if abs(speed) > 0.0 else MachineMode.ON,
-            homed=False,
-            offsets_allowed=False,
-            cold_since=0,
-            spindle_speed=speed,
-            axis=(),
-            position=np.empty(0),
+        self._speed, self._status = speed, SpeedStatus.OK
+        if not np.isfinite(speed):
+            self._speed, self._status = np.nan, SpeedStatus.MISSING
+        elif abs(speed) > self._channel.largest:
+            self._status = SpeedStatus.OUT_OF_RANGE
+        record = SpindleSpeed(
+            stamp=stamp, frame_id=self._frame_id, speed=self._speed, status=self._status
         )
         self._publisher.publish(encode(record, RCLPY))
 
     def health(self) -> Health:
-        """Say whether the speed is published."""
-        if self._yields:
-            text = (
-                f'not published: another node publishes machine_state; take {SPINDLE} out of the '
-                'device file, or let that node tell the speed'
-            )
-            return Health(SPINDLE, Level.WARN, text)
-        return Health(SPINDLE, Level.OK, 'published in machine_state')
+        """Say what the newest reading is worth."""
+        if self._status is SpeedStatus.OK:
+            return Health(SPINDLE, Level.OK, f'{self._speed:.4g} rad/s')
+        if self._status is SpeedStatus.MISSING:
+            return Health(SPINDLE, Level.WARN, 'no reading')
+        text = (
+            f'{self._speed:.4g} rad/s is more than max = {self._channel.largest:.4g} rad/s; '
+            'compare unit and scale in the device file'
+        )
+        return Health(SPINDLE, Level.WARN, text)
 
 
 def connect(device: Device) -> Link:

@@ -5,24 +5,13 @@
 from collections.abc import Sequence
 from typing import Protocol, TypeAlias
 
+from fuzzycnc_ros.bridges.link import LinkError
+
 Reading: TypeAlias = float | str
 """A value in degC, for the spindle in rad/s, or why there is none."""
 
 
-class LinkError(Exception):
-    """A connection failed.
-
-    Parameters
-    ----------
-    text : str
-        What happened and what to do, for the operator.
-    pause : float
-        Shortest time before another try [s].
-    """
-
-    def __init__(self, text: str, pause: float = 0.0) -> None:
-        super().__init__(text)
-        self.pause = pause
+__all__ = ['Link', 'LinkError', 'Reading']
 
 
 class Link(Protocol):

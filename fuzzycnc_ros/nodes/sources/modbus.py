@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 
 from fuzzycnc_ros.nodes.parameters import ParameterError
-from fuzzycnc_ros.nodes.sources.device_file import ModbusDevice
+from fuzzycnc_ros.nodes.sources.devices import ModbusDevice
 from fuzzycnc_ros.nodes.sources.link import LinkError, Reading
 from fuzzycnc_ros.nodes.sources.registers import Block, blocks, single_blocks, value_of
 

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass
 from queue import SimpleQueue
 
-from fuzzycnc_ros.nodes.sources.device_file import Device
+from fuzzycnc_ros.nodes.sources.devices import Device
 from fuzzycnc_ros.nodes.sources.link import Link, LinkError, Reading
 
 BACK_OFF_FIRST, BACK_OFF_MAX = 0.25, 2.0

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fuzzycnc_ros.nodes.sources.device_file import FORMATS, Register
+from fuzzycnc_ros.nodes.sources.devices import FORMATS, Register
 
 REGISTERS_MAX = 125
 """Most registers that one request may ask for, as the Modbus specification lays down."""

@@ -3,12 +3,12 @@
 """Mappings of a YAML file, field by field; what is wrong is named with its line and a remedy."""
 
 import difflib
-import math
 import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
+from fuzzycnc_ros.bags.yaml_file import compose, value_errors
 from fuzzycnc_ros.nodes.parameters import ParameterError
 
 REQUIRED: Any = object()
@@ -73,15 +73,10 @@ class Section:
         ParameterError
             If it cannot be read, is no YAML or holds no fields.
         """
-        import yaml
-
         try:
-            node = yaml.compose(path.read_text(encoding='utf-8'), Loader=yaml.SafeLoader)
-        except OSError as error:
-            raise ParameterError(f'{path}: expected {what} but: {error.strerror}') from error
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            text = ' '.join(str(error).split())
-            raise ParameterError(f'{path}: expected {what} (YAML) but: {text}') from error
+            node = compose(path, what)
+        except ValueError as error:
+            raise ParameterError(' '.join(str(error).split())) from error
         if node is None:
             raise ParameterError(f'{path}: expected {what} but the file is empty')
         return cls(path, node, '')
@@ -146,7 +141,7 @@ class Section:
         if node is None:
             return float(default)
         value = self._number(name, node)
-        if not (math.isfinite(value) and low <= value <= high):
+        if not low <= value <= high:  # NaN is not either
             raise self.error(
                 f'{name}: expected a number from {low:g} to {high:g}{unit and " " + unit} '
                 f'but found {node.value}',
@@ -189,8 +184,6 @@ class Section:
         Inherited fields that an entry lacks are looked up here.  An entry that is a mere value
         stands for its one field `shorthand`.
         """
-        import yaml
-
         mapping = self.section(name)
         if mapping is None:
             return []
@@ -199,13 +192,17 @@ class Section:
             mapping._known.add(key)
             if not key or not key.isprintable():
                 raise self.error(f'expected a printable name of a {what} but found {key!r}', value)
-            inner = value
-            if isinstance(value, yaml.ScalarNode):
-                field = yaml.ScalarNode('', shorthand, value.start_mark, value.end_mark)
-                inner = yaml.MappingNode('', [(field, value)], value.start_mark, value.end_mark)
             label = self._inner(f'{what} {key}')
+            inner = _full(value, shorthand)
             found.append((key, Section(self.path, inner, label, self, inherited)))
         return found
+
+    def entry(self, name: str, shorthand: str) -> 'Section | None':
+        """Return a mapping inside, None if missing; a mere value is its field `shorthand`."""
+        node = self._take(name, None)
+        if node is None:
+            return None
+        return Section(self.path, _full(node, shorthand), self._inner(name))
 
     def done(self) -> None:
         """Refuse the fields that nobody has asked for.
@@ -260,10 +257,21 @@ class Section:
             )
         try:
             value = yaml.SafeLoader('').construct_object(node)
-            if isinstance(value, (int, float)) and not isinstance(value, bool):
+            small = not isinstance(value, int) or value.bit_length() <= 64
+            if isinstance(value, (int, float)) and not isinstance(value, bool) and small:
                 return value
             if node.style is None and isinstance(value, str):
                 return float(value)
-        except ValueError:
+        except value_errors():
             pass
         raise self.error(f'{name}: expected a number but found {text!r}', node)
+
+
+def _full(node: Any, shorthand: str) -> Any:
+    """Return a mapping of the one field `shorthand` for a mere value, others as they are."""
+    import yaml
+
+    if not isinstance(node, yaml.ScalarNode):
+        return node
+    field = yaml.ScalarNode('', shorthand, node.start_mark, node.end_mark)
+    return yaml.MappingNode('', [(field, node)], node.start_mark, node.end_mark)

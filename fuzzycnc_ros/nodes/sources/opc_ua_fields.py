@@ -1,0 +1,112 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What files say of OPC UA: servers, their security, and where a variable lies."""
+
+import re
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from fuzzycnc_ros.bridges.opcua_session import Address, Security, Server
+from fuzzycnc_ros.nodes.parameters import ParameterError
+from fuzzycnc_ros.nodes.sources.yaml_section import Section
+
+POLICIES = ('Basic256Sha256', 'Aes128Sha256RsaOaep', 'Aes256Sha256RsaPss')
+MODES = ('Sign', 'SignAndEncrypt')
+
+_NODE = re.compile(r'((ns=[0-9]+|nsu=[^;]+);)?(i=[0-9]+|[sgb]=.+)')
+
+
+def read_server(section: Section) -> Server:
+    """Return the server that the fields url, timeout, security and credentials describe."""
+    url = section.text('url')
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError:
+        parts, port = urlsplit(''), None
+    if parts.scheme != 'opc.tcp' or not parts.hostname or port is None:
+        raise section.line_error(
+            'url', f'expected opc.tcp://HOST:PORT/PATH, usual port 4840, but found {url!r}'
+        )
+    if '@' in parts.netloc:
+        raise section.line_error(
+            'url', 'expected no user and password here; put them into the file credentials'
+        )
+    return Server(
+        url=url,
+        timeout=section.number('timeout', 0.05, 60.0, 2.0, unit='s'),
+        security=_security(section.section('security')),
+        credentials=_file(section, 'credentials') if 'credentials' in section else None,
+    )
+
+
+def read_address(entry: Section) -> Address:
+    """Return the address that the field node or path describes."""
+    if ('node' in entry) == ('path' in entry):
+        raise entry.error(
+            'expected either node, such as ns=2;s=Spindle.T1, or path, such as '
+            '0:Objects/2:Spindle/2:T1'
+        )
+    if 'path' in entry:
+        steps = tuple(entry.text('path').strip('/').split('/'))
+        wrong = [step for step in steps if not re.fullmatch(r'[0-9]{1,5}:.+', step)]
+        if wrong:
+            raise entry.line_error(
+                'path',
+                'expected steps from the root as namespace:name, such as '
+                f'0:Objects/2:Spindle/2:T1, but found {wrong[0]!r}',
+            )
+        return Address(path=steps)
+    node = entry.text('node')
+    if not _NODE.fullmatch(node):
+        raise entry.line_error(
+            'node',
+            'expected a node id such as ns=2;s=Spindle.T1, ns=2;i=1001 or nsu=urn:mill;s=T1 but '
+            f'found {node!r}',
+        )
+    return Address(node=node)
+
+
+def read_credentials(path: Path) -> tuple[str, str]:
+    """Return user name and password of a credentials file.
+
+    Raises
+    ------
+    ParameterError
+        If others than its owner can read it, or it does not hold the two.
+    """
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        raise ParameterError(f'{path}: expected credentials but: {error.strerror}') from error
+    if mode & 0o077:
+        raise ParameterError(
+            f'{path}: expected a file that only its owner can read; run chmod 600 {path}'
+        )
+    section = Section.read(path, 'username and password')
+    found = section.text('username'), section.text('password')
+    section.done()
+    return found
+
+
+def _security(section: Section | None) -> Security | None:
+    if section is None:
+        return None
+    security = Security(
+        policy=section.word('policy', POLICIES),
+        mode=section.word('mode', MODES, 'SignAndEncrypt'),
+        certificate=_file(section, 'certificate'),
+        private_key=_file(section, 'private_key'),
+        # Without it any server could pass itself off as this one.
+        server_certificate=_file(section, 'server_certificate'),
+    )
+    section.done()
+    return security
+
+
+def _file(section: Section, name: str) -> Path:
+    """Return a file that a field names, relative to the device file."""
+    path = section.path.parent / Path(section.text(name)).expanduser()
+    if not path.is_file():
+        raise section.line_error(name, f'expected a file but nothing is at {path}')
+    return path

@@ -1,0 +1,278 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The bridge and a real OPC UA server that behaves as a control, with faults on either side."""
+
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('asyncua')
+
+
+from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
+from fuzzycnc_ros.components.records import (
+    MachineState,
+)
+
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
+from bridge_rig import ACTIVATE, CONFIGURE, DEACTIVATE, MICRON, BridgeRig
+from field_servers import Field, Route
+from line_control import WATCHDOG
+from opcua_machine import AXES, FILE, ControlServer, LineControl, control_file
+
+pytestmark = pytest.mark.ros
+
+SLEW = 200 * MICRON
+CLOSE = 0.05 * MICRON
+
+
+class Shop:
+    """The control of all tests of this file, and the way to it."""
+
+    def __init__(self):
+        self.field = Field()
+        self.server = self.field.add(ControlServer(LineControl()))
+        self.route = self.field.add(Route(self.server))
+
+    @property
+    def control(self):
+        return self.server.control
+
+    def reset(self):
+        control = LineControl()
+        control.slew = SLEW
+        self.fault('')
+        self.field.call(self.server.reset(control))
+
+    def fault(self, fault):
+        """Begin a fault of the way, or end it."""
+        self.field.call(self.route.set(fault))
+
+    def put(self, name, value):
+        """Write as another client would."""
+        self.field.call(self.server.put(name, value))
+
+    def restart(self):
+        """Restart the server; what the control applies stands meanwhile."""
+        self.field.call(self.server.stop())
+        self.field.call(self.server.start())
+
+
+@pytest.fixture(scope='module')
+def shop():
+    """A control with its server; it takes seconds to start."""
+    opened = Shop()
+    yield opened
+    opened.field.close()
+
+
+class Rig(BridgeRig):
+    """A bridge on the control of the shop."""
+
+    NODE = 'opcua_bridge'
+    AXES = AXES
+    CLOSE = CLOSE
+
+    def __init__(self, graph, observer, shop, folder):
+        super().__init__(graph, observer)
+        self.shop, self.folder = shop, folder
+
+    @property
+    def control(self):
+        return self.shop.control
+
+    def controls(self):
+        return str(vars(self.control))
+
+    def start(self, *, active=True, text=FILE, **parameters):
+        path = control_file(self.folder, self.shop.route.port, text)
+        own = {
+            'control_file': str(path),
+            'axes': list(AXES),
+            'slew_max': SLEW,
+            'cycle_period': 0.05,
+            'acknowledge_time': 1.0,
+            'takeover_time': 0.5,
+            'validity': 4.0,
+        }
+        return self.launch({**own, **parameters}, active=active, wait=True)
+
+    def at(self, offset):
+        """Whether these offsets [um] are in force, and told."""
+        there = np.abs(self.control.applied - MICRON * np.array(offset)) <= self.CLOSE
+        return super().at(offset) and np.all(there)
+
+
+@pytest.fixture
+def rig(graph, observer, shop, tmp_path):
+    """A control that is on, homed and at zero."""
+    shop.reset()
+    return Rig(graph, observer, shop, tmp_path)
+
+
+def test_follows_a_line_tells_and_ramps_to_zero(rig):
+    rig.control.spindle_speed = 3000.0
+    rig.start(active=False)
+    assert (rig.last.status, rig.last.reason) == (AppliedStatus.IDLE, '')
+    rig.command((5, 5))
+    assert rig.change(CONFIGURE)
+    assert rig.change(ACTIVATE)
+    rig.until(lambda: rig.allowed, 'allowed')
+    assert rig.states[-1].spindle_speed == pytest.approx(3000 * 2 * np.pi / 60)
+    assert rig.states[-1].state == MachineMode.ON
+    assert '/mill/opcua_bridge' in rig.control.owner
+    rig.settle((10, -20))
+    assert rig.last.status == AppliedStatus.FOLLOWING
+    rig.command((10, -20), slope=(1e-4, 0), reference=(0.1, 0))
+    rig.until(lambda: rig.at((0, -20)), 'the line at zero')
+    rig.control.position = np.array([0.3, 0.0])
+    rig.until(lambda: rig.at((30, -20)), 'the line at 300 mm')
+    rig.until(lambda: abs(rig.states[-1].position[0] - 0.3) < 1e-9, 'position')
+    assert rig.control.slope[0] == pytest.approx(1e-4)
+    assert rig.change(DEACTIVATE)
+    rig.until(lambda: rig.at((0, 0)) and rig.last.status == AppliedStatus.IDLE, 'at zero')
+    rig.until(lambda: rig.control.sequence == 0 and not rig.control.owner, 'given back')
+    assert not rig.allowed
+
+
+def test_the_control_forbids_and_limits(rig):
+    rig.start()
+    rig.settle((10, 20))
+    rig.control.homed = False
+    rig.refused('machine is not homed')
+    rig.until(lambda: rig.at((0, 0)), 'at zero')
+    rig.control.homed, rig.control.estop = True, True
+    rig.refused('machine is in emergency stop')
+    rig.until(lambda: rig.states[-1].state == MachineMode.ESTOP, 'state')
+    rig.control.estop, rig.control.allowed = False, False
+    rig.refused('does not allow offsets')
+    rig.control.allowed = True
+    rig.until(lambda: rig.allowed, 'allowed again')
+    rig.control.limit = np.array([60e-6, 12e-6])
+    rig.observer.spin_for(0.3)
+    rig.command((10, 40))
+    rig.until(lambda: rig.at((10, 12)), 'cut at the smaller limit')
+    assert rig.last.at_limit.tolist() == [False, True]
+    assert 'cut at the limit of Z 12.00 um' in rig.last.reason
+    rig.command((70, 0), valid=1.0)
+    rig.until(lambda: rig.at((60, 0)) and rig.last.at_limit[0], 'cut at our limit')
+    rig.until(lambda: rig.last.status == AppliedStatus.EXPIRED and rig.at((0, 0)), 'expires')
+
+
+def test_frozen_acknowledgement(rig):
+    rig.start()
+    rig.settle((10, 20))
+    rig.control.frozen = True
+    rig.command((30, 20))
+    rig.refused('has not been acknowledged within 1 s')
+    assert not rig.allowed
+    rig.until(lambda: not np.any(rig.control.applied), 'the set has expired in the control')
+    rig.control.frozen = False
+    rig.until(lambda: rig.allowed, 'taken up again')
+    rig.settle((5, 5))
+
+
+def test_second_writer_is_named(rig):
+    rig.start()
+    rig.settle((10, 20))
+    rig.shop.put('owner', 'panel 7')
+    rig.shop.put('sequence', 4711)
+    rig.refused('two writers: the control is written by')
+    rig.until(lambda: 'panel 7 (set 4711)' in rig.last.reason, 'named')
+    assert not rig.allowed
+
+
+def test_wrong_files_end_the_node(refusal, tmp_path):
+    path = control_file(tmp_path, 4840, FILE.replace('unit: um', 'unit: ym'))
+    text = refusal('opcua_bridge', {'control_file': str(path), 'axes': list(AXES)})
+    assert f'parameter control_file: {path}: line 3: unit: expected one of um' in text
+    path = control_file(tmp_path, 4840)
+    text = refusal('opcua_bridge', {'control_file': str(path)})
+    assert 'parameter axes: expected X, Z as in the control file but found X, Y, Z' in text
+
+
+def test_is_not_activated_beside_another_bridge(rig):
+    rig.start()
+    rig.settle((10, 0))
+    first, rig.bridge = rig.bridge, None
+    path = rig.folder / 'control.yaml'
+    second = rig.graph.start(
+        'opcua_bridge', {'control_file': str(path), 'axes': list(AXES)}, namespace='/lathe'
+    )
+    states = rig.observer.records('/lathe/machine_state', MachineState)
+    rig.bridge = second
+    rig.until(lambda: len(states) > 3, 'the second reads')
+    rig.observer.spin_for(0.5)
+
+    assert rig.change(CONFIGURE, 'lathe')
+    assert not rig.change(ACTIVATE, 'lathe')
+    assert 'the control is written by /mill/opcua_bridge' in second.output
+    assert second.interrupt() == 0
+    rig.bridge = first
+    rig.settle((20, 0))
+    assert first.interrupt(signal.SIGINT) == 0
+    rig.until(lambda: rig.control.sequence == 0, 'given back at the end')
+    rig.until(lambda: not np.any(rig.control.applied), 'at zero at once', WATCHDOG)
+
+
+@pytest.mark.parametrize('fault', ['refuse', 'hang'])
+def test_lost_connection_is_rebuilt_without_a_step(rig, fault):
+    rig.start()
+    rig.settle((10, -20))
+    seen = len(rig.applied)
+    rig.shop.fault(fault)
+    rig.refused('connection' if fault == 'refuse' else 'no answer within')
+    assert not rig.allowed
+    rig.shop.fault('')
+    rig.until(lambda: rig.allowed, 'rebuilt', 5.0)
+    rig.observer.spin_for(1.0)
+    np.testing.assert_allclose(rig.control.applied, [10e-6, -20e-6], atol=CLOSE)
+    told = [item.offset for item in rig.applied[seen:]]
+    np.testing.assert_allclose(told, np.tile([10e-6, -20e-6], (len(told), 1)), atol=CLOSE)
+    rig.settle((15, -20))
+
+
+def test_killed_bridge_leaves_no_offset_and_a_new_one_goes_on(rig):
+    rig.control.watchdog = 60.0
+    rig.start(validity=60.0)
+    rig.settle((10, 30))
+    rig.graph.kill(rig.bridge)
+    seen = len(rig.applied)
+    rig.start()  # within the time of the watchdog, and of the set
+    rig.control.watchdog = 1.5
+    rig.observer.spin_for(3.0)
+    told = [item.offset for item in rig.applied[seen:]]
+    np.testing.assert_allclose(told, np.tile([10e-6, 30e-6], (len(told), 1)), atol=CLOSE)
+    rig.epoch = 2
+    rig.settle((10, 20))
+    rig.graph.kill(rig.bridge)
+    rig.until(lambda: not np.any(rig.control.applied), 'the watchdog of the control')
+    rig.start()
+    assert rig.at((0, 0))
+    rig.epoch = 3
+    rig.settle((5, 5))
+
+
+@pytest.mark.slow
+def test_server_starts_anew_with_offsets_standing(rig):
+    rig.control.watchdog = 60.0
+    rig.start(text=FILE.replace('{timeout}', '5'), validity=60.0)
+    rig.settle((10, -20))
+    seen = len(rig.applied)
+    rig.shop.restart()
+    rig.refused('connection')
+    rig.until(lambda: rig.allowed, 'rebuilt')
+    rig.observer.spin_for(1.0)
+    told = [item.offset for item in rig.applied[seen:]]
+    np.testing.assert_allclose(told, np.tile([10e-6, -20e-6], (len(told), 1)), atol=CLOSE)
+    np.testing.assert_allclose(rig.control.applied, [10e-6, -20e-6], atol=CLOSE)
+    rig.settle((0, 0))
+
+
+def test_wrong_node_id_is_named(rig):
+    rig.start(active=False, text=FILE.replace('ns=2;s=Z.limit', 'ns=2;s=Z.limmit'))
+    rig.refused('Z.limit: node ns=2;s=Z.limmit: the server has no such node')
