@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / 'test' / 'graph')]
+sys.path.insert(0, str(ROOT))
 RATE = 50.0
 STEP, PEAK = 1e-6, 20e-6
 CLOSE = 0.2e-6
@@ -143,20 +143,18 @@ def measure(listener: Listener, seconds: float) -> tuple[np.ndarray, np.ndarray]
 
 def main() -> None:
     """Measure once and print a table."""
-    from linuxcnc_machine import LinuxcncMachine
-
+    from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation
     from fuzzycnc_ros.nodes.environment import prepare_environment
 
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
     prepare_environment()
     folder = Path(tempfile.mkdtemp(prefix='fuzzycnc-linuxcnc-'))
-    machine = LinuxcncMachine(folder, COUNTS_PER_SECOND=200000)
+    machine = LinuxcncSimulation(folder, COUNTS_PER_SECOND=200000)
     bridge = None
     try:
         machine.start()
         machine.ready()
-        program = folder / 'circles.ngc'
-        program.write_text(PROGRAM)
+        program = machine.write_program('circles', PROGRAM)
         command = [sys.executable, '-m', 'fuzzycnc_ros.nodes.linuxcnc_bridge', '--ros-args']
         command += ['-r', '__ns:=/mill', '-p', 'autostart:=true', '-p', f'slew_max:={SLEW}']
         environment = {**os.environ, 'PYTHONPATH': str(ROOT), 'OMP_NUM_THREADS': '1'}
@@ -167,7 +165,7 @@ def main() -> None:
             if time.monotonic() > end:
                 raise SystemExit('expected a bridge that allows offsets but it does not')
             listener.until(time.monotonic() + 0.05)
-        machine.run(str(program))
+        machine.run(program)
         before = Path(f'/proc/{bridge.pid}/stat').read_text().split()[13:17]
         latencies, errors = measure(listener, seconds)
         after = Path(f'/proc/{bridge.pid}/stat').read_text().split()[13:17]

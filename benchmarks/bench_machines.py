@@ -26,7 +26,7 @@ import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
-from fuzzycnc_ros.cli.demo_steps import own_domain
+from fuzzycnc_ros.cli.free_domain import own_domain
 from fuzzycnc_ros.cli.graph_processes import COMPOSED, GraphProcesses, NodeSpec
 from fuzzycnc_ros.cli.up import THERMAL
 from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode

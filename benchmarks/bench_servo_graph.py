@@ -29,7 +29,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
 
-from fuzzycnc_ros.cli.demo_steps import own_domain
+from fuzzycnc_ros.cli.free_domain import own_domain
 from fuzzycnc_ros.cli.graph_processes import GraphProcesses, NodeSpec
 from fuzzycnc_ros.components.codes import ServoStatus
 from fuzzycnc_ros.components.component import STREAM

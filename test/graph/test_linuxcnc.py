@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bridge and a real LinuxCNC: every trap of external offsets, and who dies when."""
 
-import contextlib
 import shutil
 import signal
 import sys
@@ -12,35 +11,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 
 from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
-from fuzzycnc_ros.components.component import Durability
 from fuzzycnc_ros.components.records import (
     SECOND,
-    Compensation,
-    CompensationApplied,
-    MachineState,
-    nanoseconds,
 )
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos
 
 sys.path.insert(0, str(Path(__file__).parent))
+from bridge_rig import ACTIVATE, CONFIGURE, DEACTIVATE, MICRON, BridgeRig
 from linuxcnc_machine import LinuxcncMachine, exclusive
 
 pytestmark = pytest.mark.ros
 
 AXES = ('X', 'Y', 'Z')
-MICRON = 1e-6
 CLOSE = 0.2 * MICRON
 """Applied against requested, after settling [m]."""
 FAST = {'slew_max': 200 * MICRON}
-CONFIGURE = Transition.TRANSITION_CONFIGURE
-ACTIVATE = Transition.TRANSITION_ACTIVATE
-DEACTIVATE = Transition.TRANSITION_DEACTIVATE
 
 
 @pytest.fixture(scope='module')
@@ -57,97 +43,19 @@ def controller():
             shutil.rmtree(folder, ignore_errors=True)
 
 
-class Rig:
-    """A bridge, who commands it, and what is heard of it."""
+class Rig(BridgeRig):
+    """A bridge on the LinuxCNC of this file."""
+
+    NODE = 'linuxcnc_bridge'
+    AXES = AXES
+    CLOSE = CLOSE
 
     def __init__(self, graph, observer, controller):
-        self.graph, self.observer, self.controller = graph, observer, controller
-        self.applied = observer.records('compensation_applied', CompensationApplied)
-        self.states = observer.records('machine_state', MachineState)
-        self._publisher = observer.node.create_publisher(
-            message_class(Compensation.TYPE), 'compensation', publisher_qos(Durability.STREAM)
-        )
-        self.bridge = None
-        self.epoch = 1
+        super().__init__(graph, observer)
+        self.controller = controller
 
     def start(self, *, active=True, wait=True, **parameters):
-        """Start a bridge; wait until it reads LinuxCNC and hears commands."""
-        before, states = len(self.applied), len(self.states)
-        self.bridge = self.graph.start('linuxcnc_bridge', {**FAST, **parameters})
-        self.until(lambda: len(self.applied) > before, 'tells what is applied')
-        self.until(lambda: len(self.states) > states, 'tells the state')
-        self.until(lambda: self._publisher.get_subscription_count() >= 1, 'hears commands')
-        if active:
-            assert self.change(CONFIGURE)
-            assert self.change(ACTIVATE)
-            self.until(lambda: not wait or self.allowed, 'active')
-        return self.bridge
-
-    @property
-    def last(self):
-        return self.applied[-1]
-
-    @property
-    def allowed(self):
-        followed = self.last.status != AppliedStatus.REFUSED
-        return followed and self.states[-1].offsets_allowed
-
-    def change(self, transition):
-        """Ask for a transition; tell whether it was carried out.
-
-        What a killed bridge left in the graph still looks like its service: ask again then.
-        """
-        request = ChangeState.Request(transition=Transition(id=transition))
-        for _ in range(5):
-            with contextlib.suppress(AssertionError):
-                service = '/mill/linuxcnc_bridge/change_state'
-                return self.observer.call(ChangeState, service, request, 6.0).success
-        raise AssertionError(f'no answer of the bridge: {self.bridge.output}')
-
-    def until(self, condition, what='', timeout=15.0):
-        def text():
-            return f'{what}; last {self.last if self.applied else None}'
-
-        try:
-            self.observer.until(condition, what, timeout)
-        except AssertionError as error:
-            output = self.bridge.output if self.bridge else ''
-            raise AssertionError(f'{error}: {text()}\n{output}') from None
-
-    def command(self, offset, *, slope=(0.0, 0.0, 0.0), reference=(0.0, 0.0, 0.0), valid=60.0):
-        """Command offsets [um]."""
-        now = time.time_ns()
-        record = Compensation(
-            stamp=now,
-            frame_id='mill/machine',
-            epoch=self.epoch,
-            state=1,
-            axis=AXES,
-            offset=MICRON * np.array(offset),
-            slope=np.array(slope),
-            reference_position=np.array(reference),
-            at_limit=np.zeros(3, bool),
-            slewing=np.zeros(3, bool),
-            valid_until=now + nanoseconds(valid),
-            source=('test',),
-        )
-        self._publisher.publish(encode(record, RCLPY))
-
-    def at(self, offset):
-        """Whether these offsets [um] are in force."""
-        return np.all(np.abs(self.last.offset - MICRON * np.array(offset)) <= CLOSE)
-
-    def settle(self, offset, **more):
-        """Command offsets and wait for them."""
-        self.command(offset, **more)
-        self.until(lambda: self.at(offset), f'{offset} um in force')
-
-    def refused(self, text):
-        """Wait until commands are refused because of something."""
-        self.until(
-            lambda: self.last.status == AppliedStatus.REFUSED and text in self.last.reason,
-            f'refused: {text}',
-        )
+        return self.launch({**FAST, **parameters}, active=active, wait=wait)
 
     def position(self):
         """Where the machine is, offsets included [m]."""
@@ -300,15 +208,9 @@ def test_refuses_to_start_beside_another_writer(rig):
     rig.start()
     rig.settle((10, 0, 0))
     second = rig.graph.start('linuxcnc_bridge', FAST, namespace='/lathe')
-    service = '/lathe/linuxcnc_bridge/change_state'
-
-    def ask(transition):
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return rig.observer.call(ChangeState, service, request).success
-
-    assert ask(CONFIGURE)
+    assert rig.change(CONFIGURE, 'lathe')
     rig.until(lambda: 'connected' in second.output, 'second is connected')
-    assert not ask(ACTIVATE)
+    assert not rig.change(ACTIVATE, 'lathe')
     assert 'is written by fuzzycnc-' in second.output
     assert second.interrupt() == 0
     assert rig.at((10, 0, 0))
