@@ -20,6 +20,10 @@ unexport LD_LIBRARY_PATH PYTHONHOME PYTHONPATH VIRTUAL_ENV RMW_IMPLEMENTATION
 # The environment is a whole ROS prefix; one thread a process, as two cores hold many processes.
 ROS := AMENT_PREFIX_PATH='$(VENV)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
+# Tests that run nodes keep time and want the processors for themselves; the others share them.
+PYTEST := $(ROS) '$(BIN)/python' -m pytest --timeout=300
+PARALLEL := -n auto --maxprocesses=8 --dist loadfile
+
 .PHONY: help
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -34,7 +38,12 @@ demo: setup ## A thermal shift on the simulated mill: train, compensate live, re
 
 .PHONY: test
 test: lint ## All checks and all tests
-	@$(ROS) '$(BIN)/python' -m pytest --timeout=300 $(ARGS)
+ifeq ($(strip $(ARGS)),)
+	@status=0; $(PYTEST) $(PARALLEL) -m 'not ros' || status=$$?; \
+	  $(PYTEST) -m ros || status=$$?; exit $$status
+else
+	@$(PYTEST) $(ARGS)
+endif
 
 .PHONY: lint
 lint: setup ## Style, format, spelling, types
@@ -57,7 +66,7 @@ test-floor: ## Core and components without ROS on Ubuntu 24.04's versions (Pytho
 	  "$$python" -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if v == (3, 12) else f"test-floor: expected Python 3.12 but found {v[0]}.{v[1]}")' && \
 	  "$$python" tools/setup_env.py floor
 	@PYTHONPATH='$(CURDIR)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 '$(FLOOR)/bin/python' -m pytest \
-	  --timeout=300 -m 'not ros and not slow' -p no:cacheprovider $(FLOOR_TESTS) $(ARGS)
+	  --timeout=300 $(PARALLEL) -m 'not ros and not slow' -p no:cacheprovider $(FLOOR_TESTS) $(ARGS)
 
 .PHONY: lock
 lock: ## Resolve requirements/*.in anew (needs uv on the PATH)

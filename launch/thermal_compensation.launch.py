@@ -119,6 +119,12 @@ def generate_launch_description() -> LaunchDescription:
                 choices=['true', 'false'],
                 description='Start the bridge to the LinuxCNC of this computer; simulated:=false',
             ),
+            DeclareLaunchArgument(
+                'opcua',
+                default_value='false',
+                choices=['true', 'false'],
+                description='Start the bridge to a control with OPC UA; simulated:=false',
+            ),
             LogInfo(
                 msg='fuzzycnc is not a safety function (ISO 13849): emergency stop, limit '
                 'switches and drive limits stay in hardware.'
@@ -130,6 +136,7 @@ def generate_launch_description() -> LaunchDescription:
             ),
             *[Node(**common(name), parameters=[params_file(name), sim_time]) for name in NODES],
             *managed('linuxcnc_bridge', 'linuxcnc'),
+            *managed('opcua_bridge', 'opcua'),
             *managed('compensator'),
             *managed('feedrate_scheduler', 'feedrate'),
             *managed('deformation_compensator', 'deformation'),

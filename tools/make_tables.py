@@ -20,7 +20,7 @@ sys.path.insert(0, str(ROOT))
 from fuzzycnc_ros.components import host_config  # noqa: E402
 from fuzzycnc_ros.components.component import LATCHED, STREAM, Durability  # noqa: E402
 from fuzzycnc_ros.components.host_config import HostConfig, RecorderConfig  # noqa: E402
-from fuzzycnc_ros.components.records import (  # noqa: E402
+from fuzzycnc_ros.components.host_records import (  # noqa: E402
     DeadlineFired,
     MachineTick,
     NodeConfiguration,

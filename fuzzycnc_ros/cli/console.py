@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib.util import find_spec
 from itertools import groupby
 from math import isfinite
 from pathlib import Path
@@ -133,6 +134,21 @@ def write_text(path: Path, text: str) -> None:
     """
     check_folder(path)
     write_whole(path, text)
+
+
+def check_ros(what: str) -> None:
+    """Refuse what needs a graph where there is no ROS 2.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If ROS 2 is not installed.
+    """
+    if find_spec('rclpy') is None:
+        raise ModuleNotFoundError(
+            f'{what} needs ROS 2 (rclpy), which is not installed: source a ROS 2 Jazzy '
+            'workspace, or run make setup and use .venv/bin/fuzzycnc'
+        )
 
 
 def check_new(path: Path | None, remedy: str = 'remove it') -> None:

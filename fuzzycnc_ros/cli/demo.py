@@ -11,11 +11,13 @@ import typer
 from rich.console import Console
 
 from fuzzycnc_ros.cli.demo_contour import contour_demo
+from fuzzycnc_ros.cli.demo_linuxcnc import linuxcnc_demo
 from fuzzycnc_ros.cli.demo_pattern import pattern_demo
 from fuzzycnc_ros.cli.demo_shift import shift_demo
 from fuzzycnc_ros.cli.demo_steps import renew
 from fuzzycnc_ros.cli.demo_thermal import thermal_demo
 from fuzzycnc_ros.cli.graph_processes import GraphError
+from fuzzycnc_ros.cli.program_files import program_lines
 from fuzzycnc_ros.cli.up import BANNER
 
 
@@ -26,12 +28,14 @@ class Scenario(str, Enum):
     contour = 'contour'
     pattern = 'pattern'
     shift = 'shift'
+    linuxcnc = 'linuxcnc'
 
 
 _RUN: dict[Scenario, Callable[[Console, Path, int], None]] = {
     Scenario.thermal: thermal_demo,
     Scenario.contour: contour_demo,
     Scenario.pattern: pattern_demo,
+    Scenario.linuxcnc: linuxcnc_demo,
 }
 
 
@@ -45,7 +49,10 @@ def demo(
     seed: Annotated[int, typer.Option(help='Seed of all measuring noise.')] = 0,
     program: Annotated[
         Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(help='Part program to cut in the shift, in mm; a plate of its own if none.'),
+        typer.Option(
+            help='Part program to cut in the shift, in mm unless it says G20; a plate of its own '
+            'if none.'
+        ),
     ] = None,
 ) -> None:
     """Watch a simulated mill warm up for two shifts while its thermal error is compensated.
@@ -69,10 +76,15 @@ def demo(
     curves and a part program on servo axes in between, and a second machine stitches foam:
 
         fuzzycnc demo --scenario shift --out build/shift
+
+    Or watch a real controller take the offsets: a LinuxCNC without a screen cuts circles and turns
+    the spindle, which heats the simulated mill; needs LinuxCNC on this computer:
+
+        fuzzycnc demo --scenario linuxcnc --out build/linuxcnc
     """
     if program is not None and scenario is not Scenario.shift:
         raise GraphError('--program: expected --scenario shift, which alone cuts a program')
-    text = program.read_text(encoding='utf-8') if program is not None else ''
+    text = _checked_program(program) if program is not None else ''
     console = Console()
     console.print(BANNER, style='yellow')
     renew(out)
@@ -80,3 +92,22 @@ def demo(
         shift_demo(console, out, seed, text)
     else:
         _RUN[scenario](console, out, seed)
+
+
+def _checked_program(path: Path) -> str:
+    """Return the text of a part program that the shift can cut.
+
+    Raises
+    ------
+    ValueError
+        If there is none or it cannot be cut; the message says why.
+    """
+    from fuzzycnc_ros.scenario.whole_shift import check_program
+
+    with program_lines(path) as file:
+        text = file.read_text(encoding='utf-8', errors='replace')
+    try:
+        check_program(text)
+    except ValueError as error:
+        raise ValueError(f'--program {path}: {error}') from error
+    return text

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenario `contour` of the demo: the butterfly, scheduled and followed live at 1 ms over DDS."""
 
-import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +9,9 @@ from typing import Any
 
 from rich.console import Console
 
-from fuzzycnc_ros.cli.console import show
-from fuzzycnc_ros.cli.demo_steps import RUN_TIMEOUT, Steps, own_domain, print_files, progress_of
-from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.demo_steps import ANSWER_TIMEOUT, RUN_TIMEOUT, Steps, finish, progress_of
+from fuzzycnc_ros.cli.free_domain import own_domain
+from fuzzycnc_ros.cli.graph_processes import GraphProcesses, NodeSpec
 
 MACHINE = 'mill'
 PATHS = ('butterfly',)
@@ -46,20 +45,24 @@ def contour_demo(console: Console, out: Path, seed: int) -> None:
     started = time.monotonic()
     with progress_of(console) as progress:
         result, table = _run(out, seed, progress)
-    result.wall_s = round(time.monotonic() - started, 2)
-    (out / 'summary.json').write_text(json.dumps(vars(result), indent=2) + '\n', encoding='utf-8')
-    show(table)
     same = 'equal' if result.paths == result.in_process else 'NOT EQUAL'
-    console.print(f'contour error over DDS and in one process: {same}')
     replayed = 'identical' if result.replay_identical else 'DIFFERS'
-    console.print(f'replay of the bag: {replayed}, hash {result.hash[:16]}')
-    console.print(
-        f'{result.ticks} ticks of 1 ms at {result.ticks_per_second:.0f} per second; '
-        f'{result.wall_s:.0f} s in all'
+    proven = not result.degraded and result.replay_identical and same == 'equal'
+    finish(
+        console,
+        out,
+        result,
+        (table,),
+        (
+            f'contour error over DDS and in one process: {same}',
+            f'replay of the bag: {replayed}, hash {result.hash[:16]}',
+            f'{result.ticks} ticks of 1 ms at {result.ticks_per_second:.0f} per second',
+        ),
+        started=started,
+        problem=''
+        if proven
+        else 'the run was degraded or differs from its replay; see the report',
     )
-    print_files(console, out)
-    if result.degraded or not result.replay_identical or result.paths != result.in_process:
-        raise GraphError('the run was degraded or differs from its replay; see the report')
 
 
 def _run(out: Path, seed: int, progress: Steps) -> tuple[ContourResult, Any]:
@@ -137,6 +140,7 @@ def _run_live(
                 'lockstep': True,
                 'lockstep_nodes': ['feedrate_scheduler'],
                 'lockstep_recorder': True,
+                'answer_timeout': ANSWER_TIMEOUT,
             },
         ),
     ]

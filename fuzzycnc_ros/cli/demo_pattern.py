@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenario `pattern` of the demo: a track on a soft sheet, stitched live, plain and by a model."""
 
-import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +10,9 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from fuzzycnc_ros.cli.console import show
-from fuzzycnc_ros.cli.demo_steps import RUN_TIMEOUT, Steps, own_domain, print_files, progress_of
-from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.demo_steps import ANSWER_TIMEOUT, RUN_TIMEOUT, Steps, finish, progress_of
+from fuzzycnc_ros.cli.free_domain import own_domain
+from fuzzycnc_ros.cli.graph_processes import GraphProcesses, NodeSpec
 
 MACHINE = 'mill'
 TRACK = 'parallelogram:45'
@@ -50,20 +49,22 @@ def pattern_demo(console: Console, out: Path, seed: int) -> None:
     started = time.monotonic()
     with progress_of(console) as progress:
         result, table = _run(out, seed, progress)
-    result.wall_s = round(time.monotonic() - started, 2)
-    (out / 'summary.json').write_text(json.dumps(vars(result), indent=2) + '\n', encoding='utf-8')
-    show(table)
     same = 'equal' if result.runs == result.in_process else 'NOT EQUAL'
-    console.print(f'stitches over DDS and in one process: {same}')
     replayed = 'identical' if result.replay_identical else 'DIFFERS'
-    console.print(f'replay of both bags: {replayed}, hash {result.hash["after"][:16]}')
-    console.print(
-        f'{result.ticks} ticks of 1 ms at {result.ticks_per_second:.0f} per second; '
-        f'{result.wall_s:.0f} s in all'
+    proven = not result.degraded and result.replay_identical and same == 'equal'
+    finish(
+        console,
+        out,
+        result,
+        (table,),
+        (
+            f'stitches over DDS and in one process: {same}',
+            f'replay of both bags: {replayed}, hash {result.hash["after"][:16]}',
+            f'{result.ticks} ticks of 1 ms at {result.ticks_per_second:.0f} per second',
+        ),
+        started=started,
+        problem='' if proven else 'a run was degraded or differs from its replay; see the report',
     )
-    print_files(console, out)
-    if result.degraded or not result.replay_identical or result.runs != result.in_process:
-        raise GraphError('a run was degraded or differs from its replay; see the report')
 
 
 def _run(out: Path, seed: int, progress: Steps) -> tuple[PatternResult, Any]:
@@ -159,6 +160,7 @@ def _run_live(
                 'lockstep': True,
                 'lockstep_nodes': ['deformation_compensator', 'feedrate_scheduler'],
                 'lockstep_recorder': True,
+                'answer_timeout': ANSWER_TIMEOUT,
             },
         ),
     ]

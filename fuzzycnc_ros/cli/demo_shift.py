@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenario `shift` of the demo: a mill with everything on for eight hours, beside a quilter."""
 
-import json
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -11,9 +10,9 @@ from typing import Any
 
 from rich.console import Console
 
-from fuzzycnc_ros.cli.console import show
-from fuzzycnc_ros.cli.demo_steps import Steps, own_domain, print_files, progress_of
-from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.demo_steps import ANSWER_TIMEOUT, Steps, finish, progress_of
+from fuzzycnc_ros.cli.free_domain import own_domain
+from fuzzycnc_ros.cli.graph_processes import GraphProcesses, NodeSpec
 
 LIVE_TIMEOUT = 1200.0
 """Wall time [s] that a live run may take: a busy host may be ten times slower than an idle one."""
@@ -52,6 +51,17 @@ class ShiftResult:
 def shift_demo(console: Console, out: Path, seed: int, program: str = '') -> None:
     """Run the scenario into an empty folder and show what came of it.
 
+    Parameters
+    ----------
+    console : Console
+        Where to show it.
+    out : Path
+        The folder.
+    seed : int
+        Seed of all measuring noise.
+    program : str
+        Text of the part program, as `check_program` takes it; empty for the machine's own.
+
     Raises
     ------
     GraphError
@@ -60,24 +70,22 @@ def shift_demo(console: Console, out: Path, seed: int, program: str = '') -> Non
     started = time.monotonic()
     with progress_of(console) as progress:
         result, tables = _run(out, seed, program, progress)
-    result.wall_s = round(time.monotonic() - started, 2)
-    (out / 'summary.json').write_text(json.dumps(vars(result), indent=2) + '\n', encoding='utf-8')
-    for table in tables:
-        show(table)
-    for name, met in result.met.items():
-        console.print(f'{name}: {"met" if met else "NOT MET"}')
+    lines = [f'{name}: {"met" if met else "NOT MET"}' for name, met in result.met.items()]
     for machine, topics in result.differing.items():
         same = f'DIFFER in {", ".join(topics)}' if topics else 'equal on every topic'
-        console.print(f'{machine}: hashes over DDS and in one process: {same}')
-    console.print(
-        f'{sum(result.ticks.values())} ticks in {result.live_s:.0f} s over DDS; '
-        f'{result.wall_s:.0f} s in all'
-    )
-    print_files(console, out)
-    if any(result.differing.values()):
-        raise GraphError('a run differs from that in one process; see summary.json')
+        lines.append(f'{machine}: hashes over DDS and in one process: {same}')
     if result.degraded:
-        console.print('a node missed a turn (see log); the outputs are equal all the same')
+        lines.append('a node missed a turn or was lost (see log)')
+    differs = any(result.differing.values())
+    finish(
+        console,
+        out,
+        result,
+        tables,
+        (*lines, f'{sum(result.ticks.values())} ticks in {result.live_s:.0f} s over DDS'),
+        started=started,
+        problem='a run differs from that in one process; see summary.json' if differs else '',
+    )
 
 
 def _run(
@@ -88,7 +96,7 @@ def _run(
     from fuzzycnc_ros.report.pattern import pattern_table
     from fuzzycnc_ros.report.shift_page import job_table, shift_page
     from fuzzycnc_ros.scenario.pattern_log import PatternLog
-    from fuzzycnc_ros.scenario.whole_shift import ShiftSettings, judged_shift, run_whole_shift
+    from fuzzycnc_ros.scenario.whole_shift import ShiftSettings, judged_shift
     from fuzzycnc_ros.scenario.whole_shift_log import ShiftLogs
 
     own_domain()
@@ -97,11 +105,8 @@ def _run(
         thermal, foam = _models(seed)
         (out / 'model.json').write_text(thermal, encoding='utf-8')
         (out / 'foam.json').write_text(foam, encoding='utf-8')
-    outcomes, live_s = _run_live(out, settings, seed, progress)
-    with progress.step('ran the same in one process') as bar:
-        _run_alone(out, settings, thermal, foam, seed, bar)
-    with progress.step('ran the shift without compensation, at the programmed feed') as bar:
-        before = run_whole_shift(thermal, settings, compensated=False, progress=bar.update)
+    live = _run_both(out, settings, thermal, foam, progress)
+    outcomes, live_s, before = live.outcomes, live.seconds, live.before
     with progress.step('judged the bags and compared every topic'):
         after = judged_shift(ShiftLogs.from_bag(out / 'bag'), load_model(thermal), settings)
         patterns = {
@@ -148,17 +153,39 @@ def _models(seed: int) -> tuple[str, str]:
     return train_model(runs).to_json(), foam
 
 
-def _run_live(
-    out: Path, settings: Any, seed: int, progress: Steps
-) -> tuple[dict[str, dict[str, Any]], float]:
-    """Run both machines at once; return how they say it went, by bag, and the time."""
+@dataclass
+class _Live:
+    """Both machines over DDS: how they say it went, by bag, the time, and the shift before."""
+
+    outcomes: dict[str, dict[str, Any]]
+    seconds: float
+    before: Any
+
+
+def _run_both(out: Path, settings: Any, thermal: str, foam: str, progress: Steps) -> _Live:
+    """Run both machines over DDS, and beside the mill, which takes longest, what needs no DDS."""
+    from fuzzycnc_ros.scenario.whole_shift import run_whole_shift
+
     started = time.monotonic()
-    with progress.step('ran the mill and the quilter live over DDS, in lock-step'):
-        with ThreadPoolExecutor(2) as pool:
-            mill = pool.submit(_graph, out, MILL, 'bag', mill_specs(out / 'model.json', settings))
-            quilt = pool.submit(_quilt, out, seed)
-            outcomes = {'bag': mill.result(), **quilt.result()}
-    return outcomes, time.monotonic() - started
+
+    def mill() -> tuple[dict[str, Any], float]:
+        with progress.step('ran the shift of the mill live over DDS, in lock-step'):
+            specs = mill_specs(out / 'model.json', settings)
+            return _graph(out, MILL, 'bag', specs), time.monotonic()
+
+    def beside() -> tuple[dict[str, dict[str, Any]], float, Any]:
+        with progress.step('had the quilter stitch its pattern live, before and after'):
+            outcomes, ended = _quilt(out, settings.seed), time.monotonic()
+        with progress.step('ran the same in one process') as bar:
+            _run_alone(out, settings, thermal, foam, bar)
+        with progress.step('ran the shift without compensation, at the programmed feed') as bar:
+            before = run_whole_shift(thermal, settings, compensated=False, progress=bar.update)
+        return outcomes, ended, before
+
+    with ThreadPoolExecutor(2) as pool:
+        shift, rest = pool.submit(mill), pool.submit(beside)
+        (outcome, over), (outcomes, ended, before) = shift.result(), rest.result()
+    return _Live({'bag': outcome, **outcomes}, max(over, ended) - started, before)
 
 
 def _quilt(out: Path, seed: int) -> dict[str, dict[str, Any]]:
@@ -185,7 +212,7 @@ def _graph(out: Path, machine: str, bag: str, specs: list[NodeSpec]) -> dict[str
             'lockstep': True,
             'lockstep_nodes': served,
             'lockstep_recorder': True,
-            'answer_timeout': 10.0,
+            'answer_timeout': ANSWER_TIMEOUT,
         },
     )
     with GraphProcesses(machine, folder=out / 'log' / bag) as graph:
@@ -234,7 +261,7 @@ def _lists(values: dict[str, Any]) -> dict[str, Any]:
     return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
 
 
-def _run_alone(out: Path, settings: Any, thermal: str, foam: str, seed: int, bar: Any) -> None:
+def _run_alone(out: Path, settings: Any, thermal: str, foam: str, bar: Any) -> None:
     """Run both machines in this process, into bags of their own."""
     from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
     from fuzzycnc_ros.scenario import PublishedBag
@@ -248,7 +275,7 @@ def _run_alone(out: Path, settings: Any, thermal: str, foam: str, seed: int, bar
             run_patterns(
                 (TRACK,),
                 '' if name == 'before' else foam,
-                machine=SimulatedMachineConfig(seed=seed, sheet_seed=seed),
+                machine=SimulatedMachineConfig(seed=settings.seed, sheet_seed=settings.seed),
                 name=QUILT,
                 sink=bag,
             )

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the scenarios of `fuzzycnc demo` share: their folder, their steps, their closing lines."""
 
-import os
+import json
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,15 +14,13 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from fuzzycnc_ros.cli.console import show
 from fuzzycnc_ros.cli.graph_processes import GraphError
 
 RUN_TIMEOUT = 300.0
 """Wall time [s] that a live run may take."""
-
-
-def own_domain() -> None:
-    """Put the graph on a domain of its own: whatever else runs on this host must not mix in."""
-    os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)
+ANSWER_TIMEOUT = 10.0
+"""Wall time [s] after which a silent node of a live run is lost: a busy host is no fault."""
 
 
 def renew(out: Path) -> None:
@@ -88,6 +86,52 @@ class Bar:
     def update(self, done: int, total: int) -> None:
         """Show how much is done."""
         self.progress.update(self.task, completed=done, total=total)
+
+
+def finish(
+    console: Console,
+    out: Path,
+    result: Any,
+    tables: Sequence[Any],
+    lines: Sequence[str],
+    *,
+    started: float,
+    problem: str = '',
+) -> None:
+    """Write a demo's figures down and show what came of it.
+
+    Parameters
+    ----------
+    console : Console
+        Where to.
+    out : Path
+        The demo's folder.
+    result : dataclass
+        Its figures, as they go to `summary.json`; gets the time of all as `wall_s`.
+    tables : sequence
+        Tables to show.
+    lines : sequence of str
+        What else is to be said; the last one gets the time of all.
+    started : float
+        When it began, by the monotonic clock [s].
+    problem : str
+        Why the demo proves nothing; empty if it does.
+
+    Raises
+    ------
+    GraphError
+        If there is a problem.
+    """
+    result.wall_s = round(time.monotonic() - started, 2)
+    (out / 'summary.json').write_text(json.dumps(vars(result), indent=2) + '\n', encoding='utf-8')
+    for table in tables:
+        show(table)
+    *before, last = lines
+    for line in (*before, f'{last}; {result.wall_s:.0f} s in all'):
+        console.print(line)
+    print_files(console, out)
+    if problem:
+        raise GraphError(problem)
 
 
 def print_files(console: Console, out: Path) -> None:

@@ -12,7 +12,8 @@ import numpy as np
 from rich.console import Console
 
 from fuzzycnc_ros.cli.console import show
-from fuzzycnc_ros.cli.demo_steps import RUN_TIMEOUT, Steps, own_domain, print_files, progress_of
+from fuzzycnc_ros.cli.demo_steps import RUN_TIMEOUT, Steps, print_files, progress_of
+from fuzzycnc_ros.cli.free_domain import own_domain
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses
 from fuzzycnc_ros.cli.up import node_specs
 

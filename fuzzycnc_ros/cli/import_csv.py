@@ -189,7 +189,7 @@ def _read_mapping(path: Path, known: list[str]) -> dict[str, Any]:
     ValueError
         If it is no mapping of the known settings.
     """
-    from fuzzycnc_ros.cli.yaml_file import compose, construct
+    from fuzzycnc_ros.bags.yaml_file import compose, construct
 
     settings = construct(path, compose(path, 'a mapping of columns'))
     if not isinstance(settings, dict):

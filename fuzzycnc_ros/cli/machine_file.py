@@ -87,7 +87,7 @@ def _names(config: type[Config]) -> set[str]:
 
 def _sections(path: Path) -> dict[str, _Section]:
     """Return the parameters of both nodes."""
-    from fuzzycnc_ros.cli.yaml_file import compose
+    from fuzzycnc_ros.bags.yaml_file import compose
 
     root = compose(path, 'a ROS parameter file of the machine')
     found: dict[str, _Section] = {}
@@ -127,7 +127,7 @@ def _value(path: Path, node: Any) -> Any:
     """Return a value; 20e-6 is a number here as in ROS, though not in YAML 1.1."""
     import yaml
 
-    from fuzzycnc_ros.cli.yaml_file import construct
+    from fuzzycnc_ros.bags.yaml_file import construct
 
     if isinstance(node, yaml.SequenceNode):
         return [_value(path, item) for item in node.value]

@@ -23,6 +23,8 @@ from fuzzycnc_ros.cli.foam import HELP as FOAM_HELP
 from fuzzycnc_ros.cli.graph_processes import GraphError
 from fuzzycnc_ros.cli.import_csv import import_csv
 from fuzzycnc_ros.cli.info import info
+from fuzzycnc_ros.cli.operate import COMMANDS as OPERATE_COMMANDS
+from fuzzycnc_ros.cli.operate import HELP as OPERATE_HELP
 from fuzzycnc_ros.cli.pareto import pareto
 from fuzzycnc_ros.cli.position import position
 from fuzzycnc_ros.cli.record import record
@@ -89,6 +91,7 @@ class CommandGroup:
 COMMANDS: dict[str, Callable[..., Any] | CommandGroup] = {
     'demo': demo,
     'up': up,
+    'operate': CommandGroup(OPERATE_HELP, OPERATE_COMMANDS),
     'faults': faults,
     'simulate': simulate,
     'record': record,

@@ -4,7 +4,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated, Any, Optional
 
 import typer
 
@@ -75,3 +75,39 @@ def names_of(option: str, texts: list[str], known: Sequence[str]) -> tuple[str, 
             f'{", ".join(map(repr, unknown)) or "none"}'
         )
     return tuple(name for name in known if ALL in names or name in names)
+
+
+def node_parameters(option: str, texts: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return parameters by node, given as node.name=value with values as in a parameter file.
+
+    Raises
+    ------
+    ValueError
+        If a text has another form or holds no value.
+    """
+    import yaml
+
+    found: dict[str, dict[str, Any]] = {}
+    for text in texts:
+        path, equals, value = text.partition('=')
+        node, dot, name = path.partition('.')
+        if not (equals and dot and node and name):
+            raise ValueError(
+                f'{option}: expected NODE.NAME=VALUE such as compensator.offset_max=20e-6 '
+                f'but found {text!r}'
+            )
+        try:
+            found.setdefault(node, {})[name] = _number_or_value(yaml.safe_load(value))
+        except yaml.YAMLError as error:
+            raise ValueError(f'{option} {path}: {value!r} is no value: {error}') from error
+    return found
+
+
+def _number_or_value(value: Any) -> Any:
+    """Return 20e-6 as the number that people mean; YAML 1.1 takes it for text."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return float(value)
+    except ValueError:
+        return value

@@ -8,13 +8,19 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
 import typer
 
-from fuzzycnc_ros.cli.console import JsonFile, check_at_least, check_folder, check_new, write_json
+from fuzzycnc_ros.cli.console import (
+    JsonFile,
+    check_at_least,
+    check_folder,
+    check_new,
+    check_ros,
+    write_json,
+)
 
 STOP_TIMEOUT = 30.0
 """Time [s] that the recorder gets to close its bag."""
@@ -52,11 +58,7 @@ def record(
     check_at_least('--duration', duration, 0.0)
     check_new(out)
     check_folder(json_file)
-    if find_spec('rclpy') is None:
-        raise ModuleNotFoundError(
-            'recording needs ROS 2 (rclpy), which is not installed: source a ROS 2 Jazzy '
-            'workspace, or run make setup and use .venv/bin/fuzzycnc'
-        )
+    check_ros('recording')
     code = _run_recorder(_arguments(out, machine, topics, lockstep), out, duration)
     if code == 0 and json_file is not None:
         write_json(json_file, _figures(out))

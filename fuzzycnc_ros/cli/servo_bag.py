@@ -23,11 +23,11 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import find_topic
 from fuzzycnc_ros.cli.servo_records import Moves
 from fuzzycnc_ros.components.codes import ServoStatus
+from fuzzycnc_ros.components.host_records import NodeConfiguration
 from fuzzycnc_ros.components.records import (
     SECOND,
     AxisCommand,
     AxisState,
-    NodeConfiguration,
     PositionCommand,
     Record,
     ServoState,

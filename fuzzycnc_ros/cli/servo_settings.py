@@ -120,7 +120,7 @@ def read_settings(path: Path) -> ServoSettings:
     ValueError
         If it is none; the message names the file and what is wrong.
     """
-    from fuzzycnc_ros.cli.yaml_file import compose, construct
+    from fuzzycnc_ros.bags.yaml_file import compose, construct
     from fuzzycnc_ros.core.servo import RuleTable
 
     document = construct(path, compose(path, 'a file of settings, YAML or JSON'))

@@ -21,6 +21,7 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_text,
 )
+from fuzzycnc_ros.cli.options import node_parameters
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.report import CompensationRun, Table
@@ -106,7 +107,7 @@ def simulate(
         check_new(_calibration_folder(out))
     for path in (report, json_file):
         check_folder(path)
-    parameters = _parameters(param or [])
+    parameters = node_parameters('--param', param or [])
     documents: list[Figures] = []
     with progress_bar('simulating') as tell:
         for number in range(seed, seed + seeds):
@@ -278,33 +279,3 @@ def _median_table(documents: list[Figures], runs: tuple['CompensationRun', ...])
 
 def _calibration_folder(out: Path) -> Path:
     return out.with_name(f'{out.name}_calibration')
-
-
-def _parameters(texts: list[str]) -> dict[str, dict[str, Any]]:
-    """Read parameters in the form node.name=value, the value as in a parameter file."""
-    import yaml
-
-    found: dict[str, dict[str, Any]] = {}
-    for text in texts:
-        path, equals, value = text.partition('=')
-        node, dot, name = path.partition('.')
-        if not (equals and dot and node and name):
-            raise ValueError(
-                '--param: expected NODE.NAME=VALUE such as compensator.offset_max=20e-6 '
-                f'but found {text!r}'
-            )
-        try:
-            found.setdefault(node, {})[name] = _number_or_value(yaml.safe_load(value))
-        except yaml.YAMLError as error:
-            raise ValueError(f'--param {path}: {value!r} is no value: {error}') from error
-    return found
-
-
-def _number_or_value(value: Any) -> Any:
-    """Return 20e-6 as the number that people mean; YAML 1.1 takes it for text."""
-    if not isinstance(value, str):
-        return value
-    try:
-        return float(value)
-    except ValueError:
-        return value

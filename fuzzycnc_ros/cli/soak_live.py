@@ -14,7 +14,7 @@ from fuzzycnc_ros.bags.canonical import combined_hash, excluded, topic_hashes
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.recorder import REPORT_NAME
 from fuzzycnc_ros.cli.console import Tell
-from fuzzycnc_ros.cli.demo_steps import own_domain
+from fuzzycnc_ros.cli.free_domain import own_domain
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses
 from fuzzycnc_ros.cli.supervision_monitor import Monitor
 from fuzzycnc_ros.cli.up import MACHINE, node_specs

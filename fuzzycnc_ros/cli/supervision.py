@@ -10,7 +10,7 @@ from typing import Protocol
 
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec, process_name
 
-TIME_SOURCES = ('simulated_machine', 'player')
+TIME_SOURCES = ('simulated_machine', 'simulated_body', 'player')
 """Nodes that make machine time: a run is over when its one ends, and cannot be resumed."""
 REFUSED = 2
 """What a node ends with that does not take its parameters."""

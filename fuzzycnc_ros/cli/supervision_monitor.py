@@ -12,7 +12,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from fuzzycnc_ros.cli.operator import Operator
 from fuzzycnc_ros.components.component import Level
-from fuzzycnc_ros.components.records import NodeConfiguration
+from fuzzycnc_ros.components.host_records import NodeConfiguration
 from fuzzycnc_ros.nodes.messages import message_class
 
 SILENT = 5.0
@@ -80,9 +80,7 @@ class Monitor:
 
     def spin(self, duration: float = _SPIN) -> None:
         """Listen for some wall time [s]."""
-        until = time.monotonic() + duration
-        while (left := until - time.monotonic()) > 0.0:
-            self._operator.spin_once(left)
+        self._operator.pause(duration)
 
     def view(self, machine: str, node: str) -> NodeView:
         """Return what a node says of itself."""

@@ -167,7 +167,7 @@ def default_text(model: 'ThermalModel') -> str:
 def speed_text(model: 'ThermalModel') -> str:
     """Return whether the spindle speed is used."""
     if model.needs_speed:
-        return 'used; the machine has to publish it with machine_state'
+        return 'used; it has to come with machine_state or on spindle_speed'
     return 'known, but not used by the model in use' if model.drivers else 'not used'
 
 

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc up`: the whole graph of one machine, as processes or composed in one."""
 
-import json
 import signal
 import time
 from collections.abc import Iterator, Sequence
@@ -13,7 +12,7 @@ from typing import Annotated, Any, Optional
 import typer
 from rich.console import Console
 
-from fuzzycnc_ros.cli.console import words
+from fuzzycnc_ros.cli.console import check_folder, words, write_json
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
 from fuzzycnc_ros.cli.supervision_run import supervise
 from fuzzycnc_ros.nodes.environment import open_to_network
@@ -25,6 +24,8 @@ BANNER = (
 THERMAL = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator')
 """Nodes of thermal compensation."""
 MACHINE = 'simulated_machine'
+BODY = 'simulated_body'
+"""Makes the time of a real controller without hardware; it starts last, too."""
 
 
 def node_specs(
@@ -77,12 +78,14 @@ def node_specs(
             f'{", ".join(unknown) or "none"}'
         )
     simulated = bool(duties) or MACHINE in wanted
+    if simulated and BODY in wanted:
+        raise GraphError(f'nodes: expected {MACHINE} or {BODY}, since each makes time, not both')
     common: dict[str, Any] = {'lockstep': lockstep}
-    if simulated and not lockstep:
+    if (simulated or BODY in wanted) and not lockstep:
         common['use_sim_time'] = True
     specs = []
     for name, component in COMPONENTS.items():
-        if name not in wanted or name == MACHINE:
+        if name not in wanted or name in (MACHINE, BODY):
             continue
         parameters = dict(common)
         if state_directory is not None and any(item.persistent for item in component.OUTPUTS):
@@ -97,6 +100,8 @@ def node_specs(
         specs.append(NodeSpec('recorder', dict(common, output=str(record))))
     elif 'recorder' in wanted:
         raise GraphError('nodes: recorder needs a bag to write; name it with --record')
+    if BODY in wanted:
+        specs.append(NodeSpec(BODY, {'nodes': [spec.name for spec in specs]}))
     if simulated:
         machine = {
             'lockstep': lockstep,
@@ -195,6 +200,7 @@ def up(
 
         fuzzycnc up --machine mill_1,mill_2 --compose --model mill.json
     """
+    check_folder(json_file)
     console = Console(stderr=True)
     duties = words([simulate])
     chosen = words([nodes]) or THERMAL
@@ -210,6 +216,7 @@ def up(
     with _interrupted_by_sigterm(), ExitStack() as stack:
         graphs = []
         plans = []
+        bags = []
         for name in machines:
             # Each simulated machine makes its own time.
             own_clock = ('/clock:=clock',) if len(machines) > 1 else ()
@@ -218,6 +225,7 @@ def up(
             bag = record
             if bag is not None and len(machines) > 1:
                 bag = bag.with_name(f'{bag.name}_{name}')
+            bags += [str(bag)] if bag is not None else []
             specs = node_specs(
                 nodes=chosen,
                 duties=duties,
@@ -233,8 +241,12 @@ def up(
         console.print(BANNER, style='yellow', soft_wrap=True)
         outcome = supervise(console, graphs, plans)
     outcome['wall_s'] = round(time.monotonic() - started, 3)
-    if json_file is not None:
-        json_file.write_text(json.dumps(outcome, indent=2) + '\n', encoding='utf-8')
+    console.print(
+        f'ended after {outcome["wall_s"]:.0f} s'
+        + (f'; recorded {", ".join(bags)}' if bags else ''),
+        soft_wrap=True,
+    )
+    write_json(json_file, outcome)
     if outcome['exit_code']:
         raise typer.Exit(int(outcome['exit_code']))
 

@@ -16,6 +16,14 @@ class Status(IntEnum):
     DRIFT = 5
 
 
+class SpeedStatus(IntEnum):
+    """Verdict on a reading of the spindle speed, `SpindleSpeed.STATUS_*`."""
+
+    OK = 0
+    MISSING = 1
+    OUT_OF_RANGE = 2
+
+
 class Reason(IntEnum):
     """Why a prediction is invalid, `ThermalError.REASON_*`."""
 

@@ -10,7 +10,11 @@ import numpy as np
 
 from fuzzycnc_ros.components.codes import Junction, SegmentKind
 from fuzzycnc_ros.components.records import CompensatedPath, Floats, StitchPattern, ToolPath
-from fuzzycnc_ros.components.stitch_patterns import primitive_kind
+from fuzzycnc_ros.components.stitch_patterns import (
+    COORDINATE_MAX,
+    STITCHES_MAX,
+    primitive_kind,
+)
 from fuzzycnc_ros.core.deformation import compensation
 from fuzzycnc_ros.core.deformation.compensation import REFERENCE_LENGTH
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive, SheetMaterial
@@ -32,6 +36,36 @@ class Course:
     def steps(self) -> tuple[int, ...]:
         """Number of steps of each."""
         return tuple(len(item.stitches()) for item in self.primitive)
+
+
+def check_compensated(path: CompensatedPath) -> None:
+    """Refuse a path whose stitches cannot be made.
+
+    Raises
+    ------
+    ValueError
+        If its arrays do not fit each other, or hold what is no point, depth or turn.
+    """
+    steps = len(path.depth)
+    if not 0 < steps <= STITCHES_MAX:
+        raise ValueError(f'depth: expected 1 to {STITCHES_MAX} stitches but found {steps}')
+    points = 2 * steps + 2
+    for name, length in (('nominal', points), ('offset', points), ('turn', steps)):
+        found = len(getattr(path, name))
+        if found != length:
+            raise ValueError(f'{name}: expected {length} values for {steps} stitches, not {found}')
+    for name in ('nominal', 'offset'):
+        bad = ~(np.abs(getattr(path, name)) <= COORDINATE_MAX)  # NaN is none either
+        if bad.any():
+            raise ValueError(
+                f'{name}: expected up to {COORDINATE_MAX:g} m but found '
+                f'{getattr(path, name)[bad][0]}'
+            )
+    bad = ~(np.isfinite(path.depth) & (path.depth > 0.0))
+    if bad.any():
+        raise ValueError(f'depth: expected more than 0 m but found {path.depth[bad][0]}')
+    if not np.isfinite(path.turn).all():
+        raise ValueError('turn: expected finite angles but found some that are not')
 
 
 def compensated_record(

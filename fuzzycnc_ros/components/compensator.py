@@ -8,7 +8,6 @@ invalid or out of domain it holds, then ramps to zero; it never steps.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from fuzzycnc_ros.components.codes import (
     CompensationState,
     Reason,
 )
+from fuzzycnc_ros.components.compensator_config import AXES, CompensatorConfig
 from fuzzycnc_ros.components.component import (
     Answer,
     Component,
@@ -27,50 +27,23 @@ from fuzzycnc_ros.components.component import (
     Level,
     Output,
 )
+from fuzzycnc_ros.components.controller_status import describe
 from fuzzycnc_ros.components.records import (
     SECOND,
     Compensation,
     CompensationApplied,
     Floats,
     MachineState,
+    Record,
     ThermalError,
     nanoseconds,
 )
-from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.config import Config
 
-AXES = ('X', 'Y', 'Z', 'A', 'B', 'C', 'U', 'V', 'W')
-"""Axis names of ISO 841."""
+__all__ = ['AXES', 'Compensator', 'CompensatorConfig']
 
-
-@dataclass(frozen=True, kw_only=True)
-class CompensatorConfig(Config):
-    """Parameters of `compensator`."""
-
-    autostart: bool = param(
-        False, '-', 'Configure and activate at start; otherwise a lifecycle manager does'
-    )
-    axes: tuple[str, ...] = param(('Y', 'Z'), '-', 'Axes that are compensated, ISO 841 names')
-    offset_max: float = param(
-        50e-6, 'm', 'Largest offset on any axis', low=0.0, high=1e-3, live=True
-    )
-    slew_max: float = param(
-        0.1e-6, 'm/s', 'Fastest change of an offset', low=1e-9, high=1e-3, live=True
-    )
-    ramp_rate: float = param(
-        0.1e-6, 'm/s', 'Speed at which offsets go to zero; not above slew_max', low=1e-9, high=1e-3
-    )
-    period: float = param(
-        10.0, 's', 'Time between updates while offsets move without an input', low=0.01, high=600.0
-    )
-    stale_after: float = param(
-        150.0, 's', 'Age of the error beyond which offsets are held', low=0.01, high=7200.0
-    )
-    hold_time: float = param(
-        300.0, 's', 'How long offsets are held before they ramp to zero', low=0.0, high=7200.0
-    )
-    validity: float = param(
-        180.0, 's', 'How long the machine side may trust one message', low=0.01, high=7200.0
-    )
+NEGLIGIBLE = 1e-8
+"""Offset in a read-back that is what a controller rounds [m]."""
 
 
 class Compensator(Component):
@@ -197,6 +170,18 @@ class Compensator(Component):
     def at_rest(self) -> bool:
         """Whether all offsets are zero and nothing is being followed."""
         return not self._active and not np.any(self._offset)
+
+    def silence(self, name: str, last: Record) -> str:
+        """Say which offsets stood when the machine was last heard: nobody may own them now."""
+        if not isinstance(last, CompensationApplied):
+            return ''
+        standing = describe(last.axis, last.offset, np.abs(last.offset) > NEGLIGIBLE)
+        if not standing:
+            return ''
+        return (
+            f'{standing} stood then, which nobody may own now; see the machine side '
+            '(simulated_machine or the bridge of the controller)'
+        )
 
     def health(self) -> list[Health]:
         """Report the state, its reason and the limits at work."""

@@ -165,6 +165,10 @@ class Component:
     def restore(self, output: str, record: Record) -> None:
         """Take back a persistent record that an earlier life of the component published."""
 
+    def silence(self, name: str, last: Record) -> str:
+        """Say what it means that nothing came after `last`; empty if it is nothing but late."""
+        return ''
+
     def health(self) -> list[Health]:
         """Report on inputs, sensors and limits; the host adds timing and publishes it."""
         return []

@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from fuzzycnc_ros.components.component import Answer, Component, Emission
+from fuzzycnc_ros.components.host_records import MachineTick
 from fuzzycnc_ros.components.merge import Merger
 from fuzzycnc_ros.components.provenance import configuration_record, event_record
-from fuzzycnc_ros.components.records import MachineTick, Record
+from fuzzycnc_ros.components.records import Record
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine
 
 Sink = Callable[[str, Record], None]

@@ -4,40 +4,29 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from fuzzycnc_ros.components.codes import MachineMode
-from fuzzycnc_ros.components.records import Bools, Floats, Names
+from fuzzycnc_ros.components.controller_status import Readout
+from fuzzycnc_ros.components.records import Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ControllerStatus:
-    """What LinuxCNC tells; arrays are parallel to the axes of the bridge."""
+class ControllerStatus(Readout):
+    """What LinuxCNC tells; `ready` means that its offset registers take counts."""
 
-    mode: MachineMode
-    homed: bool
-    ready: bool
-    """The machine is on and homed: its offset registers take counts."""
     alive: bool
     """The watchdog in the servo thread hears this bridge."""
     frozen: bool
     """`eoffset-enable` of an axis is off: the offset stays where it is."""
     soft_limited: bool
     """A soft limit cuts an offset."""
-    writer: str = ''
-    """HAL component that writes the counts; empty if none does."""
-    position: Floats
-    """Commanded, without offsets [m]."""
-    applied: Floats
-    """Offsets in force: the read-back [m]."""
     register: Floats
     """Offsets that LinuxCNC goes to: the sum of what its counts have changed by [m]."""
     counts: Floats
     """Counts that LinuxCNC sees [-]."""
     scale: Floats
     """Offset of one count [m]."""
-    spindle_speed: float = np.nan
-    """Positive clockwise seen from the spindle [rad/s]."""
+    tick: int
+    """How long the servo thread took in its newest period, in its own unit: another number is
+    another period."""
 
     @property
     def led(self) -> bool:
@@ -64,13 +53,3 @@ class ControllerOutput:
     """Whole numbers, parallel to the axes."""
     rezero: bool = False
     """Hold the registers at zero, whatever the counts do."""
-
-
-def describe(axes: Names, values: Floats, chosen: Bools | None = None) -> str:
-    """Return offsets [m] as text in micrometres, those that are chosen or not zero."""
-    picked = np.abs(values) > 0.0 if chosen is None else np.asarray(chosen, bool)
-    return ', '.join(
-        f'{axis} {1e6 * value:.2f} um'
-        for axis, value, take in zip(axes, values, picked, strict=True)
-        if take
-    )

@@ -18,6 +18,10 @@ from fuzzycnc_ros.components.well_formed import misfit
 _DEADLINE_RANK = 1000
 _DRIVING_RANK = 2000
 
+FORGETTING, OUTAGE = 0.9, 3.0
+"""Parts of the usual interval of an input: what is left of it after a record that came sooner, and
+what it becomes at most by one that came later, since an outage is not usual."""
+
 
 @dataclass
 class InputCount:
@@ -34,8 +38,11 @@ class InputCount:
     """Records that came after the component had worked past their stamp; a driving one is lost."""
     newest: int | None = None
     """Newest stamp seen [ns]."""
+    last: Record | None = None
+    """Record of that stamp, worked or not."""
     interval: int = 0
-    """Time between the two newest stamps [ns]; 0 before the second."""
+    """Usual time between two stamps [ns]; 0 before the second.  The longest of the last dozen or
+    so, without outages: bursts amid a slow stream do not make it look late."""
 
 
 @dataclass
@@ -79,8 +86,11 @@ class Merger:
                 count.dropped += 1
                 return False
         if count.newest is not None:
-            count.interval = record.stamp - count.newest
-        count.newest = record.stamp
+            gap, usual = record.stamp - count.newest, count.interval
+            count.interval = (
+                max(min(gap, int(OUTAGE * usual)), int(FORGETTING * usual)) if usual else gap
+            )
+        count.newest, count.last = record.stamp, record
         if record.stamp < self.time and name not in self._latched:
             count.late += 1
             if self._ranks[name] == _DRIVING_RANK:

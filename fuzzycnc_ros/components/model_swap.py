@@ -206,7 +206,7 @@ class ModelSwap:
             prediction=Prediction(
                 error=error,
                 deviation=(1.0 - share) * deviation + share * after.deviation,
-                distance=max(before.distance, after.distance),
+                outside=before.outside or after.outside,
                 substituted=tuple(mates),
                 substitute=tuple(mates.values()),
             ),

@@ -16,8 +16,8 @@ from fuzzycnc_ros.components.linuxcnc_status import ControllerOutput, Controller
 from fuzzycnc_ros.components.records import Floats
 
 SURE = 4
-"""Cycles for which a base must have been seen: counts and register are read one after the other,
-and another process moves them meanwhile."""
+"""Servo periods for which a base must have been seen while the counts stood still: the register
+follows the counts one period later, and on a busy computer a period may last long."""
 TOLERANCE = 2.0
 """Base that is none [counts]."""
 
@@ -45,12 +45,14 @@ class OffsetRegisters:
         self.base = np.zeros(size)
         """Offset at counts of zero [m]; followed only while the way back is gone."""
         self._seen = np.zeros(size)
+        self._counts = np.zeros(size)
+        self._tick = 0
         self._scale = np.zeros(size)
         self._cycles = 0
 
     @property
     def settled(self) -> bool:
-        """Whether the bases are known: for some cycles nothing has moved the counts."""
+        """Whether the bases are known: for some periods nothing has moved the counts."""
         return self._cycles >= SURE
 
     def restart(self) -> None:
@@ -60,9 +62,12 @@ class OffsetRegisters:
     def look(self, status: ControllerStatus) -> None:
         """Follow the bases without doing anything about them."""
         found = status.register - status.scale * status.counts
-        same = np.all(np.abs(found - self._seen) <= TOLERANCE * np.abs(status.scale))
-        self._cycles = self._cycles + 1 if same else 0
-        self._seen = found
+        near = np.abs(found - self._seen) <= TOLERANCE * np.abs(status.scale)
+        if not (np.all(near) and np.array_equal(status.counts, self._counts)):
+            self._cycles = 0
+        elif status.tick != self._tick:
+            self._cycles += 1
+        self._seen, self._counts, self._tick = found, status.counts, status.tick
 
     def observe(self, status: ControllerStatus) -> bool:
         """Look at a cycle; return whether a base was found now, which the offsets have to leave.

@@ -9,7 +9,7 @@ from typing import Any
 
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.components.component import Component
-from fuzzycnc_ros.components.records import NodeConfiguration, NodeEvent
+from fuzzycnc_ros.components.host_records import NodeConfiguration, NodeEvent
 from fuzzycnc_ros.core.text_hash import text_hash
 
 MESSAGE_SET = 1

@@ -9,7 +9,7 @@ holds both sides together.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, TypeAlias
+from typing import Annotated, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,6 +186,16 @@ class MachineState(Record):
     spindle_speed: float
     axis: Names
     position: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SpindleSpeed(Record):
+    """Spindle speed from a source of its own."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/SpindleSpeed'
+
+    speed: float
+    status: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -384,85 +394,3 @@ class ContourError(Record):
     period: float
     arc_length: Floats
     error: Floats
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MachineTick(Record):
-    """Lock-step: one node's turn."""
-
-    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/MachineTick'
-
-    tick: int
-    node: str
-    probe: bool
-    probe_number: int = 0
-    topic: Names
-    published: Counts
-    readers: Offsets
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TickAnswer(Record):
-    """Lock-step: a node has done its work."""
-
-    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/TickAnswer'
-
-    tick: int
-    node: str
-    probe: bool
-    probe_number: int = 0
-    missed: bool
-    topic: Names
-    published: Counts
-    reads: Names
-    next_deadline: Stamp
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DeadlineFired(Record):
-    """Real time: a node acted because nothing arrived."""
-
-    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/DeadlineFired'
-
-    node: str
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class NodeConfiguration(Record):
-    """What a node runs with."""
-
-    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/NodeConfiguration'
-
-    node: str
-    version: str
-    message_set: int
-    lifecycle_state: str
-    parameters: str
-    model: str
-    model_hash: str
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class NodeEvent(Record):
-    """A service, action or transition changed a node's state."""
-
-    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/NodeEvent'
-
-    node: str
-    name: str
-    request: str
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RecorderProgress(Record):
-    """How far the recorder has come."""
-
-    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/RecorderProgress'
-
-    received: int
-    written: int
-    lost: int
-
-
-AnyRecord: TypeAlias = Any
-"""A record of any type; each input and output declares its own."""

@@ -7,20 +7,24 @@ from fuzzycnc_ros.components.component import Component
 from fuzzycnc_ros.components.deformation_compensator import DeformationCompensator
 from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.linuxcnc_bridge import LinuxcncBridge
+from fuzzycnc_ros.components.opcua_bridge import OpcuaBridge
 from fuzzycnc_ros.components.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.servo_controller import ServoController
+from fuzzycnc_ros.components.simulated_body import SimulatedBody
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine
 from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
 
-MACHINES = (SimulatedMachine.NAME, LinuxcncBridge.NAME)
-"""What stands for a machine: a graph has one of them, and no recording can give it back."""
+MACHINES = (SimulatedMachine.NAME, LinuxcncBridge.NAME, OpcuaBridge.NAME, SimulatedBody.NAME)
+"""What stands for a machine, the last one beside a bridge; no recording can give it back."""
 
 COMPONENTS: dict[str, type[Component]] = {
     item.NAME: item
     for item in (
         SimulatedMachine,
         LinuxcncBridge,
+        OpcuaBridge,
+        SimulatedBody,
         TemperatureAcquisition,
         SensorSelector,
         ThermalPredictor,

@@ -176,6 +176,8 @@ class ServoController(Component):
         duties = self._step(None)
         if self._fault:
             yield self._command(stamp, duties)
+        elif self._forbidden and self._missing > self._silence:
+            self._at = None  # drives that are off need no bridging; they are taken over anew
         yield from self._tell(stamp)
 
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:

@@ -4,21 +4,13 @@
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from fuzzycnc_ros.components.component import Emission, Health, Level
-from fuzzycnc_ros.components.records import (
-    Compensation,
-    CompensationApplied,
-    Displacement,
-    Temperatures,
-    nanoseconds,
-)
+from fuzzycnc_ros.components.mill_instruments import MillInstruments
+from fuzzycnc_ros.components.records import Compensation, CompensationApplied
 from fuzzycnc_ros.components.simulated_machine_config import SimulatedMachineConfig
 from fuzzycnc_ros.core.machine.duties import Duty
-from fuzzycnc_ros.core.machine.mill import DISPLACEMENT_NOISE, MILL_AXES, MILL_SENSORS, ThermalMill
+from fuzzycnc_ros.core.machine.mill import MILL_AXES
 from fuzzycnc_ros.core.machine.offset_input import OffsetInput, OffsetInputConfig
-from fuzzycnc_ros.core.machine.sensor_faults import parse_sensor_fault
 
 
 class Warmth:
@@ -43,18 +35,16 @@ class Warmth:
     """
 
     def __init__(self, config: SimulatedMachineConfig) -> None:
-        self._config = config
-        self._faults = tuple(parse_sensor_fault(text) for text in config.sensor_faults)
+        self._instruments = MillInstruments(config)
         self.offsets = OffsetInput(
             MILL_AXES,
             OffsetInputConfig(offset_max=config.offset_max, slew_max=config.slew_max),
         )
         self.spindle_speed = 0.0
-        self._mill: ThermalMill
 
     def begin(self, duty: Duty, run: int) -> None:
         """Set the machine up, cold, for a duty."""
-        self._mill = duty.mill(seed=self._config.seed + 1000 * run, faults=self._faults)
+        self._instruments.begin(duty, run)
 
     def command(self, command: Compensation) -> None:
         """Take an offset command; the offset input decides whether it is followed."""
@@ -71,7 +61,7 @@ class Warmth:
     def advance(self, stamp: int, period: float, spindle_speed: float) -> None:
         """Move on to a stamp [ns], by a period [s] at a spindle speed [rad/s]."""
         self.spindle_speed = spindle_speed
-        self._mill.advance(period, spindle_speed)
+        self._instruments.advance(period, spindle_speed)
         self.offsets.advance(stamp)
 
     def readings(
@@ -99,32 +89,7 @@ class Warmth:
             at_limit=self.offsets.at_limit,
         )
         yield Emission('compensation_applied', applied)
-        interval = nanoseconds(self._config.displacement_interval)
-        if since % interval < nanoseconds(self._config.tick_period):
-            yield Emission(
-                'displacement',
-                Displacement(
-                    stamp=stamp,
-                    frame_id=workpiece,
-                    axis=MILL_AXES,
-                    channel=MILL_AXES,
-                    displacement=self._mill.measure_displacement(),
-                    standard_deviation=np.full(len(MILL_AXES), DISPLACEMENT_NOISE),
-                    includes_compensation=False,
-                ),
-            )
-        reading = self._mill.read()
-        yield Emission(
-            'sensor_readings',
-            Temperatures(
-                stamp=stamp,
-                frame_id=frame_id,
-                sensor=MILL_SENSORS,
-                temperature=reading,
-                status=np.where(np.isfinite(reading), 0, 1).astype(np.uint8),
-                readings=1,
-            ),
-        )
+        yield from self._instruments.readings(stamp, since, frame_id, workpiece)
 
     def health(self) -> Health:
         """Report the offsets in force and why a command was refused."""

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from fuzzycnc_ros.components.compensated_paths import check_compensated
 from fuzzycnc_ros.components.component import Emission, Health, Level
 from fuzzycnc_ros.components.records import (
     SECOND,
@@ -87,8 +88,10 @@ class Stitching:
     def load(self, path: CompensatedPath) -> None:
         """Take a path that is to be stitched when the axes follow it."""
         self.drop('another path was loaded')
-        if len(path.nominal) != len(path.offset) or 2 * len(path.depth) + 2 != len(path.offset):
-            self._say(Level.ERROR, f'{path.path_id} not stitched: its arrays do not fit')
+        try:
+            check_compensated(path)
+        except ValueError as error:
+            self._say(Level.ERROR, f'{path.path_id} not stitched: {error}')
             return
         self._path, self._tool = path, None
         self._say(Level.OK, f'{path.path_id} loaded')
@@ -121,7 +124,8 @@ class Stitching:
         now = (state.stamp, (place['X'], place['Y']))
         before, self._tool = self._tool or now, now
         if self._run is None:
-            if motion.place(path.path_id) < BEGUN:
+            # one that has ended is an earlier run of the same name
+            if motion.place(path.path_id) < BEGUN or motion.finished(path.path_id):
                 return
             self._run = self._begin(path, before)
         run = self._run

@@ -36,6 +36,7 @@ from fuzzycnc_ros.components.records import (
     nanoseconds,
 )
 from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.repeated_names import repeated_names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,7 +227,7 @@ class TemperatureAcquisition(Component):
         if names == self._sensor:
             self._refused = ''
             return True
-        duplicates = sorted({name for name in names if names.count(name) > 1})
+        duplicates = repeated_names(names)
         if duplicates:
             self._refused = f'duplicate sensor names: {", ".join(duplicates)}'
             return False

@@ -36,11 +36,14 @@ from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatch
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a model says of one sample, probes considered; arrays of shape (c,)."""
+    """What a model says of one sample, probes considered; arrays of shape (c,).
+
+    `outside` says why the sample is out of domain; it is empty if it is not.
+    """
 
     error: Floats
     deviation: Floats
-    distance: float
+    outside: str
     substituted: Names
     substitute: Names
 
@@ -139,7 +142,11 @@ class ModelHistory:
         self._predicted_at = stamp
         assert self._source is not None
         self.prediction = Prediction(
-            error, deviation, distance, self._source.substituted, self._source.substitute
+            error=error,
+            deviation=deviation,
+            outside=self._outside(heard.spindle_speed),
+            substituted=self._source.substituted,
+            substitute=self._source.substitute,
         )
 
     def inherit(self, remainder: Fade) -> None:
@@ -319,11 +326,35 @@ class ModelHistory:
         if self.model.needs_speed and not np.isfinite(heard.spindle_speed):
             self.refuse(
                 Reason.SENSOR_LOST,
-                'the model reads the spindle speed but machine_state has told none for more than '
-                f'gap_max = {self.config.gap_max:g} s',
+                'the model reads the spindle speed but neither machine_state nor spindle_speed '
+                f'has told one for more than gap_max = {self.config.gap_max:g} s',
             )
             return None
-        return np.concatenate([rise, self.model.drive(heard.spindle_speed)])
+        # Whether such a speed is real or not, its heat in the state would outlast it by hours.
+        speed = min(heard.spindle_speed, self._speed_limit)
+        return np.concatenate([rise, self.model.drive(speed)])
+
+    @property
+    def _speed_limit(self) -> float:
+        """Largest spindle speed that is in domain [rad/s]."""
+        return self.config.speed_margin * self.model.speed_max
+
+    def _outside(self, spindle_speed: float) -> str:
+        """Say why the newest sample is out of domain, '' if it is not."""
+        assert self._vector is not None
+        distance = float(self.model.distance(self._vector[: len(self.model.inputs)]))
+        if not distance <= self.config.domain_margin:
+            return (
+                f'temperatures are {distance:.1f} times as far away as the training data reach; '
+                f'domain_margin = {self.config.domain_margin:g}'
+            )
+        if spindle_speed > self._speed_limit:
+            return (
+                f'spindle speed {spindle_speed:.4g} rad/s is beyond speed_margin = '
+                f'{self.config.speed_margin:g} times the largest trained, '
+                f'{self.model.speed_max:.4g} rad/s; train with it, or see whether it is true'
+            )
+        return ''
 
     def _rise_of(self, sample: Temperatures) -> Floats | None:
         """Return the rises of the model's inputs, or None and set the reason."""

@@ -32,6 +32,7 @@ from fuzzycnc_ros.components.records import (
     PredictorState,
     Record,
     SensorSelection,
+    SpindleSpeed,
     Stamp,
     Temperatures,
     ThermalError,
@@ -39,6 +40,7 @@ from fuzzycnc_ros.components.records import (
     nanoseconds,
 )
 from fuzzycnc_ros.components.sample_memory import Heard, SampleMemory
+from fuzzycnc_ros.components.spindle_speed import OWN, STATE, SpeedSources, speed_told
 from fuzzycnc_ros.components.thermal_history import ModelHistory
 from fuzzycnc_ros.components.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.config import Config
@@ -59,7 +61,8 @@ class ThermalPredictor(Component):
         Input('sensor_selection', SensorSelection, LATCHED),
         Input('thermal_reference', ThermalReference, LATCHED),
         # How long the last known speed is held is a parameter, gap_max.
-        Input('machine_state', MachineState, quiet=True),
+        Input(STATE, MachineState, quiet=True),
+        Input(OWN, SpindleSpeed, quiet=True),
         Input('compensation_applied', CompensationApplied, quiet=True),
         Input('displacement', Displacement, quiet=True),
         Input('temperatures', Temperatures, driving=True),
@@ -78,7 +81,7 @@ class ThermalPredictor(Component):
         self._probing = self._config.probing != 'none' or self._config.adaptation > 0.0
         self._reference: ThermalReference | None = None
         self._checkpoint: PredictorState | None = None
-        self._speed: tuple[Stamp, float] | None = None
+        self._speeds = SpeedSources()
 
     @property
     def model(self) -> ThermalModel | None:
@@ -150,9 +153,12 @@ class ThermalPredictor(Component):
         self._swap.begin(reference, self._memory, self._checkpoint)
 
     def on_machine_state(self, state: MachineState) -> None:
-        """Note the spindle speed; one that is not known leaves the last known one."""
-        if np.isfinite(state.spindle_speed):
-            self._speed = (state.stamp, abs(state.spindle_speed))
+        """Note the spindle speed that the controller reports."""
+        self._speeds.note(STATE, state.stamp, speed_told(STATE, state))
+
+    def on_spindle_speed(self, speed: SpindleSpeed) -> None:
+        """Note the spindle speed that a source of its own tells."""
+        self._speeds.note(OWN, speed.stamp, speed_told(OWN, speed))
 
     def on_compensation_applied(self, applied: CompensationApplied) -> None:
         """Note what probes of this time include."""
@@ -167,9 +173,7 @@ class ThermalPredictor(Component):
     def on_temperatures(self, sample: Temperatures) -> Iterator[Emission]:
         """Predict from one sample."""
         since = self._reference.stamp if self._reference is not None else sample.stamp
-        heard = Heard(
-            sample, self._spindle_speed(sample.stamp), self._probes.take(sample.stamp, since)
-        )
+        heard = Heard(sample, self._speed_at(sample.stamp), self._probes.take(sample.stamp, since))
         self._memory.add(heard, self._config.settle_time)
         published = self._swap.take(heard)
         if published is None:
@@ -188,7 +192,11 @@ class ThermalPredictor(Component):
             items = [Health('prediction', Level.ERROR, history.detail)]
         else:
             items = [Health('prediction', Level.OK, f'predicting with {history.label}')]
+        if history.prediction is not None and history.prediction.outside:
+            items.append(Health('domain', Level.WARN, history.prediction.outside))
         items += self._swap.health()
+        if history.model.needs_speed:
+            items.append(self._speeds.health())
         if history.substitutions:
             items.append(Health('substitution', Level.WARN, history.substitutions))
         items += history.correction.health()
@@ -201,11 +209,12 @@ class ThermalPredictor(Component):
         selection = self._newest.get('sensor_selection')
         return selection if isinstance(selection, SensorSelection) else None
 
-    def _spindle_speed(self, stamp: Stamp) -> float:
+    def _speed_at(self, stamp: Stamp) -> float:
         """Return the size of the spindle speed [rad/s], NaN if it has been unknown too long."""
-        if self._speed is None or stamp - self._speed[0] > nanoseconds(self._config.gap_max):
+        told = self._speeds.newest
+        if told is None or stamp - told.stamp > nanoseconds(self._config.gap_max):
             return np.nan
-        return self._speed[1]
+        return abs(told.speed)
 
     def _valid(self, sample: Temperatures, published: Published) -> ThermalError:
         prediction = published.prediction
@@ -218,7 +227,7 @@ class ThermalPredictor(Component):
             standard_deviation=prediction.deviation,
             valid=True,
             reason=int(Reason.NONE),
-            in_domain=prediction.distance <= self._config.domain_margin,
+            in_domain=not prediction.outside,
             model=published.label,
             substituted=prediction.substituted,
             substitute=prediction.substitute,

@@ -46,7 +46,17 @@ class ThermalPredictorConfig(Config):
     domain_margin: float = param(
         3.0,
         '-',
-        'Distance from the training data, in units of its own extent, that still is in domain',
+        'Distance of the temperatures from the training data, in units of its own extent, that '
+        'still is in domain',
+        low=1.0,
+        high=1000.0,
+        live=True,
+    )
+    speed_margin: float = param(
+        1.4,
+        '-',
+        'Spindle speed that still is in domain, over the largest of the training; heat of what '
+        'is faster is not counted',
         low=1.0,
         high=1000.0,
         live=True,

@@ -47,8 +47,12 @@ def input_health(merger: Merger, now: int) -> list[Health]:
         age = (now - count.newest) / SECOND
         usual = count.interval / SECOND
         if usual > 0.0 and age > LATE_FACTOR * usual:
+            assert count.last is not None, 'it has a stamp'
+            meaning = merger.component.silence(declared.name, count.last)
+            level = Level.ERROR if meaning else Level.WARN
             text = f'late: newest is {age:.1f} s old, usual interval {usual:.1f} s'
-            items.append(Health(declared.name, Level.WARN, text, values))
+            text += f'; {meaning}' if meaning else ''
+            items.append(Health(declared.name, level, text, values))
         elif count.dropped or count.late:
             text = f'dropped: {count.dropped} not newer than the last, {count.late} too late'
             items.append(Health(declared.name, Level.WARN, text, values))

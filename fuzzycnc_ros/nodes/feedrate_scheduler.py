@@ -18,7 +18,8 @@ from fuzzycnc_msgs.srv import ScheduleProgram
 from fuzzycnc_ros.components.component import Answer
 from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.records import DeadlineFired, nanoseconds
+from fuzzycnc_ros.components.host_records import DeadlineFired
+from fuzzycnc_ros.components.records import nanoseconds
 from fuzzycnc_ros.convert import encode
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.host import DEADLINE_POLL

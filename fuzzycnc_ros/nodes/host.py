@@ -28,13 +28,11 @@ from fuzzycnc_ros.components.component import (
     Output,
 )
 from fuzzycnc_ros.components.host_config import HostConfig
+from fuzzycnc_ros.components.host_records import DeadlineFired, NodeConfiguration, NodeEvent
 from fuzzycnc_ros.components.merge import Merger
 from fuzzycnc_ros.components.provenance import REFUSED, configuration_record, event_record
 from fuzzycnc_ros.components.records import (
     SECOND,
-    DeadlineFired,
-    NodeConfiguration,
-    NodeEvent,
     Record,
     nanoseconds,
 )

@@ -22,10 +22,9 @@ from fuzzycnc_ros.bags.recorder import Progress, RecordingThread
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.components.component import STREAM, Health, Level
 from fuzzycnc_ros.components.host_config import RecorderConfig
+from fuzzycnc_ros.components.host_records import NodeConfiguration, RecorderProgress
 from fuzzycnc_ros.components.records import (
     SECOND,
-    NodeConfiguration,
-    RecorderProgress,
 )
 from fuzzycnc_ros.convert import encode
 from fuzzycnc_ros.core.text_hash import text_hash
@@ -88,7 +87,7 @@ class RecorderNode(BagNode[RecorderConfig]):
     @property
     def done(self) -> bool:
         """Whether the disk refuses to take any more."""
-        if self._thread.progress().error:
+        if self._thread.failed:
             self.exit_code = 1
             return True
         return False
@@ -142,7 +141,12 @@ class RecorderNode(BagNode[RecorderConfig]):
             reliability='reliable' if reliable else 'best_effort',
             durability='transient_local' if latched else 'volatile',
         )
-        self._thread.add_topic(topic, types[0], qos)
+
+        def heard() -> int:
+            own = self._subscriptions.get(topic)
+            return 0 if own is None else int(own.get_publisher_count())
+
+        self._thread.add_topic(topic, types[0], qos, publishers=heard)
         profile = QoSProfile(
             depth=DEPTH,
             reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,

@@ -11,19 +11,22 @@ import numpy as np
 from rclpy.node import Node
 
 from fuzzycnc_ros.components.component import STREAM
-from fuzzycnc_ros.components.records import MachineTick, TickAnswer
+from fuzzycnc_ros.components.host_records import MachineTick, TickAnswer
 from fuzzycnc_ros.convert import decode, encode
 from fuzzycnc_ros.nodes.messages import RCLPY
 from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, subscription_qos
 from fuzzycnc_ros.nodes.timers import wall_timer
-from fuzzycnc_ros.nodes.turn_taker import tick_topic
+from fuzzycnc_ros.nodes.turn_taker import PATIENCE, tick_topic
 
 PROBE_PERIOD = 0.1
 RECORDER = 'recorder'
 RECORDER_EVERY = 500
-"""Ticks between two turns of the recorder: its queue must hold what comes in between."""
-INPUT_PATIENCE = 0.5
-"""Wall time [s] that the machine waits for what was announced to it before it ticks without."""
+"""Ticks between two turns of the recorder, if it has not got many messages before."""
+BACKLOG = 150
+"""Messages after which a node gets a turn though it has nothing to do, which holds the run up
+until it has taken them.  Fast DDS queues 512 for a process in shared memory, turns and `/clock`
+too, and drops what comes then: a reader that was not scheduled for a while, while the machine
+ticked without it, got them only with the next heartbeat."""
 BREATH = 0.05
 """Wall time [s] of ticks in a row without a turn after which the node looks at the rest of its
 work: with all nodes lost it would otherwise run to the end of the programme unheard."""
@@ -152,8 +155,10 @@ class Sequencer:
     def received(self, topic: str, sequence_number: int) -> None:
         """Note that the machine has received a message of a topic that it reads."""
         self._received[topic] = sequence_number
-        if self._held and self._inputs_are_here():
-            self._next()
+        if self._held:
+            self._since = time.monotonic()
+            if self._inputs_are_here():
+                self._next()
 
     def _participant(self, name: str, timeout: float) -> Participant:
         publisher = create_publisher(self._node, MachineTick.TYPE, tick_topic(name), STREAM)
@@ -183,7 +188,7 @@ class Sequencer:
         elif self._waiting is not None and now - self._since > self._waiting.timeout:
             self._lose(self._waiting)
             self._next()
-        elif self._held and now - self._since > INPUT_PATIENCE:
+        elif self._held and now - self._since > PATIENCE:
             self.missed += 1
             self._next(without_inputs=True)
 
@@ -246,11 +251,12 @@ class Sequencer:
         self._held = False
         began = time.monotonic()
         while not self.over:
+            counts = self._all_counts()
             while self._turn < len(self._participants):
                 item = self._participants[self._turn]
                 self._turn += 1
-                if not item.lost and self._due(item):
-                    self._give_turn(item)
+                if not item.lost and self._due(item, counts):
+                    self._give_turn(item, counts)
                     return
             if self._programme_over:
                 self.over = True
@@ -275,21 +281,21 @@ class Sequencer:
         self._breath.cancel()
         self._next()
 
-    def _due(self, item: Participant) -> bool:
-        """Whether a turn would change anything: new inputs that matter, or a deadline reached."""
+    def _due(self, item: Participant, counts: Mapping[str, int]) -> bool:
+        """Whether a turn would change anything: new inputs that matter, or a deadline reached.
+
+        Nor may too many messages wait for a node.
+        """
+        news = {t: counts.get(t, 0) - item.seen.get(t, 0) for t in item.reads}
+        if sum(news.values()) >= BACKLOG:
+            return True
         if item.every > 1 and self.tick % item.every and not self._programme_over:
             return False
         if 0 < item.next_deadline <= self._stamp:
             return True
-        counts = self._all_counts()
-        return any(
-            counts.get(topic, 0) != item.seen.get(topic, 0)
-            for topic in item.reads
-            if topic not in item.quiet
-        )
+        return any(count for topic, count in news.items() if topic not in item.quiet)
 
-    def _give_turn(self, item: Participant) -> None:
-        counts = self._all_counts()
+    def _give_turn(self, item: Participant, counts: dict[str, int]) -> None:
         item.seen = counts
         self._waiting, self._since = item, time.monotonic()
         # What the node does not read is none of its business, and costs time to send.

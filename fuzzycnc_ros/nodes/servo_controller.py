@@ -14,7 +14,8 @@ import os
 from pathlib import Path
 
 from fuzzycnc_ros.components.component import Durability
-from fuzzycnc_ros.components.records import DeadlineFired, Record, nanoseconds
+from fuzzycnc_ros.components.host_records import DeadlineFired
+from fuzzycnc_ros.components.records import Record, nanoseconds
 from fuzzycnc_ros.components.servo_controller import ServoController
 from fuzzycnc_ros.components.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.convert import encode

@@ -15,67 +15,16 @@ from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, Simulate
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.host import ComponentNode
 from fuzzycnc_ros.nodes.messages import RCLPY
+from fuzzycnc_ros.nodes.pace import CLOCK_PERIOD, SLIP, START_POLL, Pace, StartGate
 from fuzzycnc_ros.nodes.qos import publisher_qos
 from fuzzycnc_ros.nodes.sequencer import Sequencer
 from fuzzycnc_ros.nodes.timers import wall_timer
 
-START_POLL = 0.05
-"""Wall time [s] between two looks at the graph before a run without lock-step starts."""
 CATCH_UP = 0.02
 """Wall time [s] for which late ticks are caught up before messages get their turn again."""
-SLIP, SLIP_DRIVEN = 0.1, 5e-4
-"""Wall time [s] from which on what is late is no longer caught up: a machine whose process stood
-still does not rush through what it missed.  Where others drive the axes it rushes through nothing:
-ticks that nobody can answer are worse than slow ones."""
-CLOCK_PERIOD = 0.01
-"""Wall time [s] between two messages on `/clock` in real time: each wakes every reader."""
-LATE = 0.01
-"""Wall time [s] from which on a tick counts as late."""
-SETTLING = 1.0
-"""Wall time [s] for which the graph must have been complete before a run without lock-step starts:
-the other nodes, above all the recorder, still find each other's topics."""
-
-
-class Pace:
-    """When ticks of machine time are due on the wall.
-
-    Parameters
-    ----------
-    rate : float
-        Speed of machine time; 1 is real time.
-    stamp : int
-        Machine time [ns] that is now.
-    now : float
-        Wall time [s].
-    slip : float
-        Wall time [s] from which on what is late is not caught up.
-    """
-
-    def __init__(self, rate: float, stamp: int, now: float, slip: float = SLIP) -> None:
-        self._rate, self._slip = rate, slip
-        self._stamp, self._now = stamp, now
-        self.late = 0
-        """Ticks that came late."""
-
-    def due(self, stamp: int) -> float:
-        """Return the wall time [s] of a tick."""
-        return self._now + 1e-9 * (stamp - self._stamp) / self._rate
-
-    def count(self, stamp: int, now: float) -> None:
-        """Note that a tick is made at wall time `now` [s]; far behind, machine time slips."""
-        behind = now - self.due(stamp)
-        self.late += behind > LATE
-        if behind > self._slip:
-            self.resume(stamp, now)
-
-    def resume(self, stamp: int, now: float) -> None:
-        """Go on from machine time `stamp` [ns] at wall time `now` [s].
-
-        Machine time moves in ticks alone.  What arrives in the midst of a long one and asks for
-        a short one continues from its beginning, rather than have hundreds of ticks be late.
-        So does a machine that is far behind.
-        """
-        self._stamp, self._now = stamp, now
+SLIP_DRIVEN = 5e-4
+"""Wall time [s] from which on what is late is not caught up where others drive the axes: ticks
+that nobody can answer are worse than slow ones."""
 
 
 class SimulatedMachineNode(ComponentNode):
@@ -109,8 +58,10 @@ class SimulatedMachineNode(ComponentNode):
                 reads=tuple(self._subscriptions),
             )
         else:
-            self._waiting_since = time.monotonic()
-            self._complete_since: float | None = None
+            recorder = ('recorder',) if config.lockstep_recorder else ()
+            self._gate = StartGate(
+                node, {*config.lockstep_nodes, *recorder}, config.start_timeout, self.matched
+            )
             self._timer = wall_timer(node, START_POLL, self._tick_in_time)
 
     @property
@@ -169,7 +120,7 @@ class SimulatedMachineNode(ComponentNode):
         now = time.monotonic()
         if self._pace is None:
             first = self.component.next_tick
-            if first is None or not self._may_start(self._waiting_since):
+            if first is None or not self._gate.open():
                 return
             config = self.component.configuration
             assert isinstance(config, SimulatedMachineConfig)
@@ -207,24 +158,6 @@ class SimulatedMachineNode(ComponentNode):
         """Have the timer call back once more, in `wait` [s] from now."""
         self._timer.timer_period_ns = max(int(1e9 * wait), 1000)
         self._timer.reset()
-
-    def _may_start(self, since: float) -> bool:
-        config = self.component.configuration
-        assert isinstance(config, SimulatedMachineConfig)
-        wanted = {*config.lockstep_nodes, *(('recorder',) if config.lockstep_recorder else ())}
-        missing = wanted - set(self.node.get_node_names())
-        if missing or not self.matched({}):
-            self._complete_since = None
-        elif self._complete_since is None:
-            self._complete_since = time.monotonic()
-        elif time.monotonic() - self._complete_since > SETTLING:
-            return True
-        if time.monotonic() - since < config.start_timeout:
-            return False
-        if missing:
-            named = ', '.join(sorted(missing))
-            self.node.get_logger().warning(f'starting without {named}: not seen on the graph')
-        return True
 
     def _finish(self) -> None:
         lost = self.sequencer.lost if self.sequencer else []

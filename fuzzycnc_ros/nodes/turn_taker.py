@@ -15,11 +15,16 @@ import numpy as np
 from rclpy.node import Node
 
 from fuzzycnc_ros.components.component import STREAM
-from fuzzycnc_ros.components.records import MachineTick, TickAnswer
+from fuzzycnc_ros.components.host_records import MachineTick, TickAnswer
 from fuzzycnc_ros.convert import decode, encode
 from fuzzycnc_ros.nodes.messages import RCLPY
 from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, subscription_qos
 from fuzzycnc_ros.nodes.timers import wall_timer
+
+PATIENCE = 5.0
+"""Wall time [s] without a new message after which what was announced is not waited for any more.
+Fast DDS sends a message that was dropped on the way again with its next heartbeat: by the profile
+of this package 0.1 s later, without it up to 3 s."""
 
 
 def tick_topic(node: str) -> str:
@@ -46,7 +51,7 @@ class TurnTaker:
         Told the topics of the run and how many of its nodes read each; says whether both ends of
         all the node's routes are matched.
     patience : float
-        Wall time [s] to wait for announced inputs before working without them.
+        Wall time [s] without any input after which announced ones are not waited for any more.
     """
 
     def __init__(
@@ -58,7 +63,7 @@ class TurnTaker:
         reads: Callable[[], tuple[str, ...]],
         writes: Iterable[str],
         matched: Callable[[Mapping[str, int]], bool],
-        patience: float = 0.5,
+        patience: float = PATIENCE,
     ) -> None:
         self._node = node
         self._work = work
@@ -69,7 +74,7 @@ class TurnTaker:
         self._received: dict[str, int] = {}
         self._published = dict.fromkeys(writes, 0)
         self._turn: MachineTick | None = None
-        self._turn_since = 0.0
+        self._heard_at = 0.0
         self.missed = 0
         self._answers = create_publisher(node, TickAnswer.TYPE, 'tick_answer', STREAM)
         create_subscription(
@@ -79,12 +84,13 @@ class TurnTaker:
             self._on_tick,
             subscription_qos(STREAM, lockstep=True),
         )
-        wall_timer(node, patience / 4.0, self._on_patience)
+        wall_timer(node, 0.1 * patience, self._on_patience)
 
     def received(self, topic: str, sequence_number: int) -> None:
         """Note that a message of a topic has come in."""
         self._received[topic] = sequence_number
         if self._turn is not None:
+            self._heard_at = time.monotonic()
             self._try_turn()
 
     def published(self, topic: str) -> None:
@@ -99,7 +105,7 @@ class TurnTaker:
             if self._matched(readers):
                 self._answer(tick, missed=False)
             return
-        self._turn, self._turn_since = tick, time.monotonic()
+        self._turn, self._heard_at = tick, time.monotonic()
         self._try_turn()
 
     def _try_turn(self) -> None:
@@ -113,7 +119,7 @@ class TurnTaker:
 
     def _on_patience(self) -> None:
         """Work without inputs that were announced but do not come."""
-        if self._turn is not None and time.monotonic() - self._turn_since > self._patience:
+        if self._turn is not None and time.monotonic() - self._heard_at > self._patience:
             self.missed += 1
             self._take(self._turn, missed=True)
 

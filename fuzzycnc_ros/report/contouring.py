@@ -28,6 +28,10 @@ from fuzzycnc_ros.report.table import Column, Table
 Floats = NDArray[np.float64]
 
 
+PIECES = 4000
+"""Pieces in which a path is drawn at most, about: more make a page large and slow, not better."""
+
+
 class Followed(Protocol):
     """A path as it was scheduled and followed, such as `scenario.FollowedPath`."""
 
@@ -160,6 +164,10 @@ def plot_error_path(path: Followed) -> Any:
     """Plot the path of the tool in its first two axes, coloured by contour error."""
     on = path.time >= 0.0
     point, error = path.position[on][:, :2], path.error[on]
+    # Of a long path each piece shows the largest error of a few samples.
+    begin = np.arange(0, max(len(error) - 1, 1), 1 + len(error) // PIECES)
+    error = np.maximum(np.maximum.reduceat(error, begin), np.append(error[begin[1:]], error[-1]))
+    point = point[np.append(begin, len(point) - 1)]
     with plot_style():
         figure = new_figure(5.6)
         axes = figure.subplots()
@@ -167,7 +175,7 @@ def plot_error_path(path: Followed) -> Any:
         lines = require('matplotlib.collections').LineCollection(
             1e3 * ends, cmap='turbo', linewidths=1.6, capstyle='round'
         )
-        lines.set_array(1e6 * np.maximum(error[:-1], error[1:]))
+        lines.set_array(1e6 * error)
         axes.add_collection(lines)
         axes.autoscale_view()
         axes.set_aspect('equal', adjustable='datalim')
@@ -199,7 +207,7 @@ def plot_speed(path: Followed) -> Any:
         handles += axes.plot(time, 1e3 * actual, color=SECOND, linewidth=0.8)
         labels.append('speed of the tool')
         axes.set_xlabel('time [s]')
-        axes.set_ylabel('[mm/s]')
+        axes.set_ylabel('speed [mm/s]')
         axes.set_ylim(bottom=0.0)
         add_legend(figure, handles, labels)
         return figure
@@ -217,7 +225,7 @@ def plot_error(path: Followed) -> Any:
             handles.append(axes.axhline(1e6 * path.tolerance, color=WARNING, linestyle='--'))
             labels.append('tolerance')
         axes.set_xlabel('time [s]')
-        axes.set_ylabel('[µm]')
+        axes.set_ylabel('contour error [µm]')
         axes.set_ylim(bottom=0.0)
         add_legend(figure, handles, labels)
         return figure

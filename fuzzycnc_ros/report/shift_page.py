@@ -153,8 +153,8 @@ def shift_page(
         figures=(
             Figure(
                 'Where the error of each part comes from',
-                'Pairs of bars: the left one before, the right one after. What is left after '
-                'compensation comes from the axes, where friction holds them back.',
+                'Pairs of bars: the left, paler one before, the right one after. What is left '
+                'after compensation comes from the axes, where friction holds them back.',
                 plot_sources(before, after),
             ),
             Figure(
@@ -207,20 +207,24 @@ def plot_sources(before: Shift, after: Shift) -> object:
         figure = new_figure(3.6)
         axes = figure.subplots()
         place = np.arange(len(after.jobs), dtype=np.float64)
-        handles = []
-        for shift, offset in ((before, -0.2), (after, 0.2)):
+        handles, labels = [], []
+        for shift, name, offset, alpha in (
+            (before, 'before', -0.2, 0.45),
+            (after, 'after', 0.2, 1.0),
+        ):
             thermal = np.array([1e6 * job.left for job in shift.jobs])
             own = np.array([1e6 * job.own for job in shift.jobs])
-            bars = (
-                axes.bar(place + offset, thermal, 0.36, color=SECOND),
-                axes.bar(place + offset, own, 0.36, bottom=thermal, color=ACCENT),
-            )
-            handles = [bar[0] for bar in bars]
+            look = {'width': 0.36, 'alpha': alpha}
+            handles += [
+                axes.bar(place + offset, thermal, color=SECOND, **look)[0],
+                axes.bar(place + offset, own, bottom=thermal, color=ACCENT, **look)[0],
+            ]
+            labels += [f'thermal, {name}', f'axes, {name}']
         names = [f'{_short(job.name)}\n{job.start / 3600.0:.1f} h' for job in after.jobs]
         axes.set_xticks(place, names)
         axes.set_ylabel('part error [µm]')
         axes.grid(visible=False, axis='x')
-        add_legend(figure, handles, ('thermal', 'axes'))
+        add_legend(figure, handles, labels)
         return figure
 
 

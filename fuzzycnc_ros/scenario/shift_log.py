@@ -18,10 +18,13 @@ from fuzzycnc_ros.components.records import (
     MachineState,
     Record,
     SensorSelection,
+    SpindleSpeed,
     Temperatures,
     ThermalError,
     ThermalReference,
 )
+from fuzzycnc_ros.components.spindle_speed import TOPICS as SPEED_TOPICS
+from fuzzycnc_ros.components.spindle_speed import speed_told, speeds_at
 from fuzzycnc_ros.components.substitution import RiseSource
 from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun
 from fuzzycnc_ros.report import CompensationRun
@@ -39,6 +42,7 @@ class ShiftLog(RecordLog):
     TOPICS = MappingProxyType(
         {
             'machine_state': MachineState,
+            'spindle_speed': SpindleSpeed,
             'temperatures': Temperatures,
             'thermal_reference': ThermalReference,
             'sensor_selection': SensorSelection,
@@ -84,8 +88,19 @@ class ShiftLog(RecordLog):
             channel=moved[0].channel,
             axis=moved[0].axis,
             displacement=_at_stamps(samples, moved, 'displacement', len(moved[0].channel)),
-            spindle_speed=_spindle_speed(samples, self.records('machine_state', start, stop)),
+            spindle_speed=self.spindle_speed(samples, start, stop),
         )
+
+    def spindle_speed(
+        self, samples: Sequence[Temperatures], start: int = 0, stop: int | None = None
+    ) -> Floats | None:
+        """Return the spindle speed [rad/s] that was known at each sample of a span, if any was."""
+        told = [
+            (topic, item.stamp, speed_told(topic, item))
+            for topic in SPEED_TOPICS
+            for item in self.records(topic, start, stop)
+        ]
+        return speeds_at(np.array([item.stamp for item in samples]), told)
 
 
 def compensation_runs(
@@ -164,16 +179,11 @@ def _compensation_run(
         default=DEFAULT,
         standard_deviation=_at_stamps(samples, errors, 'standard_deviation', size),
         in_domain=np.array([in_domain.get(item.stamp, False) for item in samples]),
-        offset=_offsets(samples, log.records('compensation', *span), model.axis),
-        applied=_offsets(samples, log.records('compensation_applied', *span), model.axis),
+        offset=offsets_of(samples, log.records('compensation', *span), model.axis),
+        applied=offsets_of(samples, log.records('compensation_applied', *span), model.axis),
         offset_limit=offset_max,
-        spindle_speed=_spindle_speed(samples, log.records('machine_state', *span)),
+        spindle_speed=recorded.spindle_speed,
     )
-
-
-def _spindle_speed(samples: Sequence[Temperatures], states: Sequence[MachineState]) -> Floats:
-    """Return the spindle speed that was known at each sample [rad/s]."""
-    return np.array([state.spindle_speed for state in _newest(samples, states)])
 
 
 def _temperature(samples: Sequence[Temperatures]) -> Floats:
@@ -224,8 +234,8 @@ def _newest(samples: Sequence[Record], records: Sequence[Any]) -> list[Any]:
     return [records[order[max(index, 0)]] for index in at]
 
 
-def _offsets(samples: Sequence[Record], records: Sequence[Any], axes: Sequence[str]) -> Floats:
-    """Return the offset of each channel's axis at each sample, shape (n, c) [m]; else NaN."""
+def offsets_of(samples: Sequence[Record], records: Sequence[Any], axes: Sequence[str]) -> Floats:
+    """Return the newest offset of each axis at each sample, shape (n, axes) [m]; else NaN."""
     if not records:
         return np.full((len(samples), len(axes)), np.nan)
     rows = []

@@ -206,7 +206,8 @@ def parameters(**wanted):
 
 
 def test_any_components_in_the_order_of_their_turns():
-    everything = [name for name in COMPONENTS if name != 'simulated_machine']
+    makes_time = ('simulated_machine', 'simulated_body')
+    everything = [name for name in COMPONENTS if name not in makes_time]
     assert list(parameters(nodes=everything[::-1])) == everything
     assert list(parameters(nodes=['servo_controller'])) == ['servo_controller']
     assert list(parameters(duties=('T2',), feedrate=True, record=Path('bag'))) == [
@@ -217,12 +218,24 @@ def test_any_components_in_the_order_of_their_turns():
     ]
 
 
+def test_body_of_a_controller_makes_time_and_starts_last():
+    found = parameters(nodes=['simulated_body', 'linuxcnc_bridge', 'compensator'])
+    assert list(found)[-1] == 'simulated_body'
+    assert found['simulated_body'] == {'nodes': ['linuxcnc_bridge', 'compensator']}
+    assert all(found[name]['use_sim_time'] for name in ('linuxcnc_bridge', 'compensator'))
+    with pytest.raises(GraphError, match='each makes time, not both'):
+        parameters(nodes=['simulated_body'], duties=('T2',))
+
+
 def test_parameters_follow_from_what_is_wanted():
     found = parameters(
-        nodes=list(COMPONENTS), model=Path('m.json'), autostart=True, state_directory=Path('/s')
+        nodes=[name for name in COMPONENTS if name != 'simulated_body'],
+        model=Path('m.json'),
+        autostart=True,
+        state_directory=Path('/s'),
     )
     for name, component in COMPONENTS.items():
-        if name == 'simulated_machine':
+        if name in ('simulated_machine', 'simulated_body'):
             continue
         kept = any(item.persistent for item in component.OUTPUTS)
         assert found[name].get('autostart') is (True if component.MANAGED else None)

@@ -8,10 +8,10 @@ from dataclasses import fields
 import pytest
 
 from fuzzycnc_ros.bags.csv import CsvMapping
+from fuzzycnc_ros.bags.yaml_file import SIZE_MAX, compose, construct
 from fuzzycnc_ros.cli.import_csv import _read_mapping
 from fuzzycnc_ros.cli.machine_file import read_machine
 from fuzzycnc_ros.cli.servo_settings import read_settings
-from fuzzycnc_ros.cli.yaml_file import SIZE_MAX, compose, construct
 
 LAUGHS = 'a: &a [x, x]\n' + ''.join(
     f'{after}: &{after} [{", ".join([f"*{before}"] * 9)}]\n'

@@ -78,9 +78,9 @@ def declared_topics(node: str, *, lockstep: bool) -> tuple[set[str], set[str]]:
     writes = {item.name for item in component.OUTPUTS} | {'/diagnostics'}
     writes |= {'node_configuration', 'node_event'}
     reads = {item.name for item in component.INPUTS}
-    if node == 'simulated_machine':
+    if node in ('simulated_machine', 'simulated_body'):
         writes.add('/clock')
-        if lockstep:
+        if lockstep and node == 'simulated_machine':
             turns = component.CONFIG().lockstep_nodes
             writes |= {f'machine_tick/{name}' for name in turns}
             reads.add('tick_answer')

@@ -10,7 +10,7 @@ from typing import Any, get_type_hints
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components import codes, records
+from fuzzycnc_ros.components import codes, host_records, records
 from fuzzycnc_ros.components.records import Record, SensorCluster
 from fuzzycnc_ros.convert import Target, decode, encode
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
@@ -21,7 +21,7 @@ import interfaces
 
 TYPES = {
     item.TYPE.split('/')[-1]: item
-    for item in vars(records).values()
+    for item in (vars(records) | vars(host_records)).values()
     if isinstance(item, type) and is_dataclass(item) and hasattr(item, 'TYPE')
 }
 ANNOTATIONS = {
@@ -44,6 +44,7 @@ ANNOTATIONS = {
 }
 ENUMS = [
     ('Temperatures', 'STATUS', codes.Status),
+    ('SpindleSpeed', 'STATUS', codes.SpeedStatus),
     ('ThermalError', 'REASON', codes.Reason),
     ('Compensation', 'STATE', codes.CompensationState),
     ('CompensationApplied', 'STATUS', codes.AppliedStatus),
@@ -235,7 +236,7 @@ def test_decoded_arrays_are_independent_of_the_message(record_type):
 
 @pytest.mark.parametrize('stamp', [0, 1, 999_999_999, 1_000_000_000, 1_700_000_000_123_456_789])
 def test_stamps_are_kept_to_the_nanosecond(stamp):
-    record = records.DeadlineFired(stamp=stamp, frame_id='mill/machine', node='compensator')
+    record = host_records.DeadlineFired(stamp=stamp, frame_id='mill/machine', node='compensator')
     message = encode(record, rosbags_target())
     assert 0 <= message.header.stamp.nanosec < records.SECOND
-    assert decode(records.DeadlineFired, message).stamp == stamp
+    assert decode(host_records.DeadlineFired, message).stamp == stamp

@@ -15,11 +15,11 @@ from fuzzycnc_ros.components.codes import MachineMode, TrajectoryStatus
 from fuzzycnc_ros.components.component import Emission
 from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.host_records import MachineTick
 from fuzzycnc_ros.components.provenance import configuration_record, event_record
 from fuzzycnc_ros.components.records import (
     SECOND,
     AxisState,
-    MachineTick,
     Record,
     ToolPath,
     Trajectory,

@@ -404,3 +404,13 @@ def test_first_channel_speaks_for_an_axis_with_several():
             standard_deviation=np.full(3, MICRON),
         )
     np.testing.assert_array_equal(command.offset, [-1 * MICRON, -3 * MICRON])
+
+
+def test_silent_machine_side_is_said_with_what_stood():
+    """The compensator is who still speaks when a bridge was killed."""
+    silence = active_bench().component.silence
+    name = 'compensation_applied'
+    told = silence(name, applied(70.0, (0.0, -12.34 * MICRON), 1))
+    assert told.startswith('Z -12.34 um stood then, which nobody may own now')
+    assert silence(name, applied(80.0, (3e-10, 0.0), 1)) == ''  # rounding of a controller
+    assert silence('machine_state', machine_state(80.0)) == ''

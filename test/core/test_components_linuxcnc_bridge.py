@@ -4,7 +4,6 @@
 
 import sys
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,176 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
-from fuzzycnc_ros.components.compensator import Compensator, CompensatorConfig
+from fuzzycnc_ros.components.codes import AppliedStatus
 from fuzzycnc_ros.components.linuxcnc_bridge import LinuxcncBridge, LinuxcncBridgeConfig
-from fuzzycnc_ros.components.linuxcnc_status import ControllerLimits, ControllerStatus
-from fuzzycnc_ros.components.records import Compensation, nanoseconds
+from fuzzycnc_ros.components.linuxcnc_status import ControllerLimits
+from fuzzycnc_ros.components.records import nanoseconds
 
 sys.path.insert(0, str(Path(__file__).parent))
-from component_bench import Bench, machine_state, thermal_error
-
-MICRON = 1e-6
-AXES = ('X', 'Y', 'Z')
-CYCLE = 0.01
-SCALE = 1e-8
-SLEW = 50e-6
-RATE = 10_000.0
-"""Counts per second of the HAL file [1/s]."""
-HOLD = 2.0
-
-
-class Controller:
-    """LinuxCNC's offset registers and the shipped HAL file, in steps of a cycle.
-
-    Counts change registers by deltas, and only while the machine is ready and the enable is on;
-    counts are limited in rate; without a heartbeat they go to zero after a while.
-    """
-
-    def __init__(self):
-        self.on = self.homed = self.enable = True
-        self.soft_limited = False
-        self.scale = np.full(3, SCALE)
-        self.cap = np.full(3, np.inf)
-        self.position = np.zeros(3)
-        self.counts = np.zeros(3)
-        self.register = np.zeros(3)
-        self.applied = np.zeros(3)
-        self.alive = False
-        self.silent = np.inf
-        self.told = np.zeros(3)
-        self.clear = False
-        self.writer = ''
-
-    def write(self, orders):
-        """Take what a bridge writes; None is silence."""
-        if orders is None:
-            self.silent += CYCLE
-        else:
-            self.silent, self.told, self.clear = 0.0, orders.counts, orders.rezero
-
-    def cycle(self):
-        """Let the servo thread run for a cycle; return what can be read then."""
-        ready = self.on and self.homed
-        self.alive = self.silent <= HOLD
-        wanted = self.told if self.alive else np.zeros(3)
-        reach = RATE * CYCLE
-        before = self.counts
-        self.counts = before + np.clip(wanted - before, -reach, reach)
-        if not ready:
-            self.counts = np.zeros(3)
-        if self.clear or not ready:
-            self.register = np.zeros(3)
-        elif self.enable:
-            self.register = self.register + self.scale * (self.counts - before)
-        if ready and self.enable:
-            self.applied = np.clip(self.register, -self.cap, self.cap)
-        return ControllerStatus(
-            mode=MachineMode.ON if self.on else MachineMode.OFF,
-            homed=self.homed,
-            ready=ready,
-            alive=self.alive,
-            frozen=not self.enable,
-            soft_limited=bool(np.any(np.abs(self.register) > self.cap)),
-            writer=self.writer,
-            position=self.position,
-            applied=self.applied,
-            register=self.register,
-            counts=self.counts,
-            scale=self.scale,
-        )
-
-
-class Rig:
-    """A bridge on a controller, cycle by cycle."""
-
-    def __init__(self, controller=None, *, active=True, **parameters):
-        self.controller = controller or Controller()
-        self.config = LinuxcncBridgeConfig(**{'slew_max': SLEW, **parameters})
-        self.time = 100.0
-        self.path, self.on = [], []
-        self.epoch = 1
-        self.restart(active=active)
-
-    def restart(self, *, active=True):
-        """Put a new bridge in the place of the old one."""
-        self.bench = Bench(LinuxcncBridge(self.config))
-        self.bridge = self.bench.component
-        if active:
-            assert self.bench.request('activate').success
-
-    def run(self, duration):
-        """Let time pass."""
-        for _ in range(round(duration / CYCLE)):
-            self.time += CYCLE
-            status = self.controller.cycle()
-            self._note()
-            self.bench.emitted += self.bridge.observe(nanoseconds(self.time), status)
-            if self.bridge.wants_pins:
-                self.bridge.take_pins()
-            self.controller.write(self.bridge.orders)
-
-    def silence(self, duration):
-        """Let time pass without a bridge."""
-        for _ in range(round(duration / CYCLE)):
-            self.time += CYCLE
-            self.controller.write(None)
-            self.controller.cycle()
-            self._note()
-
-    def _note(self):
-        self.path.append(self.controller.applied.copy())
-        self.on.append(self.controller.on)
-
-    def command(self, offset, *, slope=(0, 0, 0), reference=(0, 0, 0), valid=1000.0, epoch=None):
-        """Command offsets [um]."""
-        stamp = nanoseconds(self.time)
-        record = Compensation(
-            stamp=stamp,
-            epoch=epoch or self.epoch,
-            state=1,
-            axis=AXES,
-            offset=MICRON * np.array(offset, float),
-            slope=np.array(slope, float),
-            reference_position=np.array(reference, float),
-            at_limit=np.zeros(3, bool),
-            slewing=np.zeros(3, bool),
-            valid_until=stamp + nanoseconds(valid),
-            source=('test',),
-        )
-        self.bench.push('compensation', record)
-        self.bench.emitted += self.bench.merger.advance(stamp)
-
-    @property
-    def last(self):
-        return self.bench.records('compensation_applied')[-1]
-
-    @property
-    def allowed(self):
-        return self.bench.records('machine_state')[-1].offsets_allowed
-
-    def at(self, offset):
-        """Whether offsets [um] are applied, and told."""
-        wanted = MICRON * np.array(offset, float)
-        return np.all(np.abs(self.controller.applied - wanted) <= SCALE) and np.all(
-            np.abs(self.last.offset - wanted) <= SCALE
-        )
-
-    @property
-    def largest_step(self):
-        """Largest change of an applied offset in a cycle [m]."""
-        return max(np.abs(b - a).max() for a, b in pairwise(self.path))
-
-
-def settled(offset=(10, -20, 30), **parameters):
-    """Return a rig with offsets in force."""
-    rig = Rig(**parameters)
-    rig.run(0.2)
-    rig.command(offset)
-    rig.run(2.0)
-    assert rig.at(offset)
-    assert rig.last.status == AppliedStatus.FOLLOWING
-    return rig
+from bridge_bench import Compensated
+from linuxcnc_rig import CYCLE, HOLD, RATE, SCALE, SLEW, Controller, Rig, settled
 
 
 def test_inactive_it_reads_and_writes_nothing():
@@ -540,37 +377,15 @@ def test_whatever_happens_it_never_steps_and_zero_is_zero(events):
 def test_compensator_and_bridge_survive_each_others_restarts():
     """The offset that the compensator wants is there in the end, without a step."""
     rig = Rig()
-
-    def started():
-        config = CompensatorConfig(period=1.0, slew_max=1e-6, stale_after=20.0)
-        bench = Bench(Compensator(config))
-        bench.until(rig.time)
-        bench.request('activate')
-        return bench
-
-    compensator = started()
-
-    def run(seconds):
-        for _ in range(seconds):
-            rig.run(1.0)
-            compensator.push('compensation_applied', rig.last)
-            state = machine_state(rig.time, offsets_allowed=rig.allowed)
-            compensator.push('machine_state', state)
-            if round(rig.time) % 5 == 0:
-                compensator.push('thermal_error', thermal_error(rig.time, (4e-6, -2e-6)))
-            for item in compensator.until(rig.time):
-                if item.output == 'compensation':
-                    rig.bench.push('compensation', item.record)
-                    rig.bench.merger.advance(item.record.stamp)
-
-    run(25)
+    loop = Compensated(rig)
+    loop.run(25)
     wanted = np.array([0.0, -4e-6, 2e-6])
     np.testing.assert_allclose(rig.controller.applied, wanted, atol=SCALE)
     begin = len(rig.path)
     rig.restart()
-    run(10)
-    compensator = started()
-    run(15)
+    loop.run(10)
+    loop.restart()
+    loop.run(15)
     np.testing.assert_allclose(
         rig.path[begin:], np.tile(wanted, (len(rig.path) - begin, 1)), atol=2 * SCALE
     )

@@ -171,6 +171,21 @@ def test_silence_is_bridged_as_long_as_it_may_last():
     assert axis.place() == pytest.approx(-0.05, abs=3e-6)
 
 
+def test_silence_of_a_machine_that_is_off_asks_for_no_deadlines_without_end():
+    axis = Axis()
+    axis.run(0.05)
+    off = machine_state(axis.now / SECOND, state=int(MachineMode.OFF))
+    axis.push('machine_state', off)
+    axis.run(0.005)
+    axis.run(0.1, heard=False)
+    assert axis.component.next_deadline is None
+    axis.run(1.0, heard=False)
+    axis.push('machine_state', machine_state(axis.now / SECOND, state=int(MachineMode.ON)))
+    axis.run(0.1)
+    assert axis.state.status == ServoStatus.RESTING, axis.health()
+    assert axis.place() == pytest.approx(0.0, abs=2e-6)
+
+
 @pytest.mark.parametrize('silence', [0.021, 0.3])
 def test_states_that_come_again_after_a_silence_that_is_too_long_move_nothing(silence):
     """A node without deadlines, as one that its host has not let run."""

@@ -165,6 +165,15 @@ def test_missing_sensors_are_named():
         ([make(), make()], 'each name once'),
         ([make(), make(name='b', sensor=('T1', 'T3'))], 'sensor T1, T2 as in run'),
         ([make(), make(name='b', interval=30.0)], '60 s of run'),
+        (
+            [
+                make(
+                    sensor=tuple(f'T{k}' for k in range(501)),
+                    temperature=np.zeros((20, 501)),
+                )
+            ],
+            'at most 500 sensors, but found 501',
+        ),
         ([make(temperature=np.full((20, 2), 20.0))], 'warms by 0.5 K'),
         ([make(temperature=with_value(make().temperature, 3, 1, np.nan))], 'gaps in T2'),
         ([make(temperature=with_value(make().temperature, 9, 0, 40.0))], "'T1' at sample"),

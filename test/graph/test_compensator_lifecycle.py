@@ -12,12 +12,12 @@ from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_ros.components.codes import CompensationState
 from fuzzycnc_ros.components.component import Durability
+from fuzzycnc_ros.components.host_records import NodeConfiguration
 from fuzzycnc_ros.components.records import (
     SECOND,
     Compensation,
     CompensationApplied,
     MachineState,
-    NodeConfiguration,
     ThermalError,
 )
 from fuzzycnc_ros.convert import encode

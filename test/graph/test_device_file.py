@@ -14,12 +14,9 @@ from hypothesis import strategies as st
 pytest.importorskip('rclpy')
 
 from fuzzycnc_ros.nodes.parameters import ParameterError
-from fuzzycnc_ros.nodes.sources.device_file import (
-    FORMATS,
-    Register,
-    read_credentials,
-    read_devices,
-)
+from fuzzycnc_ros.nodes.sources.device_file import read_devices
+from fuzzycnc_ros.nodes.sources.devices import FORMATS, Register
+from fuzzycnc_ros.nodes.sources.opc_ua_fields import read_credentials
 from fuzzycnc_ros.nodes.sources.registers import REGISTERS_MAX, blocks, value_of
 
 pytestmark = pytest.mark.ros
@@ -35,7 +32,7 @@ devices:
       T1: 0
       T2: {register: 1, table: input, scale: 0.01}
       T3: {register: 10, type: float32, word_order: little, scale: 1, open_circuit: -9999}
-    spindle_speed: {register: 40, type: uint16}
+    spindle_speed: {register: 40, type: uint16, max: 6000}
 """
 OPC_UA = """\
 devices:
@@ -71,6 +68,8 @@ def test_modbus_fields(read):
     # The spindle speed inherits nothing: what scales temperatures does not scale speeds.
     assert spindle.scale == pytest.approx(2.0 * math.pi / 60.0)
     assert spindle.open_circuit == ()
+    assert spindle.largest == pytest.approx(200.0 * math.pi)
+    assert one.largest == math.inf
 
 
 def test_opc_ua_fields(read):
@@ -107,11 +106,13 @@ def test_opc_ua_fields(read):
         ('10, type: float32', '65535, type: float32', 10, 'does not fit behind 65535'),
         ('0x8000]', '0x18000]', 6, 'expected raw values of a int16'),
         ('0x8000]', '3276.7]', 6, 'expected raw values of a int16'),
+        ('max: 6000', 'max: -1', 11, 'max: expected a number from 0 to 1e+06'),
+        ('scale: 0.01', 'max: 90', 9, "unknown field 'max'"),
         ('host: 10.0.0.5', 'host: "10.0.0.5/"', 4, 'host: expected a name or address'),
         ('host: 10.0.0.5', 'port: 502', 2, "device rtd: expected the field 'host'"),
         ('modbus_tcp', 'modbus', 3, 'expected one of modbus_tcp, opc_ua'),
         ('scale: 0.1', 'period: 0', 5, 'period: expected a number from 0.005 to 3600 s'),
-        ('uint16}', 'uint16, unit: Hz}', 11, 'unit: expected one of rpm, rad/s'),
+        ('6000}', '6000, unit: Hz}', 11, 'unit: expected one of rpm, rad/s'),
         ('devices:\n', 'device:\n', 1, "expected the field 'devices'"),
         ('devices:\n', 'x: 1\ndevices:\n', 1, "unknown field 'x'"),
     ],

@@ -15,12 +15,9 @@ pytest.importorskip('rclpy')
 pytest.importorskip('asyncua')
 pytest.importorskip('pymodbus')
 
-from asyncua import Server, ua
-from asyncua.crypto.cert_gen import setup_self_signed_certificate
-from asyncua.crypto.permission_rules import SimpleRoleRuleset
-from asyncua.server.user_managers import User, UserRole
-from cryptography.x509.oid import ExtendedKeyUsageOID
+from asyncua import ua
 
+from fuzzycnc_ros.bridges import opcua_session
 from fuzzycnc_ros.nodes.parameters import ParameterError
 from fuzzycnc_ros.nodes.sources import opc_ua
 from fuzzycnc_ros.nodes.sources.device_file import read_devices
@@ -29,6 +26,7 @@ from fuzzycnc_ros.nodes.sources.polling import TEXT_MAX, Poller
 
 sys.path.insert(0, str(Path(__file__).parent))
 from field_servers import LOCAL, Field, HostileServer, ModbusServer, OpcUaServer, Route
+from secured_server import SECURITY, secured, user_file
 
 pytestmark = pytest.mark.ros
 
@@ -245,50 +243,18 @@ def test_wrong_node_id_is_refused_before_any_connection(tmp_path):
         opc_ua.check(device)
 
 
-def certificate(folder, name, uri, usage):
-    """Make a self-signed certificate; return certificate and key."""
-    made = folder / f'{name}.der', folder / f'{name}-key.pem'
-    asyncio.run(setup_self_signed_certificate(made[1], made[0], uri, 'localhost', [usage], {}))
-    return made
-
-
-class Users:
-    """One user may log in."""
-
-    def get_user(self, iserver, username=None, password=None, certificate=None):
-        allowed = (username, password) == ('joe', 'secret')
-        return User(role=UserRole.User, name=username) if allowed else None
-
-
 @pytest.mark.slow
 def test_secured_server_with_credentials(field, poll, tmp_path, monkeypatch):
-    monkeypatch.setattr(opc_ua, 'REFUSED_PAUSE', 0.1)
-    theirs = certificate(tmp_path, 'control', 'urn:control', ExtendedKeyUsageOID.SERVER_AUTH)
-    certificate(tmp_path, 'own', 'urn:fuzzycnc:mill', ExtendedKeyUsageOID.CLIENT_AUTH)
-
-    async def secure(server: Server) -> None:
-        policies = [ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt]
-        server.set_security_policy(policies, SimpleRoleRuleset())
-        await server.set_application_uri('urn:control')
-        await server.load_certificate(str(theirs[0]))
-        await server.load_private_key(str(theirs[1]))
-        server.set_identity_tokens([ua.UserNameIdentityToken])
-        server.iserver.user_manager = Users()
-
-    server = field.add(OpcUaServer({'T1': 20.5}, secure))
-    user = tmp_path / 'user.yaml'
-    user.write_text('username: joe\npassword: wrong\n')
-    user.chmod(0o600)
-    more = (
-        'credentials: user.yaml\n    security: {policy: Basic256Sha256, certificate: own.der, '
-        'private_key: own-key.pem, server_certificate: control.der}'
-    )
+    monkeypatch.setattr(opcua_session, 'REFUSED_PAUSE', 0.1)
+    server = field.add(OpcUaServer({'T1': 20.5}, secured(tmp_path)))
+    user = user_file(tmp_path, 'wrong')
+    more = f'credentials: user.yaml\n    {SECURITY}'
     poller = poll(OPC_UA, server, '{T1: ns=2;s=T1}', more=more)
     trouble = wait(poller, lost).trouble
     assert trouble.startswith(f'the server refuses {user} (Bad')
     assert 'wrong' not in trouble
     # The right password is taken without a restart.
-    user.write_text('username: joe\npassword: secret\n')
+    user_file(tmp_path)
     assert wait(poller, good).readings == [20.5]
     user.unlink()
     # Without security the same server refuses the connection.

@@ -16,12 +16,12 @@ from fuzzycnc_msgs.srv import ScheduleProgram
 from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.codes import TrajectoryStatus
 from fuzzycnc_ros.components.component import Durability
+from fuzzycnc_ros.components.host_records import NodeConfiguration
 from fuzzycnc_ros.components.records import (
     SECOND,
     AxisState,
     FeedSchedule,
     MachineState,
-    NodeConfiguration,
     ToolPath,
     Trajectory,
     TrajectoryState,

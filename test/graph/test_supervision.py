@@ -18,14 +18,13 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState, MachineMode
 from fuzzycnc_ros.components.compensator import CompensatorConfig
 from fuzzycnc_ros.components.component import LATCHED, STREAM
+from fuzzycnc_ros.components.host_records import NodeConfiguration, NodeEvent
 from fuzzycnc_ros.components.records import (
     SECOND,
     AxisCommand,
     Compensation,
     CompensationApplied,
     MachineState,
-    NodeConfiguration,
-    NodeEvent,
     Temperatures,
     ThermalError,
 )

@@ -13,8 +13,8 @@ pytest.importorskip('pymodbus')
 
 from asyncua import ua
 
-from fuzzycnc_ros.components.codes import MachineMode, Status
-from fuzzycnc_ros.components.records import MachineState, Temperatures
+from fuzzycnc_ros.components.codes import SpeedStatus, Status
+from fuzzycnc_ros.components.records import MachineState, SpindleSpeed, Temperatures
 
 sys.path.insert(0, str(Path(__file__).parent))
 from field_servers import LOCAL, Field, ModbusServer, OpcUaServer, Route
@@ -44,7 +44,7 @@ devices:
     sensors:
       T3: ns=2;s=T3
       T4: {{path: "0:Objects/2:Mill/2:T4"}}
-    spindle_speed: {{node: ns=2;s=S1, unit: rpm}}
+    spindle_speed: {{node: ns=2;s=S1, unit: rpm, max: 6000}}
 """
 
 
@@ -120,6 +120,7 @@ def statuses(samples):
 
 
 def test_devices_of_both_protocols_make_one_record(graph, observer, start):
+    speeds = observer.records('spindle_speed', SpindleSpeed)
     states = observer.records('machine_state', MachineState)
     raw = observer.records('sensor_readings', Temperatures)
     samples, node = start()
@@ -128,28 +129,31 @@ def test_devices_of_both_protocols_make_one_record(graph, observer, start):
     assert raw[-1].frame_id == 'mill/machine'
     stamps = [item.stamp for item in raw]
     assert all(np.diff(stamps) > 0)
-    # The control tells the spindle speed, in a state that allows nothing.
-    observer.until(lambda: states, 'machine_state')
-    assert states[-1].spindle_speed == pytest.approx(100.0 * np.pi)
-    assert states[-1].state == MachineMode.RUNNING
-    assert not states[-1].homed
-    assert not states[-1].offsets_allowed
+    observer.until(lambda: speeds, 'spindle_speed')
+    assert speeds[-1].speed == pytest.approx(100.0 * np.pi)
+    assert speeds[-1].status == SpeedStatus.OK
+    assert speeds[-1].frame_id == 'mill/machine'
     name = 'mill/temperature_acquisition: device rtd'
     observer.until(lambda: observer.told(name, 'all values read'), 'health of the device')
-    # What another node says of the machine is not contradicted.
-    bridge = observer.node.create_publisher(type_of(states[-1]), 'machine_state', 10)
-    spindle = 'mill/temperature_acquisition: spindle_speed'
-    observer.until(lambda: observer.told(spindle, 'not published'), 'the driver yields')
-    observer.node.destroy_publisher(bridge)
     graph.stop()
     assert 'Traceback' not in node.output
+    # The driver says nothing of the machine: that is for its controller.
+    assert not states
 
 
-def type_of(record):
-    """Return rclpy's class of a record's message."""
-    from fuzzycnc_ros.nodes.messages import message_class
-
-    return message_class(record.TYPE)
+def test_spindle_speed_that_means_nothing_is_said_so(observer, shop, start):
+    speeds = observer.records('spindle_speed', SpindleSpeed)
+    start()
+    spindle = 'mill/temperature_acquisition: spindle_speed'
+    observer.until(lambda: observer.told(spindle, '314.2 rad/s'), 'a good speed')
+    shop.opcua.values['S1'] = 9000
+    observer.until(lambda: observer.told(spindle, 'more than max = 628.3 rad/s'), 'out of range')
+    assert speeds[-1].status == SpeedStatus.OUT_OF_RANGE
+    assert speeds[-1].speed == pytest.approx(300.0 * np.pi)
+    shop.fail(1, 'refuse')
+    observer.until(lambda: speeds[-1].status == SpeedStatus.MISSING, 'a lost control')
+    assert np.isnan(speeds[-1].speed)
+    observer.until(lambda: observer.told(spindle, 'no reading'), 'health of a lost control')
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from rclpy.action import ActionClient
 
 from fuzzycnc_msgs.action import TrainThermalModel
 from fuzzycnc_ros.components.component import LATCHED
-from fuzzycnc_ros.components.records import NodeConfiguration
+from fuzzycnc_ros.components.host_records import NodeConfiguration
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.scenario.thermal_shift import record_calibration
 

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.components.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal import ThermalRun, evaluate, train_model
 from fuzzycnc_ros.core.thermal.candidate import STANDARD
 from fuzzycnc_ros.core.thermal.comparison import Comparison, judge, splits
@@ -156,3 +157,15 @@ def test_the_unseen_cycle_is_where_the_model_was_not_trained(model, evaluation):
 def test_the_classical_grey_model_is_refused_on_a_real_machine(model):
     assert 'not positive' in model.candidates['classical_grey'].problems[0]
     assert 'classical_grey' not in model.default
+
+
+@pytest.mark.paper
+def test_no_sample_at_a_speed_never_seen_is_refused(model, recording):
+    """It is 4/3 of the fastest trained; half as fast again would be refused, whatever warms up."""
+    margins = ThermalPredictorConfig()
+    judged = recording.spindle_speed[TRAINING_ROWS:]
+    ratio = judged.max() / model.speed_max
+    assert ratio == pytest.approx(4 / 3)
+    assert ratio < margins.speed_margin < 1.5
+    rises = recording.rise()[TRAINING_ROWS:, recording.columns(model.inputs)]
+    assert (model.distance(rises) <= margins.domain_margin).all()

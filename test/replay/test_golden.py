@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.bags.replay import ROSBAGS, ReplayError, relative_difference, replay
+from fuzzycnc_ros.bags.replay import ROSBAGS, ReplayError, replay
+from fuzzycnc_ros.bags.replay_comparison import relative_difference
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.components.codes import Status
 from fuzzycnc_ros.components.records import (

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
+from fuzzycnc_ros.components.simulated_machine_part import PART_PROGRAM
 from fuzzycnc_ros.core.thermal import load_model, train_model
 from fuzzycnc_ros.report.shift_page import job_table
 from fuzzycnc_ros.scenario import PublishedBag, record_calibration
@@ -14,6 +15,7 @@ from fuzzycnc_ros.scenario.whole_shift import (
     TOLERANCE,
     ShiftSettings,
     WholeShiftError,
+    check_program,
     judged_shift,
     run_whole_shift,
 )
@@ -80,3 +82,68 @@ def test_a_job_that_is_not_done_is_an_error_that_says_why(model):
     beyond = ShiftSettings(jobs=('60:move:X:0.29',), duration=120.0)
     with pytest.raises(WholeShiftError, match='move 1: expected X within 10 um of 290 mm'):
         run_whole_shift(model, beyond)
+
+
+CURVES = """\
+G21 G17 G90 G94
+G0 Z5
+G0 X-20 Y-20
+G1 Z-1 F2000
+(corners of 90, 27 and 63 deg)
+G1 X20 F8000
+G1 X20 Y0
+G1 X-15 Y0
+G1 X20 Y20
+G1 X-20 Y20
+G1 X-20 Y-20
+G0 Z5
+(arcs of 5, 1 and 0.5 mm)
+G0 X-20 Y0
+G1 Z-1 F2000
+G3 X-10 Y0 I5 J0 F9000
+G2 X-8 Y0 I1 J0
+G3 X-7 Y0 I0.5 J0
+G1 X5
+(a spline with weights)
+G5.2 X15 Y15 P1 L3
+X25 Y-5 P1
+X30 Y15 P2
+X20 Y30 P1
+G5.3
+G0 Z5
+M2
+"""
+"""What the jobs of a shift do not have: sharp corners, tight arcs at full feed, a spline."""
+
+
+@pytest.mark.replay
+def test_another_program_keeps_its_tolerance(model):
+    check_program(CURVES)
+    settings = ShiftSettings(jobs=('60:program',), program=CURVES, duration=600.0, seed=1)
+    after = run_whole_shift(model, settings)
+    assert after.paths[0].finished
+    assert 0.0 < after.contour_max <= TOLERANCE
+
+
+@pytest.mark.parametrize(
+    ('program', 'message'),
+    [
+        ('', 'line 1: expected a part program but found no word in it'),
+        ('(nothing)\nM2\n', 'expected at least one that moves but found none'),
+        ('G21 G90\nG0 X1\nG1 X20\n', r'line 3: expected a feed above 0 \(F\)'),
+        ('G21 G90\nG1 X500 F3000\n', 'line 2: expected X within its travel of -300 to 300 mm but'),
+        ('G20 G90\nG1 Y-12 F100\n', 'line 2: expected Y within its travel.*found -304.8 mm'),
+        ('G21 G90\nG1 X290 F3000\nG3 Y60 J30\n', 'line 3: .*found 320 mm; move the zero'),
+        ('G21 G90\nG1 X1 F3000\nG81 X2 Z-1 R1\n', 'line 3: expected a motion whose place'),
+        ('G21 G90\nG1 X250 F60\n', 'at most 120 s at its own feeds but found 250 s'),
+        ('\0\0G1', 'is this a binary file'),
+    ],
+)
+def test_a_program_that_cannot_be_cut_is_refused_before_anything_runs(program, message):
+    with pytest.raises(ValueError, match=message):
+        check_program(program)
+
+
+def test_programs_that_can_be_cut():
+    check_program(PART_PROGRAM)
+    check_program('G20 G90\nG1 X2 F100\n')

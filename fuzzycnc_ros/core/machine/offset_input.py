@@ -6,7 +6,7 @@ It trusts nobody.  Whatever it is told, the offsets in force stay within the siz
 faster than the slew limit and go to zero by themselves when the newest command expires.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -241,7 +241,7 @@ class OffsetInput:
         self._refusal = (
             self._refused_by_owner(epoch, owner)
             or self._refused_by_time(epoch, stamp, valid_until)
-            or self._refused_by_content(axis, columns)
+            or content_refusal(self._axes, axis, columns)
         )
         if not self._allowed:
             return OffsetAnswer(False, self._withdrawal)
@@ -359,20 +359,32 @@ class OffsetInput:
             )
         return ''
 
-    def _refused_by_content(
-        self, axis: Sequence[str], columns: dict[str, NDArray[np.float64]]
-    ) -> str:
-        unknown = [name for name in axis if name not in self._axes]
-        if unknown:
-            return f'axis: expected {", ".join(self._axes)} but found {", ".join(unknown)}'
-        if len(set(axis)) != len(axis):
-            return f'axis: expected each name once but found {", ".join(axis)}'
-        for name, values in columns.items():
-            if values.shape != (len(axis),):
-                return f'{name}: expected {len(axis)} values but found shape {values.shape}'
-            if not (np.abs(values) <= _PLAUSIBLE[name]).all():
-                return (
-                    f'{name}: expected finite values within {_PLAUSIBLE[name]:g} '
-                    f'(SI units) but found {values.tolist()}'
-                )
-        return ''
+
+def content_refusal(
+    axes: Sequence[str], axis: Sequence[str], columns: Mapping[str, NDArray[np.float64]]
+) -> str:
+    """Say why the content of a command means nothing; empty if it does.
+
+    Parameters
+    ----------
+    axes : sequence of str
+        Axes that take offsets.
+    axis : sequence of str
+        Axes of the command.
+    columns : mapping of str to ndarray, shape (len(axis),)
+        `offset` [m], `slope` [-] and `reference_position` [m].
+    """
+    unknown = [name for name in axis if name not in axes]
+    if unknown:
+        return f'axis: expected {", ".join(axes)} but found {", ".join(unknown)}'
+    if len(set(axis)) != len(axis):
+        return f'axis: expected each name once but found {", ".join(axis)}'
+    for name, values in columns.items():
+        if values.shape != (len(axis),):
+            return f'{name}: expected {len(axis)} values but found shape {values.shape}'
+        if not (np.abs(values) <= _PLAUSIBLE[name]).all():
+            return (
+                f'{name}: expected finite values within {_PLAUSIBLE[name]:g} '
+                f'(SI units) but found {values.tolist()}'
+            )
+    return ''

@@ -27,6 +27,11 @@ def speed_drive(speed: Array) -> Array:
     return np.asarray((speed / SPEED_UNIT) ** 2)
 
 
+def driven_speed(drive: Array) -> Array:
+    """Return the size of the spindle speeds [rad/s] of drivers [-], undoing `speed_drive`."""
+    return np.asarray(SPEED_UNIT * np.sqrt(drive))
+
+
 def speed_known(run: ThermalRun) -> bool:
     """Return whether a run has its spindle speed in every sample."""
     return run.spindle_speed is not None and bool(np.isfinite(run.spindle_speed).all())
@@ -54,7 +59,7 @@ def drive_of(run: ThermalRun, drivers: Sequence[str]) -> Array:
     if run.spindle_speed is None:
         raise ThermalDataError(
             f'run {run.name!r}: expected a spindle speed in every sample, since the model reads '
-            'it, but found none; record machine_state or train without it'
+            'it, but found none; record machine_state or spindle_speed, or train without it'
         )
     lost = np.flatnonzero(~np.isfinite(run.spindle_speed))
     if len(lost):

@@ -17,6 +17,7 @@ from fuzzycnc_ros.core.thermal.document import ModelFileError
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.drivers import (
     drive_of,
+    driven_speed,
     speed_drive,
     speed_known,
 )
@@ -151,6 +152,13 @@ class ThermalModel:
     def needs_speed(self) -> bool:
         """Whether the default reads the spindle speed."""
         return any(name.endswith(SPEED_SUFFIX) for name in self.default)
+
+    @property
+    def speed_max(self) -> float:
+        """Largest spindle speed that it was trained on [rad/s]; infinite if it reads none."""
+        if not self.needs_speed or not len(self.domain.drive):
+            return np.inf
+        return float(driven_speed(self.domain.drive.max()))
 
     def drive(self, spindle_speed: float, candidate: str | None = None) -> Array:
         """Return what stands behind the rises in a sample, shape (d,) [-].

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core.repeated_names import repeated_names
 from fuzzycnc_ros.core.thermal.resampling import even_blocks, mean_of_measured
 
 SAMPLES_MIN = 8
@@ -300,7 +301,7 @@ def _check_shapes(run: ThermalRun) -> None:
 def _check_names(run: ThermalRun) -> None:
     for field in ('sensor', 'channel'):
         names: tuple[str, ...] = getattr(run, field)
-        repeated = sorted({name for name in names if names.count(name) > 1})
+        repeated = repeated_names(names)
         if repeated:
             raise ThermalDataError(
                 f'run {run.name!r}: expected each {field} once, but found '

@@ -108,7 +108,8 @@ def train_model(
             if name == model:
                 raise ThermalDataError(
                     f'model {name!r}: expected a spindle speed that changes, in every sample '
-                    'of all runs, but found none; record machine_state, or use a model without it'
+                    'of all runs, but found none; record machine_state or spindle_speed, or use '
+                    'a model without it'
                 )
             continue
         try:

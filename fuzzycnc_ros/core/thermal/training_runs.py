@@ -15,6 +15,9 @@ from fuzzycnc_ros.core.thermal.run import (
     ThermalRun,
 )
 
+SENSORS_MAX = 500
+"""Most sensors that are clustered: every pair of them is compared, and no machine has so many."""
+
 
 def check_training_runs(runs: Sequence[ThermalRun]) -> None:
     """Refuse runs from which nothing sound can be learnt, method sheet 001 section 6.
@@ -27,12 +30,17 @@ def check_training_runs(runs: Sequence[ThermalRun]) -> None:
     Raises
     ------
     ThermalDataError
-        If there is no run, runs disagree, a temperature is NaN, rises faster than 10 K per
-        minute, no sensor warms by 0.5 K, or a channel was never measured.
+        If there is no run, runs disagree or have over 500 sensors, a temperature is NaN, rises
+        faster than 10 K per minute, no sensor warms by 0.5 K, or a channel was never measured.
     """
     if not runs:
         raise ThermalDataError('runs: expected at least one run, but found none')
     first = runs[0]
+    if len(first.sensor) > SENSORS_MAX:
+        raise ThermalDataError(
+            f'run {first.name!r}: expected at most {SENSORS_MAX} sensors, but found '
+            f'{len(first.sensor)}; record those of one machine'
+        )
     names = [run.name for run in runs]
     if len(set(names)) != len(names):
         raise ThermalDataError(f'runs: expected each name once, but found {", ".join(names)}')

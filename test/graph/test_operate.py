@@ -1,0 +1,174 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc operate` on running nodes: what it shows and changes, and what it refuses."""
+
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.cli import operate
+from fuzzycnc_ros.cli.main import run
+from fuzzycnc_ros.components.codes import AppliedStatus
+from fuzzycnc_ros.components.component import Durability
+from fuzzycnc_ros.components.records import SECOND, CompensationApplied, Displacement
+from fuzzycnc_ros.convert import encode
+from fuzzycnc_ros.nodes.messages import RCLPY, message_class
+from fuzzycnc_ros.nodes.qos import publisher_qos
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def command(domain, monkeypatch, capsys):
+    """Carry out `fuzzycnc operate ...` in the domain of the test; return code, out and err."""
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+
+    def carry_out(*words):
+        capsys.readouterr()
+        code = run(['operate', *words])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return carry_out
+
+
+@contextmanager
+def working(observer):
+    """Let the node of the test work in a thread while a command runs."""
+    over = threading.Event()
+
+    def work():
+        while not over.is_set():
+            observer.spin()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def applied(observer, offset):
+    """Read an offset [m] back ten times a second, as a machine does."""
+    publisher = observer.node.create_publisher(
+        message_class(CompensationApplied.TYPE),
+        'compensation_applied',
+        publisher_qos(Durability.STREAM),
+    )
+    record = CompensationApplied(
+        stamp=SECOND,
+        epoch=1,
+        status=int(AppliedStatus.FOLLOWING),
+        reason='',
+        axis=('Y',),
+        offset=np.array([offset]),
+        at_limit=np.zeros(1, bool),
+    )
+    message = encode(record, RCLPY)
+    observer.node.create_timer(0.1, lambda: publisher.publish(message))
+
+
+def test_a_compensator_is_looked_at_limited_activated_and_put_to_rest(
+    graph, observer, command, tmp_path
+):
+    graph.start('compensator')
+    observer.until(
+        lambda: observer.node.count_subscribers('/mill/thermal_error'), 'the compensator is there'
+    )
+    file = tmp_path / 'status.json'
+    code, out, err = command('status', '--json', str(file))
+    assert (code, err) == (0, '')
+    assert 'compensator' in out
+    assert 'unconfigured' in out
+    assert '"state": "unconfigured"' in file.read_text()
+    assert command('set', 'compensator.offset_max=5e-6') == (
+        0,
+        'mill/compensator.offset_max = 5e-06\n',
+        '',
+    )
+    assert command('activate') == (0, 'mill/compensator is active\n', '')
+    assert command('activate')[1] == 'mill/compensator is active already\n'
+    code, out, _ = command('status')
+    assert 'waiting for the read-back' in out
+    assert command('deactivate')[1].startswith('mill/compensator is inactive')
+    assert command('deactivate')[1] == 'mill/compensator is not active\n'
+
+
+@pytest.mark.parametrize(
+    ('words', 'named'),
+    [
+        (('set', 'compensator.offset_max=5'), 'offset_max = 5.0 is outside [0.0, 0.001] m'),
+        (('set', 'compensator.period=5'), 'compensator.period: expected a parameter that may'),
+        (('set', 'compensator.ofset_max=1e-6'), 'unknown parameter ofset_max of compensator'),
+        (('set', 'offset_max=1e-6'), 'expected NODE.NAME=VALUE'),
+        (('activate', 'thermal_predictor'), 'expected a node of'),
+        (('activate', 'compensator'), 'expected compensator of /mill but none reports'),
+        (('reference',), 'expected temperature_acquisition of /mill but none reports'),
+        (('status', '--machine', 'lathe'), 'expected nodes of /lathe but none reports'),
+        (('probe', 'Y'), 'expected AXIS=LENGTH such as Z=12um'),
+        (('probe', 'Y=3'), 'Y: expected a unit'),
+        (('probe', 'Y=1um,Y=2um'), 'expected each axis once'),
+        (('probe', 'Y=1um', '--deviation', 'much'), '--deviation: expected a number'),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_line(words, named, command, monkeypatch):
+    monkeypatch.setattr(operate, 'PATIENCE', 1.0)
+    code, out, err = command(*words)
+    assert (code, out) == (2, '')
+    assert named in err
+    assert len(err.splitlines()) == 1
+
+
+def test_a_node_that_refuses_is_quoted(graph, observer, command, tmp_path):
+    model = tmp_path / 'model.json'
+    model.write_text('{"schema"', encoding='utf-8')
+    graph.start('thermal_predictor')
+    observer.until(
+        lambda: observer.node.count_subscribers('/mill/temperatures'), 'the predictor is there'
+    )
+    code, _, err = command('set', f'thermal_predictor.model={model}')
+    assert code == 2
+    assert f'mill/thermal_predictor: model: {model}: model file: expected JSON' in err
+
+
+def test_a_reference_is_asked_for(graph, observer, command):
+    graph.start('temperature_acquisition')
+    code, out, err = command('reference', '--by', 'anna')
+    assert (code, err) == (0, '')
+    assert 'thermal reference' in out
+
+
+@pytest.mark.parametrize(('offset', 'includes'), [(None, False), (0.0, False), (4e-6, True)])
+def test_a_probe_says_what_was_measured_and_whether_compensated(
+    observer, command, offset, includes
+):
+    heard = observer.records('displacement', Displacement)
+    if offset is not None:
+        applied(observer, offset)
+    with working(observer):
+        code, out, err = command('probe', 'Y=-3um', 'Z=0.012mm', '--deviation', '1um')
+    assert (code, err) == (0, '')
+    assert out.startswith('told 1 node of /mill, ' + ('with ' if includes else 'without '))
+    observer.until(lambda: heard, 'the probe is heard')
+    record = heard[0]
+    assert record.axis == record.channel == ('Y', 'Z')
+    assert record.displacement == pytest.approx([-3e-6, 12e-6])
+    assert record.standard_deviation == pytest.approx([1e-6, 1e-6])
+    assert record.includes_compensation is includes
+
+
+def test_a_probe_that_nobody_hears_or_somebody_else_makes(observer, command, monkeypatch):
+    monkeypatch.setattr(operate, 'PATIENCE', 1.0)
+    code, _, err = command('probe', 'Y=-3um')
+    assert code == 2
+    assert 'a recorder or the predictor of mill must be running' in err
+    observer.node.create_publisher(
+        message_class(Displacement.TYPE), '/mill/displacement', publisher_qos(Durability.STREAM)
+    )
+    code, _, err = command('probe', 'Y=-3um')
+    assert code == 2
+    assert 'another node publishes displacement' in err
