@@ -11,6 +11,9 @@ from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
 LONGEST_WAY = 600.0
 """Time that the way to a position may take [s]: it is held period by period."""
 
+SAME_PLACE, STANDSTILL = 1e-12, 1e-9
+"""Change of position [m] and velocity [m/s] that are rounding; paths leave 1e-17 and 1e-13."""
+
 Way = list[tuple[float, float, float]]
 """Position, velocity and acceleration [m, m/s, m/s^2], period by period."""
 
@@ -131,7 +134,13 @@ class ServoAxis:
         self._rows = way
 
     def lead(self, position: float, velocity: float) -> None:
-        """Take where the axis is to be in this period [m], and how fast it is to move [m/s]."""
+        """Take where the axis is to be in this period [m], and how fast it is to move [m/s].
+
+        An axis that rests while others move has the rounding of sums in its samples. It must not
+        look like motion: friction would be fed forward for it, and the axis jump by 55 um.
+        """
+        if abs(position - self.reference) <= SAME_PLACE and abs(velocity) <= STANDSTILL:
+            position, velocity = self.reference, 0.0
         self.acceleration = (velocity - self.velocity) / self.controller.period
         self.reference, self.velocity = position, velocity
 
