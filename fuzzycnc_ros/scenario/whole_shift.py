@@ -51,9 +51,10 @@ SCHEDULER: dict[str, Any] = {
     'settle': 0.25,
 }
 """Scheduling for driven axes.  Circles of 2 to 40 mm at up to 2 m/s^2 show at most 0.72e-5 s^2, by
-their largest error: the velocity is fed forward.  What is left is friction where axes start or turn
-back, 10 to 31 um each at any feed: the feed leaves it room in bends, and a fifth of the tolerance
-for two axes at once, which leave 45 um.  The drives accelerate an axis at 3.7 m/s^2 at most."""
+their largest error: the velocity is fed forward.  What is left is friction where axes start or
+turn back, 10 to 31 um each at any feed: the feed leaves it room in bends, and a fifth of the
+tolerance for two axes at once, which leave 45 um.  The drives accelerate an axis at 3.7 m/s^2 at
+most."""
 PLAIN: dict[str, Any] = {**SCHEDULER, 'method': 'constant'}
 """The same without a schedule: the programmed feed within the limits of the axes."""
 
