@@ -7,7 +7,6 @@ import tempfile
 import time
 from contextlib import ExitStack
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -18,6 +17,7 @@ from fuzzycnc_ros.cli.console import (
     check_at_least,
     check_folder,
     check_new,
+    check_ros,
     progress_bar,
     say,
     show,
@@ -77,11 +77,7 @@ def faults(
         fuzzycnc faults --only kill_compensator --out killed
         fuzzycnc info killed/kills_0/bag
     """
-    if find_spec('rclpy') is None:
-        raise ValueError(
-            'the fault campaign needs ROS 2 (rclpy), which is not installed: source a ROS 2 '
-            'Jazzy installation'
-        )
+    check_ros('the fault campaign')
     from fuzzycnc_ros.faults.table import listing, result_table
 
     names = words(only or [])

@@ -152,7 +152,10 @@ def test_runs_with_a_speed_show_the_models_that_read_it_beside_the_others(fuzzyc
 def test_train_says_whether_the_speed_is_read(fuzzycnc, duties):
     runs = duties('first', (600.0, 12000.0), (3000.0, 2000.0)), duties('second', (600.0,), (1500,))
     for model, said in (
-        ('lag_ridge_speed', 'spindle speed: used; the machine has to publish it'),
+        (
+            'lag_ridge_speed',
+            'spindle speed: used; it has to come with machine_state',
+        ),
         ('static_ridge', 'spindle speed: known, but not used'),
     ):
         options = ('--models', 'lag_ridge', '--model', model, '--json', 't.json')

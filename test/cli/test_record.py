@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import pytest
 
 from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.cli import console
 from fuzzycnc_ros.cli import record as module
 
 DEADLINE = 30.0
@@ -25,7 +26,7 @@ def test_arguments_keep_names_that_look_like_numbers(tmp_path):
 
 
 def test_recording_without_ros_names_the_remedy(refused, monkeypatch):
-    monkeypatch.setattr(module, 'find_spec', lambda name: None)
+    monkeypatch.setattr(console, 'find_spec', lambda name: None)
     refused('record', '--out', 'b', naming=['rclpy', 'Jazzy'])
 
 

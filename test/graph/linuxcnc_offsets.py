@@ -9,8 +9,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from linuxcnc_machine import LinuxcncMachine
 
+from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation
 from fuzzycnc_ros.core.arrays import Array
 
 PERIOD = 1e-3
@@ -26,13 +26,13 @@ class OffsetTrace:
 
     Parameters
     ----------
-    machine : LinuxcncMachine
+    machine : LinuxcncSimulation
         One that was started.
     folder : Path
         Where the samples go.
     """
 
-    def __init__(self, machine: LinuxcncMachine, folder: Path) -> None:
+    def __init__(self, machine: LinuxcncSimulation, folder: Path) -> None:
         self._file = folder / f'offsets{time.monotonic_ns()}.txt'
         self._machine = machine
         machine.halcmd('loadrt', 'sampler', f'depth={_DEPTH}', 'cfg=f')

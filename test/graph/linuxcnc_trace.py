@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from linuxcnc_machine import LinuxcncMachine
 
+from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringAxes, ContouringConfig
@@ -59,13 +59,13 @@ class Recorder:
 
     Parameters
     ----------
-    machine : LinuxcncMachine
+    machine : LinuxcncSimulation
         Switched on and homed.
     folder : Path
         Where part programs and records go.
     """
 
-    def __init__(self, machine: LinuxcncMachine, folder: Path) -> None:
+    def __init__(self, machine: LinuxcncSimulation, folder: Path) -> None:
         self._machine, self._folder = machine, folder
         self._runs = 0
         self.halcmd('loadrt', 'sampler', f'depth={_DEPTH}', 'cfg=fff')

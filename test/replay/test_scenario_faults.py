@@ -323,8 +323,8 @@ def test_without_the_spindle_speed_the_error_ends_and_offsets_go_to_zero(whole, 
     assert {item.reason for item in shift.errors[SILENT + 20 :]} == {Reason.SENSOR_LOST}
     assert np.isnan(shift.error[SILENT + 20 :]).all()
     assert shift.health[-1]['prediction'] == (
-        'the model reads the spindle speed but machine_state has told none for more than '
-        'gap_max = 1200 s'
+        'the model reads the spindle speed but neither machine_state nor spindle_speed has told '
+        'one for more than gap_max = 1200 s'
     )
     assert next(item.message for item in shift.compensator.health()) == why
     said = [item for item in shift.compensation if minute_of(item.stamp) > 3.0]
