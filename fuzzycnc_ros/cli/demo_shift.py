@@ -21,7 +21,10 @@ TRACK = 'parallelogram:45'
 FOAM_SEED = 1000
 """Seed of the samples that the foam model is trained on, before that of the run is added."""
 PATTERN_BAGS = {'before': 'before', 'after': 'quilt'}
-"""Bag of each run of the quilter."""
+"""Bag of each run of the quilter; as with the mill, what is judged is run over DDS, and what it is
+compared with in one process."""
+LIVE = {MILL: 'bag', QUILT: 'quilt'}
+"""Bag of each machine over DDS."""
 THERMAL_MAX, POSITIONING_MAX, ANGLE_CUT = 5e-6, 2e-6, 0.8
 """What is to be reached: thermal and positioning error [m], part of the angle error cut [-]."""
 
@@ -155,7 +158,7 @@ def _models(seed: int) -> tuple[str, str]:
 
 @dataclass
 class _Live:
-    """Both machines over DDS: how they say it went, by bag, the time, and the shift before."""
+    """Both machines over DDS: how they say it went, the time, and the shift before."""
 
     outcomes: dict[str, dict[str, Any]]
     seconds: float
@@ -171,34 +174,23 @@ def _run_both(out: Path, settings: Any, thermal: str, foam: str, progress: Steps
     def mill() -> tuple[dict[str, Any], float]:
         with progress.step('ran the shift of the mill live over DDS, in lock-step'):
             specs = mill_specs(out / 'model.json', settings)
-            return _graph(out, MILL, 'bag', specs), time.monotonic()
+            return _graph(out, MILL, LIVE[MILL], specs), time.monotonic()
 
-    def beside() -> tuple[dict[str, dict[str, Any]], float, Any]:
-        with progress.step('had the quilter stitch its pattern live, before and after'):
-            outcomes, ended = _quilt(out, settings.seed), time.monotonic()
+    def beside() -> tuple[dict[str, Any], float, Any]:
+        with progress.step('had the quilter stitch its pattern live over DDS, in lock-step'):
+            specs = _quilt_specs(out / 'foam.json', settings.seed)
+            outcome, ended = _graph(out, QUILT, LIVE[QUILT], specs), time.monotonic()
         with progress.step('ran the same in one process') as bar:
             _run_alone(out, settings, thermal, foam, bar)
-        with progress.step('ran the shift without compensation, at the programmed feed') as bar:
+        with progress.step('ran both without compensation, at the programmed feed') as bar:
             before = run_whole_shift(thermal, settings, compensated=False, progress=bar.update)
-        return outcomes, ended, before
+            _pattern_alone(out / PATTERN_BAGS['before'], '', settings.seed)
+        return outcome, ended, before
 
     with ThreadPoolExecutor(2) as pool:
         shift, rest = pool.submit(mill), pool.submit(beside)
-        (outcome, over), (outcomes, ended, before) = shift.result(), rest.result()
-    return _Live({'bag': outcome, **outcomes}, max(over, ended) - started, before)
-
-
-def _quilt(out: Path, seed: int) -> dict[str, dict[str, Any]]:
-    """Stitch the pattern without compensation, and then with it."""
-    return {
-        folder: _graph(
-            out,
-            QUILT,
-            folder,
-            _quilt_specs('' if name == 'before' else str(out / 'foam.json'), seed),
-        )
-        for name, folder in PATTERN_BAGS.items()
-    }
+        (outcome, over), (quilted, ended, before) = shift.result(), rest.result()
+    return _Live({MILL: outcome, QUILT: quilted}, max(over, ended) - started, before)
 
 
 def _graph(out: Path, machine: str, bag: str, specs: list[NodeSpec]) -> dict[str, Any]:
@@ -242,12 +234,12 @@ def mill_specs(model: Path, settings: Any) -> list[NodeSpec]:
     ]
 
 
-def _quilt_specs(model: str, seed: int) -> list[NodeSpec]:
+def _quilt_specs(model: Path, seed: int) -> list[NodeSpec]:
     from fuzzycnc_ros.scenario.pattern import STITCH_BLEND
 
     managed = {'lockstep': True, 'autostart': True}
     return [
-        NodeSpec('deformation_compensator', {**managed, 'model': model}),
+        NodeSpec('deformation_compensator', {**managed, 'model': str(model)}),
         NodeSpec('feedrate_scheduler', {**managed, 'blend': STITCH_BLEND}),
         NodeSpec(
             'simulated_machine',
@@ -263,32 +255,38 @@ def _lists(values: dict[str, Any]) -> dict[str, Any]:
 
 def _run_alone(out: Path, settings: Any, thermal: str, foam: str, bar: Any) -> None:
     """Run both machines in this process, into bags of their own."""
+    from fuzzycnc_ros.scenario import PublishedBag
+    from fuzzycnc_ros.scenario.whole_shift import run_whole_shift
+
+    with PublishedBag(out / 'alone' / LIVE[MILL], machine=MILL) as bag:
+        run_whole_shift(thermal, settings, sink=bag, progress=bar.update)
+    _pattern_alone(out / 'alone' / LIVE[QUILT], foam, settings.seed)
+
+
+def _pattern_alone(path: Path, model: str, seed: int) -> None:
+    """Stitch the pattern in this process, into a bag; without a model it is not compensated."""
     from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
     from fuzzycnc_ros.scenario import PublishedBag
     from fuzzycnc_ros.scenario.pattern import run_patterns
-    from fuzzycnc_ros.scenario.whole_shift import run_whole_shift
 
-    with PublishedBag(out / 'alone' / 'bag', machine=MILL) as bag:
-        run_whole_shift(thermal, settings, sink=bag, progress=bar.update)
-    for name, folder in PATTERN_BAGS.items():
-        with PublishedBag(out / 'alone' / folder, machine=QUILT) as bag:
-            run_patterns(
-                (TRACK,),
-                '' if name == 'before' else foam,
-                machine=SimulatedMachineConfig(seed=settings.seed, sheet_seed=settings.seed),
-                name=QUILT,
-                sink=bag,
-            )
+    with PublishedBag(path, machine=QUILT) as bag:
+        run_patterns(
+            (TRACK,),
+            model,
+            machine=SimulatedMachineConfig(seed=seed, sheet_seed=seed),
+            name=QUILT,
+            sink=bag,
+        )
 
 
 def _compared(out: Path) -> tuple[dict[str, dict[str, str]], dict[str, list[str]]]:
-    """Return the canonical hash of every topic by bag, and topics that differ in one process."""
+    """Return the canonical hash of every topic by bag over DDS, and those that differ from it."""
     from fuzzycnc_ros.bags.canonical import topic_hashes
     from fuzzycnc_ros.components.registry import COMPONENTS
 
     outputs = {item.name for component in COMPONENTS.values() for item in component.OUTPUTS}
     topics, differing = {}, {}
-    for folder in ('bag', *PATTERN_BAGS.values()):
+    for folder in LIVE.values():
         found = topic_hashes(out / folder)
         alone = topic_hashes(out / 'alone' / folder)
         judged = {
