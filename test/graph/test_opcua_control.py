@@ -86,6 +86,7 @@ def test_a_set_arrives_whole_and_is_read_back_in_si_units(server, tmp_path):
     control.position = np.array([0.25, 0.0])
     with connected(control_file(tmp_path, server.port)) as adapter:
         adapter.claim()
+        wait(lambda: adapter.read().mode is MachineMode.RUNNING)
         first = adapter.read()
         adapter.write(ORDERS)
         wait(lambda: control.acknowledged == 17)
