@@ -148,10 +148,7 @@ class ServoAxis:
         """Go on by a period; return the duty [-] for a reading [m], NaN where there is none."""
         watch = self.controller.watch
         if self._silent:
-            # where the reading is to be now is not known well enough to call it a jump
-            total = watch.bad_total
-            watch.reset()
-            watch.bad_total = total
+            watch.resume()
             self._silent = False
         duty = self._step(reading)
         if watch.bad:

@@ -58,3 +58,35 @@ def test_a_well_followed_reversal_raises_no_alarm():
         axis.drive(controller.step(place, readings[-1], speed, -0.4))
     changes = np.rint(np.diff(readings[:72]) / COUNT).astype(int)
     assert (np.gcd.reduce(changes[40:]), controller.status.fault) == (4, '')
+
+
+def after_silence(silent, jump, acceleration=0.0):
+    """Let readings at 0.2 m/s stop for some periods and come again; return what is found."""
+    watch = FeedbackWatch(FeedbackLimits(), 1e-3, 1.0, 0.286)
+    place, speed = 0.0, 0.2
+    for step in range(300):
+        quiet = 100 <= step < 100 + silent
+        if quiet:
+            speed += 1e-3 * acceleration
+        place += 1e-3 * speed
+        if step == 100 + silent:
+            watch.resume()
+        watch.bad = 0 if quiet else watch.bad  # how long silence may last is for others to judge
+        shown = place + (jump if step >= 100 + silent else 0.0)
+        watch.accepts(place, float('nan') if quiet else shown)
+        if watch.fault:
+            return watch.fault, step - 99 - silent
+    return '', None
+
+
+@pytest.mark.parametrize('silent', [1, 2, 3, 4])
+def test_counts_that_are_lost_while_nothing_is_heard_are_noticed(silent):
+    fault, after = after_silence(silent, 1e-3)
+    assert 'has jumped' in fault
+    assert after <= FeedbackLimits().bad_max + 1
+
+
+@pytest.mark.parametrize('silent', [1, 5, 20])
+@pytest.mark.parametrize('acceleration', [-15.0, 0.0, 15.0])
+def test_an_axis_goes_on_after_a_silence_without_alarm(silent, acceleration):
+    assert after_silence(silent, 0.0, acceleration) == ('', None)

@@ -165,6 +165,17 @@ class FeedbackWatch:
         self._divisor = self._changes = self._odd = self._bend = 0
         self._kinds: set[int] = set()
 
+    def resume(self) -> None:
+        """Go on after periods without a reading, each of which was refused as one that is NaN.
+
+        How far the axis may have come is known from those before; its speed is not, and what was
+        judged over several readings begins anew.
+        """
+        self.bad = 0
+        self._off = None
+        self._against = 0
+        self._restart_divisor()
+
     def accepts(self, reference: float, position: float) -> bool:
         """Whether a reading [m] can be used; counts it if not, and judges what it shows."""
         error = reference - position
@@ -186,9 +197,13 @@ class FeedbackWatch:
         if not -room <= surprise <= room or self._still_off(position):
             self._off = position
             return self._refuse('reading has jumped: counts were lost')
+        gap = self._gap
+        if gap:  # its mean since the last reading; how fast the axis is now is not known
+            change = (change + self._slope * gap) / (gap + 1)
+            self._fresh = 2
         self._last, self._slope, self._off = position, change, None
         self.bad = self._gap = 0
-        if self._per_count and (change or surprise):
+        if self._per_count and not gap and (change or surprise):
             self._count(change * self._per_count, round(surprise * self._per_count))
         self._follow(change)
         return not self.fault
