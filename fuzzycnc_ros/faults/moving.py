@@ -49,6 +49,7 @@ SAYS: Mapping[str, str] = {
 """What diagnostics must tell of a wrong value."""
 UNTOLD = frozenset(
     {
+        'stuck_axis_state',  # while an axis settles it looks like one that friction holds
         'drift_axis_state',
         'drift_axis_command',
         'stuck_axis_command',
