@@ -17,11 +17,11 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
 from fuzzycnc_ros.bags.files import storage_files
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.operator import parameter_request, refusals
 from fuzzycnc_ros.cli.supervision import RestartPolicy, Supervisor
 from fuzzycnc_ros.cli.up import node_specs
 from fuzzycnc_ros.components.component import HISTORY
@@ -242,14 +242,10 @@ class LiveGraph(ABC):
         client = self.node.create_client(SetParameters, f'{node}/set_parameters')
         try:
             self.until(client.service_is_ready, f'{node} has parameters')
-            given = [
-                Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-            ]
-            future = client.call_async(SetParameters.Request(parameters=given))
+            future = client.call_async(parameter_request(values))
             if not self.until(future.done, f'{node} answers'):
                 return []
-            results = future.result().results
-            return [item.reason or 'refused' for item in results if not item.successful]
+            return refusals(future.result())
         finally:
             self.node.destroy_client(client)
 

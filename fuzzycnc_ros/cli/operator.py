@@ -169,10 +169,8 @@ class Operator:
 
     def set_parameters(self, node: str, values: Mapping[str, Any]) -> list[str]:
         """Set parameters of a node; return why they were refused, empty if taken."""
-        given = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        request = SetParameters.Request(parameters=given)
-        answer = self._call(SetParameters, f'{node}/set_parameters', request)
-        return [item.reason or 'refused' for item in answer.results if not item.successful]
+        request = parameter_request(values)
+        return refusals(self._call(SetParameters, f'{node}/set_parameters', request))
 
     def set_reference(self, by: str) -> str:
         """Declare the machine thermally at rest; return what will happen.
@@ -242,3 +240,14 @@ class Operator:
     def _wait(self, future: Any, what: str) -> Any:
         self.spin_until(future.done, CALL_TIMEOUT, what)
         return future.result()
+
+
+def parameter_request(values: Mapping[str, Any]) -> SetParameters.Request:
+    """Return the request that sets parameters of a node."""
+    given = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    return SetParameters.Request(parameters=given)
+
+
+def refusals(answer: SetParameters.Response) -> list[str]:
+    """Return why parameters were refused, empty if they were taken."""
+    return [item.reason or 'refused' for item in answer.results if not item.successful]

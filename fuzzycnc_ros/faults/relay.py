@@ -10,6 +10,7 @@ import heapq
 import random
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from typing import Any, Protocol
 
 from rclpy.node import Node
@@ -107,6 +108,7 @@ class Falsify:
         return [(0.0, bytes(serialize_message(encode(changed, RCLPY))))]
 
 
+@cache
 def record_types() -> dict[str, type[Record]]:
     """Return the record type of every input of a component."""
     return {item.name: item.record for c in COMPONENTS.values() for item in c.INPUTS}

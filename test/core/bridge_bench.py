@@ -1,18 +1,73 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A compensator in a closed loop with a bridge and its controller."""
+"""What rigs of bridges have in common, and a compensator in a closed loop with one."""
 
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fuzzycnc_ros.components.compensator import Compensator, CompensatorConfig
+from fuzzycnc_ros.components.records import Compensation, nanoseconds
 
 sys.path.insert(0, str(Path(__file__).parent))
 from component_bench import Bench, machine_state, thermal_error
 
+MICRON = 1e-6
 ERROR = (4e-6, -2e-6)
 """Thermal error of Y and Z [m]."""
+
+
+class BridgeRig:
+    """A bridge at a controller that a subclass brings along, with `bench`, `time`, `path`
+    and `applied`, the offsets in force [m]."""
+
+    axes: tuple[str, ...]
+    close: float
+    """Difference of two offsets that counts as none [m]."""
+    epoch = 1
+
+    def command(self, offset, *, slope=None, reference=None, valid=1000.0, epoch=None, axis=None):
+        """Command offsets [um]."""
+        stamp, none = nanoseconds(self.time), np.zeros(len(self.axes))
+        record = Compensation(
+            stamp=stamp,
+            epoch=epoch or self.epoch,
+            state=1,
+            axis=axis or self.axes,
+            offset=MICRON * np.array(offset, float),
+            slope=none if slope is None else np.array(slope, float),
+            reference_position=none if reference is None else np.array(reference, float),
+            at_limit=none > 0.0,
+            slewing=none > 0.0,
+            valid_until=stamp + nanoseconds(valid),
+            source=('test',),
+        )
+        self.bench.push('compensation', record)
+        self.bench.emitted += self.bench.merger.advance(stamp)
+
+    @property
+    def last(self):
+        return self.bench.records('compensation_applied')[-1]
+
+    @property
+    def allowed(self):
+        return self.bench.records('machine_state')[-1].offsets_allowed
+
+    def at(self, offset):
+        """Whether offsets [um] are applied, and told."""
+        wanted = MICRON * np.array(offset, float)
+        return all(
+            np.all(np.abs(found - wanted) <= self.close)
+            for found in (self.applied, self.last.offset)
+        )
+
+    @property
+    def largest_step(self):
+        """Largest change of an applied offset in a cycle [m]."""
+        return max(np.abs(b - a).max() for a, b in pairwise(self.path))
 
 
 class Compensated:

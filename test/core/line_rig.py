@@ -3,7 +3,6 @@
 """A bridge to a control that takes lines, on the program of the guide, cycle by cycle."""
 
 import sys
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +10,13 @@ import numpy as np
 from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
 from fuzzycnc_ros.components.offset_lines import LineLimits, Lines, LineStatus, Travel
 from fuzzycnc_ros.components.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
-from fuzzycnc_ros.components.records import Compensation, nanoseconds
+from fuzzycnc_ros.components.records import nanoseconds
 
 sys.path.insert(0, str(Path(__file__).parent))
+from bridge_bench import BridgeRig
 from component_bench import Bench
 from line_control import LineControl
 
-MICRON = 1e-6
 AXES = ('X', 'Z')
 CYCLE = 0.1
 SLEW = 10e-6
@@ -29,8 +28,10 @@ TRAVEL = Travel(low=np.array([-0.2, 0.0]), high=np.array([0.3, 0.0]))
 """X takes a slope, Z does not."""
 
 
-class Rig:
+class Rig(BridgeRig):
     """A bridge and a control; what the bridge writes arrives one cycle after it has read."""
+
+    axes, close = AXES, SCALE
 
     def __init__(self, control=None, *, active=True, **parameters):
         self.control = control or LineControl()
@@ -38,7 +39,6 @@ class Rig:
         self.config = OpcuaBridgeConfig(**parameters)
         self.time = 100.0
         self.path, self.sets = [], []
-        self.epoch = 1
         self.restart(active=active)
 
     def restart(self, *, active=True):
@@ -115,51 +115,15 @@ class Rig:
         self.control.scan(CYCLE)
         self.path.append(self.control.applied.copy())
 
-    def command(self, offset, *, slope=(0, 0), reference=(0, 0), valid=1000.0, epoch=None, **more):
-        """Command offsets [um]."""
-        stamp = nanoseconds(self.time)
-        record = Compensation(
-            stamp=stamp,
-            epoch=epoch or self.epoch,
-            state=1,
-            axis=more.get('axis', AXES),
-            offset=MICRON * np.array(offset, float),
-            slope=np.array(slope, float),
-            reference_position=np.array(reference, float),
-            at_limit=np.zeros(2, bool),
-            slewing=np.zeros(2, bool),
-            valid_until=stamp + nanoseconds(valid),
-            source=('test',),
-        )
-        self.bench.push('compensation', record)
-        self.bench.emitted += self.bench.merger.advance(stamp)
-
     @property
-    def last(self):
-        return self.bench.records('compensation_applied')[-1]
-
-    @property
-    def allowed(self):
-        return self.bench.records('machine_state')[-1].offsets_allowed
-
-    def at(self, offset):
-        """Whether offsets [um] are applied, and told."""
-        wanted = MICRON * np.array(offset, float)
-        near = [
-            np.all(np.abs(o - wanted) <= SCALE) for o in (self.control.applied, self.last.offset)
-        ]
-        return all(near)
+    def applied(self):
+        return self.control.applied
 
     @property
     def largest_way(self):
         """Largest change of an applied offset in a second [m]."""
         path = np.array(self.path)
         return np.abs(path[10:] - path[:-10]).max()
-
-    @property
-    def largest_step(self):
-        """Largest change of an applied offset in a cycle [m]."""
-        return max(np.abs(b - a).max() for a, b in pairwise(self.path))
 
 
 def settled(offset=(10, -20), **parameters):

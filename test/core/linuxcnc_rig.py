@@ -3,7 +3,6 @@
 """A bridge on LinuxCNC's registers and HAL file as they were measured, without a HAL."""
 
 import sys
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,12 @@ import numpy as np
 from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
 from fuzzycnc_ros.components.linuxcnc_bridge import LinuxcncBridge, LinuxcncBridgeConfig
 from fuzzycnc_ros.components.linuxcnc_status import ControllerStatus
-from fuzzycnc_ros.components.records import Compensation, nanoseconds
+from fuzzycnc_ros.components.records import nanoseconds
 
 sys.path.insert(0, str(Path(__file__).parent))
+from bridge_bench import BridgeRig
 from component_bench import Bench
 
-MICRON = 1e-6
 AXES = ('X', 'Y', 'Z')
 CYCLE = 0.01
 SCALE = 1e-8
@@ -92,15 +91,16 @@ class Controller:
         )
 
 
-class Rig:
+class Rig(BridgeRig):
     """A bridge on a controller, cycle by cycle."""
+
+    axes, close = AXES, SCALE
 
     def __init__(self, controller=None, *, active=True, **parameters):
         self.controller = controller or Controller()
         self.config = LinuxcncBridgeConfig(**{'slew_max': SLEW, **parameters})
         self.time = 100.0
         self.path, self.on = [], []
-        self.epoch = 1
         self.restart(active=active)
 
     def restart(self, *, active=True):
@@ -133,44 +133,9 @@ class Rig:
         self.path.append(self.controller.applied.copy())
         self.on.append(self.controller.on)
 
-    def command(self, offset, *, slope=(0, 0, 0), reference=(0, 0, 0), valid=1000.0, epoch=None):
-        """Command offsets [um]."""
-        stamp = nanoseconds(self.time)
-        record = Compensation(
-            stamp=stamp,
-            epoch=epoch or self.epoch,
-            state=1,
-            axis=AXES,
-            offset=MICRON * np.array(offset, float),
-            slope=np.array(slope, float),
-            reference_position=np.array(reference, float),
-            at_limit=np.zeros(3, bool),
-            slewing=np.zeros(3, bool),
-            valid_until=stamp + nanoseconds(valid),
-            source=('test',),
-        )
-        self.bench.push('compensation', record)
-        self.bench.emitted += self.bench.merger.advance(stamp)
-
     @property
-    def last(self):
-        return self.bench.records('compensation_applied')[-1]
-
-    @property
-    def allowed(self):
-        return self.bench.records('machine_state')[-1].offsets_allowed
-
-    def at(self, offset):
-        """Whether offsets [um] are applied, and told."""
-        wanted = MICRON * np.array(offset, float)
-        return np.all(np.abs(self.controller.applied - wanted) <= SCALE) and np.all(
-            np.abs(self.last.offset - wanted) <= SCALE
-        )
-
-    @property
-    def largest_step(self):
-        """Largest change of an applied offset in a cycle [m]."""
-        return max(np.abs(b - a).max() for a, b in pairwise(self.path))
+    def applied(self):
+        return self.controller.applied
 
 
 def settled(offset=(10, -20, 30), **parameters):

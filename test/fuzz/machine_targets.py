@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
 import trajectory_bench
 from component_bench import Bench, applied, machine_state
-from targets import Target
+from targets import CopiedTarget, Target
 
 PERIOD = 1_000_000
 """Period of the axes [ns]."""
@@ -243,7 +243,7 @@ class BodyTarget(MachineTarget):
             assert (np.abs(item.displacement) <= 2e-3).all()
 
 
-class BridgeTarget(Target):
+class BridgeTarget(CopiedTarget):
     """A bridge that has offsets in force on a controller, cycle by cycle.
 
     Attributes

@@ -24,13 +24,13 @@ sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
 import trajectory_bench
 from component_bench import Bench, machine_state
-from targets import Target, work
+from targets import CopiedTarget, work
 
 PERIOD = 1_000_000
 """Control period of the servo axes [ns]."""
 
 
-class SchedulerTarget(Target):
+class SchedulerTarget(CopiedTarget):
     """A scheduler that waits for a path, on a machine at rest."""
 
     component = 'feedrate_scheduler'
@@ -116,7 +116,7 @@ class SchedulerTarget(Target):
         assert found[0].part == 0
 
 
-class ServoTarget(Target):
+class ServoTarget(CopiedTarget):
     """A servo controller that holds an axis."""
 
     component = 'servo_controller'

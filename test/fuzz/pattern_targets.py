@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
 import pattern_bench
 from component_bench import Bench
-from targets import Target, work
+from targets import CopiedTarget, work
 
 LEARNT = 'learnt track'
 """Name of the pattern that offsets were learnt for."""
@@ -33,7 +33,7 @@ def offsets_text() -> str:
     return write_offsets(StitchOffsets(LEARNT, 'foam', points, shift))
 
 
-class DeformationTarget(Target):
+class DeformationTarget(CopiedTarget):
     """A deformation compensator with a model that knows its sheet."""
 
     component = 'deformation_compensator'

@@ -4,6 +4,7 @@
 
 import random
 import sys
+from abc import ABC, abstractmethod
 from copy import deepcopy
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
 from component_bench import Bench
 
 
-class Target:
+class Target(ABC):
     """A component at work.
 
     `good` returns a record of an input as it belongs; `recover` gives good records from a time on
@@ -31,6 +32,30 @@ class Target:
     makes_time = False
     """Whether no stamp of a record moves its time on."""
 
+    @abstractmethod
+    def bench(self) -> Bench:
+        """Return a component at work."""
+
+    @abstractmethod
+    def good(self, name: str, stamp: int, rng: random.Random) -> Record:
+        """Return a record of an input."""
+
+    def go_on(self, bench: Bench, stamp: int, until: int) -> int:
+        """Work up to a time [ns]; return the stamp of the next records, at least that of these."""
+        work(bench, max(until, bench.merger.time))
+        return stamp + self.step
+
+    @abstractmethod
+    def recover(self, bench: Bench, stamp: int) -> None:
+        """Assert that good records get good answers."""
+
+    def check(self, bench: Bench) -> None:  # noqa: B027 - not all have more to hold
+        """Assert what must hold for everything that was published."""
+
+
+class CopiedTarget(Target):
+    """A component that is made once; records are sent to copies of it."""
+
     @cached_property
     def prepared(self) -> Bench:
         """A component at work; only copies of it are used."""
@@ -40,25 +65,9 @@ class Target:
         """Return a component at work."""
         return deepcopy(self.prepared)
 
+    @abstractmethod
     def make(self) -> Bench:
-        """Return a component at work."""
-        raise NotImplementedError
-
-    def good(self, name: str, stamp: int, rng: random.Random) -> Record:
-        """Return a record of an input."""
-        raise NotImplementedError
-
-    def go_on(self, bench: Bench, stamp: int, until: int) -> int:
-        """Work up to a time [ns]; return the stamp of the next records, at least that of these."""
-        work(bench, max(until, bench.merger.time))
-        return stamp + self.step
-
-    def recover(self, bench: Bench, stamp: int) -> None:
-        """Assert that good records get good answers."""
-        raise NotImplementedError
-
-    def check(self, bench: Bench) -> None:
-        """Assert what must hold for everything that was published."""
+        """Make a component at work."""
 
 
 def work(bench: Bench, stamp: int) -> None:

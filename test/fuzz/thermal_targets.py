@@ -27,10 +27,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
 import predictor_bench
 from component_bench import Bench, applied, machine_state, readings, thermal_error
-from targets import Target, work
+from targets import CopiedTarget, work
 
 
-class CompensatorTarget(Target):
+class CompensatorTarget(CopiedTarget):
     """A compensator that follows 3 um; half of the time one that has no read-back yet."""
 
     component = 'compensator'
@@ -74,7 +74,7 @@ class CompensatorTarget(Target):
             assert (np.abs(item.offset) <= 50e-6).all(), item.offset
 
 
-class AcquisitionTarget(Target):
+class AcquisitionTarget(CopiedTarget):
     """An acquisition that gets a reading of four sensors every 12 s."""
 
     component = 'temperature_acquisition'
@@ -123,7 +123,7 @@ class AcquisitionTarget(Target):
             assert np.isfinite(item.temperature[item.status == Status.OK]).all()
 
 
-class SelectorTarget(Target):
+class SelectorTarget(CopiedTarget):
     """A selector that has kept a run of thirty samples."""
 
     component = 'sensor_selector'
@@ -163,7 +163,7 @@ class SelectorTarget(Target):
             assert answer.success, answer.message
 
 
-class PredictorTarget(Target):
+class PredictorTarget(CopiedTarget):
     """A predictor in the midst of a run; probes are for training only."""
 
     component = 'thermal_predictor'
