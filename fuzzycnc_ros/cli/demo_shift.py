@@ -13,16 +13,18 @@ from rich.console import Console
 from fuzzycnc_ros.cli.demo_steps import ANSWER_TIMEOUT, Steps, finish, progress_of
 from fuzzycnc_ros.cli.free_domain import own_domain
 from fuzzycnc_ros.cli.graph_processes import GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.shift_quilter import (
+    PATTERN_BAGS,
+    QUILT,
+    first_piece,
+    pattern_alone,
+    quilt_specs,
+    trained_foam,
+)
 
 LIVE_TIMEOUT = 1200.0
 """Wall time [s] that a live run may take: a busy host may be ten times slower than an idle one."""
-MILL, QUILT = 'mill', 'quilt'
-TRACK = 'parallelogram:45'
-FOAM_SEED = 1000
-"""Seed of the samples that the foam model is trained on, before that of the run is added."""
-PATTERN_BAGS = {'before': 'before', 'after': 'quilt'}
-"""Bag of each run of the quilter; as with the mill, what is judged is run over DDS, and what it is
-compared with in one process."""
+MILL = 'mill'
 LIVE = {MILL: 'bag', QUILT: 'quilt'}
 """Bag of each machine over DDS."""
 THERMAL_MAX, POSITIONING_MAX, ANGLE_CUT = 5e-6, 2e-6, 0.8
@@ -107,7 +109,7 @@ def _run(
     with progress.step('trained the models of thermal error and foam'):
         thermal, foam = _models(seed)
         (out / 'model.json').write_text(thermal, encoding='utf-8')
-        (out / 'foam.json').write_text(foam, encoding='utf-8')
+        (out / 'foam_trained.json').write_text(foam, encoding='utf-8')
     live = _run_both(out, settings, thermal, foam, progress)
     outcomes, live_s, before = live.outcomes, live.seconds, live.before
     with progress.step('judged the bags and compared every topic'):
@@ -130,6 +132,7 @@ def _run(
             {
                 'Mill': 'simulated mill, three ball-screw axes, one shift of 8 h',
                 'Quilter': 'simulated foam sheet, 150 x 100 x 15 mm, 6 mm deep, steps of 3 mm',
+                'Foam model': 'trained on 265 samples, gains of X and Y from the first piece',
                 'Contour tolerance': f'{result.contour_tolerance_um:g} µm',
                 'Ticks': f'{sum(result.ticks.values())} in {live_s:.0f} s over DDS',
                 'Same runs in one process': 'equal on every topic'
@@ -144,16 +147,13 @@ def _run(
 
 def _models(seed: int) -> tuple[str, str]:
     """Return the texts of a thermal model of calibration runs and of a foam model of samples."""
-    from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
-    from fuzzycnc_ros.core.machine.foam_samples import foam_samples
     from fuzzycnc_ros.core.thermal import train_model
     from fuzzycnc_ros.scenario import record_calibration
     from fuzzycnc_ros.scenario.whole_shift import TICK
 
     period = {'simulated_machine': {'tick_period': TICK}}
     runs = record_calibration(seed=seed, parameters=period).runs
-    foam = write_model(TSFuzzyNetwork().fit(*foam_samples(FOAM_SEED + seed)).model_)
-    return train_model(runs).to_json(), foam
+    return train_model(runs).to_json(), trained_foam(seed)
 
 
 @dataclass
@@ -177,14 +177,16 @@ def _run_both(out: Path, settings: Any, thermal: str, foam: str, progress: Steps
             return _graph(out, MILL, LIVE[MILL], specs), time.monotonic()
 
     def beside() -> tuple[dict[str, Any], float, Any]:
+        with progress.step('stitched a first piece as drawn, fitted the gains of the foam model'):
+            adapted = first_piece(out, foam, settings.seed)
         with progress.step('had the quilter stitch its pattern live over DDS, in lock-step'):
-            specs = _quilt_specs(out / 'foam.json', settings.seed)
+            specs = quilt_specs(out / 'foam.json', settings.seed)
             outcome, ended = _graph(out, QUILT, LIVE[QUILT], specs), time.monotonic()
         with progress.step('ran the same in one process') as bar:
-            _run_alone(out, settings, thermal, foam, bar)
-        with progress.step('ran both without compensation, at the programmed feed') as bar:
+            _run_alone(out, settings, thermal, adapted, bar)
+        with progress.step('ran the mill without compensation, at the programmed feed') as bar:
             before = run_whole_shift(thermal, settings, compensated=False, progress=bar.update)
-            _pattern_alone(out / PATTERN_BAGS['before'], '', settings.seed)
+            pattern_alone(out / PATTERN_BAGS['trained'], foam, settings.seed)
         return outcome, ended, before
 
     with ThreadPoolExecutor(2) as pool:
@@ -234,20 +236,6 @@ def mill_specs(model: Path, settings: Any) -> list[NodeSpec]:
     ]
 
 
-def _quilt_specs(model: Path, seed: int) -> list[NodeSpec]:
-    from fuzzycnc_ros.scenario.pattern import STITCH_BLEND
-
-    managed = {'lockstep': True, 'autostart': True}
-    return [
-        NodeSpec('deformation_compensator', {**managed, 'model': str(model)}),
-        NodeSpec('feedrate_scheduler', {**managed, 'blend': STITCH_BLEND}),
-        NodeSpec(
-            'simulated_machine',
-            {'duties': [''], 'patterns': [TRACK], 'seed': seed, 'sheet_seed': seed},
-        ),
-    ]
-
-
 def _lists(values: dict[str, Any]) -> dict[str, Any]:
     """Return parameters as a file of parameters has them."""
     return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
@@ -260,23 +248,7 @@ def _run_alone(out: Path, settings: Any, thermal: str, foam: str, bar: Any) -> N
 
     with PublishedBag(out / 'alone' / LIVE[MILL], machine=MILL) as bag:
         run_whole_shift(thermal, settings, sink=bag, progress=bar.update)
-    _pattern_alone(out / 'alone' / LIVE[QUILT], foam, settings.seed)
-
-
-def _pattern_alone(path: Path, model: str, seed: int) -> None:
-    """Stitch the pattern in this process, into a bag; without a model it is not compensated."""
-    from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
-    from fuzzycnc_ros.scenario import PublishedBag
-    from fuzzycnc_ros.scenario.pattern import run_patterns
-
-    with PublishedBag(path, machine=QUILT) as bag:
-        run_patterns(
-            (TRACK,),
-            model,
-            machine=SimulatedMachineConfig(seed=seed, sheet_seed=seed),
-            name=QUILT,
-            sink=bag,
-        )
+    pattern_alone(out / 'alone' / LIVE[QUILT], foam, settings.seed)
 
 
 def _compared(out: Path) -> tuple[dict[str, dict[str, str]], dict[str, list[str]]]:

@@ -40,9 +40,6 @@ HELP = """Straighten patterns on soft material: show, train, compensate, learn.
 
 FEATURES = ('load', 'physical', 'thickness', 'paper')
 
-TURN_MAX = 10.0
-"""How far a sample may lie beside the directions of a model whose gains it is to adapt [deg]."""
-
 Force = Annotated[bool, typer.Option('--force', help='Overwrite the file.')]
 
 
@@ -245,44 +242,26 @@ def _gate_line(network: 'TSFuzzyNetwork') -> str:
 
 def _adapt(samples: 'Samples', source: Path, out: Path, json_file: Path | None) -> None:
     """Fit the gains of a model to samples, and write it."""
-    import numpy as np
-
+    from fuzzycnc_ros.cli.foam_gains import fit_gains
     from fuzzycnc_ros.core.deformation import write_model
-    from fuzzycnc_ros.core.deformation.gain import GAIN_MAX, GAIN_MIN
     from fuzzycnc_ros.core.text_hash import text_hash
 
     model = read_model_file(source)
-    # The foot of a compensated side goes a few degrees beside the direction of the pattern.
-    cut = model.clip(samples.x)
-    turned = np.abs(cut[:, 0] - samples.x[:, 0]) <= TURN_MAX
-    known = turned & np.isclose(cut[:, 1:], samples.x[:, 1:]).all(axis=1) & model.accepts(cut)
     for line in samples.lines:
         say(line)
-    if not known.all():
-        say(f'left out: {int((~known).sum())} samples that the model is not for')
-    if not known.any():
-        raise ValueError(
-            f'{source}: expected samples that the model is for but found none among '
-            f'{len(known)}; train it on such samples'
-        )
-    x, s = cut[known], samples.s[known]
-    adapted = model.adapted(x, s)
-    before, after = (_rms(item.predict(x) - s) for item in (model, adapted))
-    old, new = model.gain.value, adapted.gain.value
-    for axis, first, last in zip('XY', old, new, strict=True):
-        limit = ', at its limit: train the model anew' if last in (GAIN_MIN, GAIN_MAX) else ''
-        say(f'gain of {axis}: {first:.3f} -> {last:.3f}{limit}')
-    say(
-        f'error on these {len(x)} samples: {before:.3f} -> {after:.3f} mm per 50 mm of feed; '
-        'judge it on another run'
-    )
-    text = write_model(adapted)
+    try:
+        fit = fit_gains(model, samples)
+    except ValueError as error:
+        raise ValueError(f'{source}: {error}') from error
+    for line in fit.lines():
+        say(line)
+    text = write_model(fit.model)
     write_text(out, text)
     say(f'{out}: written, hash {text_hash(text)[:16]}')
     document = {
-        'model': str(out), 'hash': text_hash(text), 'samples': len(x),
-        'left_out': int((~known).sum()), 'gain_before': old, 'gain': new,
-        'rms_before': 0.02 * before, 'rms': 0.02 * after,
+        'model': str(out), 'hash': text_hash(text), 'samples': fit.samples,
+        'left_out': fit.left_out, 'gain_before': fit.before, 'gain': fit.gain,
+        'rms_before': 0.02 * fit.error_before, 'rms': 0.02 * fit.error,
     }  # fmt: skip
     write_json(json_file, document)
 
@@ -336,10 +315,6 @@ def learn(
         say(line)
     say(f'{out}: the offsets of {learnt.offsets.path_id!r} on {learnt.offsets.material!r}')
     write_json(json_file, learnt.document() | {'offsets': str(out), 'gain': gain})
-
-
-def _rms(error: Any) -> float:
-    return float((error**2).mean() ** 0.5)
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {

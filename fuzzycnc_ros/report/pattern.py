@@ -43,13 +43,14 @@ class Stitched(Protocol):
         """Return the figures of the track."""
 
 
-BEFORE, AFTER = 'before', 'after'
-"""Runs of a track by name: without compensation and with it."""
+BEFORE, TRAINED, AFTER = 'before', 'trained', 'after'
+"""Runs of a track by name: without compensation, by a model as it was trained where gains were
+fitted to the run before, and compensated."""
 
 PUBLISHED_OF = {BEFORE: PUBLISHED_MEANS[NONE], AFTER: PUBLISHED_MEANS[PUBLISHED]}
 """Published averages beside each: angle error [deg], straightness [mm], time of a side [s]."""
 
-_RUNS = {BEFORE: 'no compensation', AFTER: 'compensated'}
+_RUNS = {BEFORE: 'no compensation', TRAINED: 'model as trained', AFTER: 'compensated'}
 
 
 def pattern_table(runs: Mapping[str, Stitched]) -> Table:
@@ -58,7 +59,7 @@ def pattern_table(runs: Mapping[str, Stitched]) -> Table:
     Parameters
     ----------
     runs : mapping
-        The track by `BEFORE` and `AFTER`.
+        The track by `BEFORE` and `AFTER`, and `TRAINED` if there is one.
     """
     columns = (
         Column('Track', numeric=False),
@@ -75,16 +76,19 @@ def pattern_table(runs: Mapping[str, Stitched]) -> Table:
     rows = []
     for name, run in runs.items():
         found = run.quality()
-        angle, straightness, time = PUBLISHED_OF[name]
+        published = PUBLISHED_OF.get(name)
+        angle, straightness, time = (
+            ('-',) * 3 if published is None else [f'{figure:.2f}' for figure in published]
+        )
         rows.append(
             (
                 _RUNS[name],
                 f'{np.degrees(found.angle_error):.2f}',
-                f'{angle:.2f}',
+                angle,
                 f'{1e3 * found.straightness:.3f}',
-                f'{straightness:.2f}',
+                straightness,
                 f'{found.time:.2f}',
-                f'{time:.2f}',
+                time,
                 f'{1e3 * found.closure_gap:.2f}',
                 f'{1e3 * found.rms_deviation:.2f}',
                 f'{1e3 * found.max_deviation:.2f}',

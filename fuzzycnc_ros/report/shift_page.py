@@ -173,7 +173,11 @@ def shift_page(
     ]
     soft = Section(
         'The second machine: a pattern on a foam sheet',
-        texts=('Stitched at the same time in a namespace of its own, as drawn and compensated.',),
+        texts=(
+            'Stitched at the same time in a namespace of its own. A first piece is stitched as '
+            'drawn, and the gains of the model are fitted to it; a model as trained knows only '
+            'the mean sheet of its samples. All runs draw the same stiffness, friction and noise.',
+        ),
         tables=(pattern_table(patterns),),
         figures=(
             Figure(
