@@ -133,16 +133,16 @@ class ServoAxis:
         self._next = 1 if self.velocity or self.acceleration else 0
         self._rows = way
 
-    def lead(self, position: float, velocity: float) -> None:
-        """Take where the axis is to be in this period [m], and how fast it is to move [m/s].
+    def lead(self, position: float, velocity: float, acceleration: float) -> None:
+        """Take where the axis is to be [m], and how it is to move in this period [m/s, m/s^2].
 
         An axis that rests while others move has the rounding of sums in its samples. It must not
         look like motion: friction would be fed forward for it, and the axis jump by 55 um.
         """
-        if abs(position - self.reference) <= SAME_PLACE and abs(velocity) <= STANDSTILL:
-            position, velocity = self.reference, 0.0
-        self.acceleration = (velocity - self.velocity) / self.controller.period
-        self.reference, self.velocity = position, velocity
+        change = abs(acceleration) * self.controller.period
+        if abs(position - self.reference) <= SAME_PLACE and abs(velocity) + change <= STANDSTILL:
+            position, velocity, acceleration = self.reference, 0.0, 0.0
+        self.reference, self.velocity, self.acceleration = position, velocity, acceleration
 
     def step(self, reading: float) -> float:
         """Go on by a period; return the duty [-] for a reading [m], NaN where there is none."""

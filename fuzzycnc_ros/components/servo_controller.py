@@ -290,9 +290,8 @@ class ServoController(Component):
         """Lead the axes along the trajectory, if there is one."""
         if self._lead.following:
             assert self._at is not None
-            places, speeds = self._lead.at(self._at)
-            for axis, place, speed in zip(self._axes, places, speeds, strict=True):
-                axis.lead(place, speed)
+            for axis, *motion in zip(self._axes, *self._lead.at(self._at), strict=True):
+                axis.lead(*motion)
             self._led = True
         elif self._led:
             self._led = False

@@ -76,15 +76,23 @@ class ServoLead:
         self._epoch = max(self._epoch, self._input.epoch)
         return '' if answer.accepted else answer.reason
 
-    def at(self, stamp: int) -> tuple[list[float], list[float]]:
-        """Return where the axes are to be at a time [ns], and how fast [m, m/s]."""
+    def at(self, stamp: int) -> tuple[list[float], list[float], list[float]]:
+        """Return where the axes are to be at a time [ns], how fast, and how they go on from there.
+
+        Returns
+        -------
+        position, velocity, acceleration : list of float
+            Of each axis [m, m/s, m/s^2]; the acceleration is that of the period that begins, in
+            which the duty is held.  That of the period before came late by as much: where a path
+            starts or turns by an edge of acceleration, an axis was 15 um behind.
+        """
         guard = self._input
         while guard.next_time is not None and guard.next_time <= stamp:
             guard.take()
         if stamp > guard.time:
             guard.advance(stamp)
         sample = guard.sample
-        return sample.position.tolist(), sample.velocity.tolist()
+        return sample.position.tolist(), sample.velocity.tolist(), guard.acceleration.tolist()
 
     def stop(self) -> None:
         """Give the trajectory up; its parts that are still to come are refused."""

@@ -42,19 +42,18 @@ JOBS = (
 )
 """What is cut and moved, by time of the shift: warming up, hot, in pauses, and cooling down."""
 AXES = ('X:ballscrew', 'Y:ballscrew', 'Z:ballscrew')
-TOLERANCE = 50e-6
+TOLERANCE = 20e-6
 """Contour error that is allowed [m]."""
 SCHEDULER: dict[str, Any] = {
     'tolerance': 0.8 * TOLERANCE,
-    'machine_constant': 4e-5,
+    'machine_constant': 8e-6,
     'axis_acceleration': (2.5, 2.5, 2.5),
     'settle': 0.25,
 }
-"""Scheduling for driven axes.  Circles of 2 to 40 mm at up to 2 m/s^2 show at most 0.72e-5 s^2, by
-their largest error: the velocity is fed forward.  What is left is friction where axes start or
-turn back, 10 to 31 um each at any feed: the feed leaves it room in bends, and a fifth of the
-tolerance for two axes at once, which leave 45 um.  The drives accelerate an axis at 3.7 m/s^2 at
-most."""
+"""Scheduling for driven axes.  Circles of 1 to 20 mm at 0.25 to 2 m/s^2 show at most 3.3 um, by
+their largest error 0.66e-5 s^2 and less.  Where axes set off or turn back friction leaves up to
+8 um, at any feed: a fifth of the tolerance is its room.  The drives accelerate an axis at 3.7
+m/s^2 at most."""
 PLAIN: dict[str, Any] = {**SCHEDULER, 'method': 'constant'}
 """The same without a schedule: the programmed feed within the limits of the axes."""
 
@@ -114,7 +113,7 @@ def check_program(text: str) -> None:
     Raises
     ------
     ValueError
-        If it says something impossible or what is up to the machine, moves nothing, leaves the
+        If it says something impossible or what is up to the machine, cuts nothing, leaves the
         travel of an axis or takes longer than `LONGEST_PROGRAM`.
     """
     program = read_program(text)
@@ -122,6 +121,8 @@ def check_program(text: str) -> None:
     machine = SimulatedMachineConfig()
     low, high = machine.servo_travel_low, machine.servo_travel_high
     duration = 0.0
+    if not any(segment.feed and segment.length for segment in program.segments):
+        raise ValueError('expected moves with feed (G1, G2, G3) but found rapids alone')
     for segment in program.segments:
         points = segment.points(1 if isinstance(segment, LineSegment) else CURVE_STEPS)
         for axis, places in zip('XYZ', points.T, strict=True):

@@ -19,11 +19,11 @@ def test_an_axis_that_rests_while_others_move_stays_where_it_is(rounding):
     for step in range(STEPS):  # there at 50 mm/s
         plant.drive(axis.step(plant.measure()))
         place = min(5e-5 * step, PLACE)
-        axis.lead(place, 0.05 if place < PLACE else 0.0)
+        axis.lead(place, 0.05 if place < PLACE else 0.0, 0.0)
     places = []
     for step in range(STEPS):
         plant.drive(axis.step(plant.measure()))
-        axis.lead(PLACE + (step % 2) * 1e-17, rounding)
+        axis.lead(PLACE + (step % 2) * 1e-17, rounding, 0.0)
         places.append(plant.position)
     assert max(places) - min(places) < 2e-6  # 50 um where the rounding is taken for motion
     assert axis.velocity == 0.0

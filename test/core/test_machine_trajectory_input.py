@@ -85,6 +85,19 @@ def test_a_path_is_followed_sample_by_sample(chunk):
     np.testing.assert_array_equal(machine.sample.velocity, 0.0)
 
 
+def test_the_acceleration_leads_to_the_next_sample():
+    machine, speeds, changes = trajectory_input(), [], []
+    assert machine.command(parts(chunk=10_000)[0]).accepted
+    np.testing.assert_array_equal(machine.acceleration, 0.0)  # the path begins later
+    while machine.next_time is not None:
+        speeds.append(machine.take().velocity)
+        changes.append(machine.acceleration)
+    # the last sample is taken at rest, whatever its velocity
+    np.testing.assert_allclose(changes[:-2], np.diff(speeds, axis=0)[:-1] / PERIOD, atol=1e-9)
+    assert np.abs(changes[1]).max() == pytest.approx(0.8)
+    np.testing.assert_array_equal(changes[-1], 0.0)
+
+
 def test_axes_left_out_stand_still():
     machine = TrajectoryInput(AXES, [0.0, 0.0, 0.3])
     places = follow(machine, parts(lambda way: line(way)[:, :2]))

@@ -5,6 +5,7 @@
 import json
 import random
 import re
+from copy import deepcopy
 from typing import Any
 
 SIZES = (0, 1, 7, 255, 2**16, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**64 - 1)
@@ -135,4 +136,4 @@ def _other(value: Any, rng: random.Random) -> Any:
     if number and abs(value) < 1e300 and choice < 5:
         scale = rng.choice((-1, 0, 2, 0.5, 1e6, 1e-6, 1e150, 1e300, 1 + 1e-9))
         return rng.choice((value * scale, value + 1, -1, 0, 2, 10**6, 10**400, 1e308, 5e-324))
-    return rng.choice(VALUES)
+    return deepcopy(rng.choice(VALUES))  # the next mutation may put it into itself

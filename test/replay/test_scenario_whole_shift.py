@@ -130,6 +130,7 @@ def test_another_program_keeps_its_tolerance(model):
     [
         ('', 'line 1: expected a part program but found no word in it'),
         ('(nothing)\nM2\n', 'expected at least one that moves but found none'),
+        ('G21 G90\nG0 X1\nG0 X5\n', 'expected moves with feed .* but found rapids alone'),
         ('G21 G90\nG0 X1\nG1 X20\n', r'line 3: expected a feed above 0 \(F\)'),
         ('G21 G90\nG1 X500 F3000\n', 'line 2: expected X within its travel of -300 to 300 mm but'),
         ('G20 G90\nG1 Y-12 F100\n', 'line 2: expected Y within its travel.*found -304.8 mm'),

@@ -158,6 +158,17 @@ class TrajectoryInput:
         return self._queue[0][0].start + self._row * self._period
 
     @property
+    def acceleration(self) -> Array:
+        """Mean acceleration from the sample in force to the next, shape (axes,) [m/s^2].
+
+        Zero where none is due a period later: the axes stand still.
+        """
+        if self.next_time != self._time + self._period:
+            return np.zeros(len(self._axes))
+        velocity = self._queue[0][1].velocity[self._row]
+        return np.asarray((velocity - self._sample.velocity) / self._config.period)
+
+    @property
     def path_id(self) -> str:
         """Path of the newest accepted part; empty before the first."""
         return self._newest.path_id if self._newest else ''
