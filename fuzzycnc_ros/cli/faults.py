@@ -78,7 +78,7 @@ def faults(
         fuzzycnc info killed/kills_0/bag
     """
     check_ros('the fault campaign')
-    from fuzzycnc_ros.faults.table import listing, result_table
+    from fuzzycnc_ros.faults.table import listing, result_tables
 
     names = words(only or [])
     if list_all:
@@ -96,7 +96,8 @@ def faults(
             folder = out
             folder.mkdir()
         verdicts = campaign(names, model, folder, seed, jobs)
-    show(result_table(verdicts))
+    for table in result_tables(verdicts):
+        show(table)
     for verdict in verdicts:
         for text in verdict.why:
             say(f'{verdict.name}: {text}')

@@ -5,8 +5,17 @@
 from collections.abc import Sequence
 
 from fuzzycnc_ros.faults.campaign import chosen
+from fuzzycnc_ros.faults.scenario import Kind
 from fuzzycnc_ros.faults.verdict import Verdict
 from fuzzycnc_ros.report import Column, Table
+
+_FIGURES = {
+    Kind.OFFSETS: ('Thermal compensation', 'largest offset', 'its largest step'),
+    Kind.PATH: ('Axes on a path', 'off the path', 'largest step of the axes'),
+    Kind.DRIVE: ('Driven axes', 'beyond their stretch', 'largest step of the axes'),
+    Kind.PATTERN: ('Patterns', 'largest offset', 'its largest step'),
+}
+"""Title, worst distance and worst change of each kind; docs/faults.md has them in full."""
 
 
 def listing(names: Sequence[str]) -> Table:
@@ -31,13 +40,22 @@ def listing(names: Sequence[str]) -> Table:
     return Table('Scenarios, times of the machine', columns, rows)
 
 
-def result_table(verdicts: Sequence[Verdict]) -> Table:
-    """Return what came of scenarios."""
+def result_tables(verdicts: Sequence[Verdict]) -> tuple[Table, ...]:
+    """Return what came of scenarios, a table for each kind of machine."""
+    return tuple(
+        _result_table(kind, found)
+        for kind in Kind
+        if (found := [item for item in verdicts if item.kind == kind.value])
+    )
+
+
+def _result_table(kind: Kind, verdicts: Sequence[Verdict]) -> Table:
+    title, distance, change = _FIGURES[kind]
     columns = (
         Column('Scenario', numeric=False),
         Column('safe', numeric=False),
-        Column('offset [um]', 'worst'),
-        Column('step [um]', 'worst'),
+        Column(f'{distance} [um]'),
+        Column(f'{change} [um]'),
         Column('to safe [s]'),
         Column('stated [s]'),
         Column('lost'),
@@ -59,7 +77,7 @@ def result_table(verdicts: Sequence[Verdict]) -> Table:
         for item in verdicts
     )
     unsafe = frozenset(row for row, item in enumerate(verdicts) if not item.safe)
-    return Table('Fault campaign, times of the machine', columns, rows, highlight=unsafe)
+    return Table(f'{title}: what came of faults', columns, rows, highlight=unsafe)
 
 
 def _short(told: str, states: int = 5) -> str:

@@ -31,6 +31,8 @@ class Verdict:
     ----------
     name, what : str
         The scenario.
+    kind : str
+        Value of the `Kind` of machine that it was tried on, which says what the figures are of.
     safe : bool
         Whether all that is demanded held.
     told : str
@@ -56,6 +58,7 @@ class Verdict:
     name: str
     what: str
     stated_s: float
+    kind: str = Kind.OFFSETS.value
     safe: bool = False
     told: str = ''
     worst_offset_um: float = 0.0
@@ -92,7 +95,7 @@ def judge(
     findings : sequence of str
         What went wrong on the live graph.
     """
-    verdict = Verdict(scenario.name, scenario.what, round(scenario.stated, 3))
+    verdict = Verdict(scenario.name, scenario.what, round(scenario.stated, 3), kind.value)
     verdict.why += findings
     window = evidence.windows.get(scenario.name)
     measured = MEASURES[kind](scenario, window, evidence) if window is not None else None

@@ -20,7 +20,7 @@ from fuzzycnc_ros.faults.evidence import Recorded
 from fuzzycnc_ros.faults.offset_verdict import streams
 from fuzzycnc_ros.faults.scenario import BY_COMPENSATOR, BY_MACHINE, MACHINE, Ends
 from fuzzycnc_ros.faults.strangers import STRANGE_EPOCH
-from fuzzycnc_ros.faults.table import result_table
+from fuzzycnc_ros.faults.table import result_tables
 from fuzzycnc_ros.faults.verdict import Verdict, judge
 
 
@@ -211,5 +211,5 @@ def test_stated_times_follow_from_the_limits():
 
 def test_long_tales_are_cut_short_in_the_table():
     told = ' > '.join(['active', 'holding'] * 5)
-    text = result_table([Verdict('n', 'w', 1.0, told=told)]).to_text()
+    text = result_tables([Verdict('n', 'w', 1.0, told=told)])[0].to_text()
     assert 'active > holding > active > holding > ... > holding' in text
