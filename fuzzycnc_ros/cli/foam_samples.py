@@ -4,16 +4,15 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fuzzycnc_ros.cli.number_table import read_numbers
 from fuzzycnc_ros.core.deformation.features import check_process_values
 from fuzzycnc_ros.core.deformation.samples import joined_groups, samples_of_paths
 from fuzzycnc_ros.core.deformation.training import equal_rows
@@ -74,49 +73,18 @@ def read_samples(sources: Sequence[Path]) -> Samples:
 
 
 def _read_csv(path: Path) -> Samples:
-    try:
-        text = path.read_text(encoding='utf-8-sig')
-    except UnicodeDecodeError as error:
-        raise ValueError(f'{path}: expected a CSV file as text: {error}') from error
-    lines = csv.reader(text.splitlines())
-    header = [name.strip() for name in next(lines, [])]
-    missing = [name for name in COLUMNS if name not in header]
-    if missing:
-        raise ValueError(
-            f'{path}: line 1: expected the columns {",".join(COLUMNS)} but found no '
-            f'{", ".join(missing)}'
-        )
-    places = [header.index(name) for name in COLUMNS]
-    sheet = header.index(SHEET) if SHEET in header else None
-    rows, sheets, numbers = [], [], []
-    for number, cells in enumerate(lines, start=2):
-        if not any(cell.strip() for cell in cells):
-            continue
-        try:
-            row = [float(cells[place]) for place in places]
-        except (IndexError, ValueError):
-            row = []
-        if not row or not all(map(isfinite, row)):
-            raise ValueError(
-                f'{path}: line {number}: expected {len(COLUMNS)} finite numbers but found '
-                f'{",".join(cells)!r}'
-            )
-        rows.append(row)
-        numbers.append(number)
-        sheets.append(cells[sheet].strip() if sheet is not None and sheet < len(cells) else '')
-    if not rows:
-        raise ValueError(f'{path}: expected rows below the header but found none')
-    table = np.array(rows)
-    for number, row in zip(numbers, table[:, :5], strict=True):
+    found = read_numbers(path, COLUMNS, label=SHEET)
+    table = found.values
+    for number, row in zip(found.lines.tolist(), table[:, :5], strict=True):
         try:
             check_process_values(row[np.newaxis])
         except ValueError as error:
             reason = str(error).removeprefix('x, row 0: ')
             raise ValueError(f'{path}: line {number}: {reason}') from error
-    if sheet is None:
+    if found.labels is None:
         groups, how = equal_rows(table[:, :5]), 'equal process'
     else:
-        _, groups = np.unique(sheets, return_inverse=True)
+        _, groups = np.unique(found.labels, return_inverse=True)
         how = 'one sheet'
     said = f'{path}: {len(table)} samples in {len(np.unique(groups))} groups of {how}'
     return Samples(table[:, :5], table[:, 5:], groups, (said,))

@@ -4,14 +4,14 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from itertools import pairwise
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from fuzzycnc_ros.cli.number_table import read_numbers
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.arrays import Array
@@ -126,36 +126,7 @@ def read_csv(path: Path, metres: float) -> Moves:
     ValueError
         If a column is missing or a cell is no finite number; the message names the line.
     """
-    try:
-        text = path.read_text(encoding='utf-8')
-    except UnicodeDecodeError as error:
-        raise ValueError(f'{path}: expected a CSV file as text: {error}') from error
-    lines = csv.reader(text.splitlines())
-    header = [name.strip() for name in next(lines, [])]
-    missing = [name for name in COLUMNS if name not in header]
-    if missing:
-        raise ValueError(
-            f'{path}: line 1: expected the columns {",".join(COLUMNS)} but found no '
-            f'{", ".join(missing)}'
-        )
-    places = [header.index(name) for name in COLUMNS]
-    rows = []
-    for number, cells in enumerate(lines, start=2):
-        if not cells:
-            continue
-        try:
-            row = [float(cells[place]) for place in places]
-        except (IndexError, ValueError):
-            row = []
-        if not row or not all(map(isfinite, row)):
-            raise ValueError(
-                f'{path}: line {number}: expected {len(COLUMNS)} finite numbers but found '
-                f'{",".join(cells)!r}'
-            )
-        rows.append(row)
-    if not rows:
-        raise ValueError(f'{path}: expected rows below the header but found none')
-    time, reference, position, duty = np.array(rows).T
+    time, reference, position, duty = read_numbers(path, COLUMNS).values.T
     if np.abs(duty).max() > 1.0:
         raise ValueError(
             f'{path}: duty: expected shares of the drive from -1 to 1 but found '

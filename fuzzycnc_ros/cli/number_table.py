@@ -1,0 +1,79 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""CSV files whose columns are numbers, found by the names in their header."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.core.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class NumberTable:
+    """The rows of a CSV file; empty lines are left out.
+
+    Attributes
+    ----------
+    values : ndarray, shape (rows, columns)
+        Finite numbers, in the order of the columns asked for.
+    lines : ndarray of int, shape (rows,)
+        Their lines in the file, from 1.
+    labels : tuple of str or None
+        Cells of the column of labels; None if the file has none.
+    """
+
+    values: Array
+    lines: NDArray[np.int64]
+    labels: tuple[str, ...] | None
+
+
+def read_numbers(path: Path, columns: Sequence[str], label: str = '') -> NumberTable:
+    """Read columns of numbers, and if there is one a column of labels.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing, a cell is no finite number or there is no row; the message names
+        the file and the line.
+    """
+    try:
+        table = list(csv.reader(path.read_text(encoding='utf-8-sig').splitlines()))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f'{path}: expected a CSV file as text: {error}') from error
+    header = [name.strip() for name in table[0]] if table else []
+    missing = [name for name in columns if name not in header]
+    if missing:
+        raise ValueError(
+            f'{path}: line 1: expected the columns {",".join(columns)} but found no '
+            f'{", ".join(missing)}'
+        )
+    places = [header.index(name) for name in columns]
+    labelled = header.index(label) if label and label in header else None
+    rows, numbers, labels = [], [], []
+    for number, cells in enumerate(table[1:], start=2):
+        if not any(cell.strip() for cell in cells):
+            continue
+        try:
+            row = [float(cells[place]) for place in places]
+        except (IndexError, ValueError):
+            row = []
+        if not row or not all(map(isfinite, row)):
+            raise ValueError(
+                f'{path}: line {number}: expected {len(columns)} finite numbers but found '
+                f'{",".join(cells)!r}'
+            )
+        rows.append(row)
+        numbers.append(number)
+        if labelled is not None:
+            labels.append(cells[labelled].strip() if labelled < len(cells) else '')
+    if not rows:
+        raise ValueError(f'{path}: expected rows below the header but found none')
+    return NumberTable(
+        np.array(rows), np.array(numbers), None if labelled is None else tuple(labels)
+    )
