@@ -222,6 +222,7 @@ def test_learn_refuses_what_is_not_one_track(refused, tmp_path, runs, options, n
         ('thickness_mm', '0', ['line 3', 'thickness more than 0 mm']),
         ('s_x_mm', 'nan', ['line 3', 'finite numbers', 'nan']),
         ('s_y_mm', '', ['line 3', 'finite numbers']),
+        ('s_y_mm', '9' * 200_000, ['s.csv: expected a CSV file as text', 'field']),
     ],
 )
 def test_train_refuses_bad_rows(refused, tmp_path, column, value, naming):
