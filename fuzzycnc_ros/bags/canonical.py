@@ -34,6 +34,7 @@ EXCLUDED = (
     'node_event',
     'recorder/progress',
     'deadline_fired',
+    'transition_event',
 )
 """Topics, in whatever namespace and with all below them, that say how a run was carried out, not
 what came of it."""
