@@ -18,6 +18,7 @@ import typer
 
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, say, show, write_json
 from fuzzycnc_ros.cli.foam_models import read_model_file
+from fuzzycnc_ros.cli.number_table import table_cells
 from fuzzycnc_ros.cli.program_files import (
     STREAM,
     check_output,
@@ -132,9 +133,9 @@ def compensate(
     check_folder(json_file)
     table = path.suffix.lower() == '.csv'
     with program_lines(path) as source:
-        job = _Job(known, sheet, lengths[1], lengths[2])
+        job = Job(known, sheet, lengths[1], lengths[2])
         try:
-            text = _points(source, job) if table else _program(source, units, job)
+            text = shifted_points(source, job) if table else shifted_program(source, units, job)
         except ValueError as error:
             raise ValueError(f'{path}: {error}') from error
         with new_program(out) as new:
@@ -151,7 +152,7 @@ def compensate(
     write_json(json_file, job.document())
 
 
-class _Job:
+class Job:
     """Compensates paths, and keeps what is to be said of them."""
 
     def __init__(
@@ -204,7 +205,7 @@ class _Job:
         }
 
 
-def _program(source: Path, units: str, job: _Job) -> str:
+def shifted_program(source: Path, units: str, job: Job) -> str:
     """Return a part program with its stitches shifted."""
     import numpy as np
 
@@ -219,18 +220,13 @@ def _program(source: Path, units: str, job: _Job) -> str:
     return ''.join(program.written(offsets))
 
 
-def _points(source: Path, job: _Job) -> str:
+def shifted_points(source: Path, job: Job) -> str:
     """Return a list of stitches, shifted."""
     import numpy as np
 
     from fuzzycnc_ros.core.deformation.stitch_path import LINE, StitchPath
 
-    try:
-        text = source.read_text(encoding='utf-8-sig')
-    except UnicodeDecodeError as error:
-        raise ValueError(f'expected a CSV file as text: {error}') from error
-    lines = csv.reader(text.splitlines())
-    header = [name.strip() for name in next(lines, [])]
+    header, cells_of_line = table_cells(source)
     missing = [name for name in COLUMNS if name not in header]
     if missing:
         raise ValueError(
@@ -241,10 +237,16 @@ def _points(source: Path, job: _Job) -> str:
         raise ValueError(
             f'line 1: expected no column {taken[0]}: is the path compensated already?'
         )
-    numbers = [number for number, cells in enumerate(lines, start=2) if any(cells)]
-    rows = [cells for cells in csv.reader(text.splitlines()[1:]) if any(cells)]
+    for number, cells in cells_of_line.items():
+        if len(cells) > len(header):
+            raise ValueError(
+                f'line {number}: expected {len(header)} cells, as in the header, but found '
+                f'{len(cells)}'
+            )
+        cells += [''] * (len(header) - len(cells))
+    numbers, rows = list(cells_of_line), list(cells_of_line.values())
     values = {
-        name: _column(header, rows, numbers, name, default)
+        name: _column(header, cells_of_line, name, default)
         for name, default in (('x_mm', 0.0), ('y_mm', 0.0), ('kind', float(LINE)), ('turn', 1.0))
     }
     points = 1e-3 * np.column_stack([values['x_mm'], values['y_mm']])
@@ -274,16 +276,14 @@ def _points(source: Path, job: _Job) -> str:
     return written.getvalue()
 
 
-def _column(
-    header: list[str], rows: list[list[str]], numbers: list[int], name: str, default: float
-) -> Any:
+def _column(header: list[str], rows: dict[int, list[str]], name: str, default: float) -> Any:
     """Return the numbers of a column; a default where the file has none."""
     import numpy as np
 
     if name not in header:
         return np.full(len(rows), default)
     place, found = header.index(name), []
-    for number, cells in zip(numbers, rows, strict=True):
+    for number, cells in rows.items():
         try:
             value = float(cells[place])
         except (IndexError, ValueError):

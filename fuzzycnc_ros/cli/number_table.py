@@ -33,6 +33,27 @@ class NumberTable:
     labels: tuple[str, ...] | None
 
 
+def table_cells(path: Path) -> tuple[list[str], dict[int, list[str]]]:
+    """Return the header of a CSV file, and the cells of its rows by line; empty ones are left out.
+
+    Raises
+    ------
+    ValueError
+        If it is no text, or a cell is longer than any number or name; without the file's name.
+    """
+    try:
+        lines = list(csv.reader(path.read_text(encoding='utf-8-sig').splitlines()))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f'expected a CSV file as text: {error}') from error
+    header = [name.strip() for name in lines[0]] if lines else []
+    rows = {
+        number: cells
+        for number, cells in enumerate(lines[1:], start=2)
+        if any(cell.strip() for cell in cells)
+    }
+    return header, rows
+
+
 def read_numbers(path: Path, columns: Sequence[str], label: str = '') -> NumberTable:
     """Read columns of numbers, and if there is one a column of labels.
 
@@ -43,10 +64,9 @@ def read_numbers(path: Path, columns: Sequence[str], label: str = '') -> NumberT
         the file and the line.
     """
     try:
-        table = list(csv.reader(path.read_text(encoding='utf-8-sig').splitlines()))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f'{path}: expected a CSV file as text: {error}') from error
-    header = [name.strip() for name in table[0]] if table else []
+        header, cells_of_line = table_cells(path)
+    except ValueError as error:
+        raise ValueError(f'{path}: {error}') from error
     missing = [name for name in columns if name not in header]
     if missing:
         raise ValueError(
@@ -55,10 +75,8 @@ def read_numbers(path: Path, columns: Sequence[str], label: str = '') -> NumberT
         )
     places = [header.index(name) for name in columns]
     labelled = header.index(label) if label and label in header else None
-    rows, numbers, labels = [], [], []
-    for number, cells in enumerate(table[1:], start=2):
-        if not any(cell.strip() for cell in cells):
-            continue
+    rows, labels = [], []
+    for number, cells in cells_of_line.items():
         try:
             row = [float(cells[place]) for place in places]
         except (IndexError, ValueError):
@@ -69,11 +87,9 @@ def read_numbers(path: Path, columns: Sequence[str], label: str = '') -> NumberT
                 f'{",".join(cells)!r}'
             )
         rows.append(row)
-        numbers.append(number)
         if labelled is not None:
             labels.append(cells[labelled].strip() if labelled < len(cells) else '')
     if not rows:
         raise ValueError(f'{path}: expected rows below the header but found none')
-    return NumberTable(
-        np.array(rows), np.array(numbers), None if labelled is None else tuple(labels)
-    )
+    numbers = np.array(list(cells_of_line))
+    return NumberTable(np.array(rows), numbers, None if labelled is None else tuple(labels))

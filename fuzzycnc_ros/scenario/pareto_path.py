@@ -30,6 +30,12 @@ POINTS = 2000
 LENGTH_MAX = 0.5
 """Length of a run or a table that is driven [m]: enough bends, and few minutes at low feeds."""
 
+SEGMENT_MAX = 20.0
+"""Length of the last segment within `LENGTH_MAX` that is still divided into points [m]."""
+
+REACH = 1000.0
+"""Distance from the origin beyond which a point is a mistake [m]."""
+
 ROUNDING = 0.5e-6
 """Largest rounding of a coordinate in files [m]: those of three decimals in millimetres."""
 
@@ -93,7 +99,8 @@ def program_path(program: Program, run: int | None = None) -> ParetoPath:
     Raises
     ------
     ValueError
-        If there is no such run, or it does not bend: a straight line has no contour error.
+        If there is no such run, it does not bend, as a straight line has no contour error, or
+        leaves what is driven by a segment longer than `SEGMENT_MAX`.
     """
     runs = [program.segments[first:last] for first, last in program.runs]
     bent = [number for number, segments in enumerate(runs, start=1) if _bends(segments)]
@@ -110,15 +117,16 @@ def program_path(program: Program, run: int | None = None) -> ParetoPath:
             f'{number}'
         )
     segments = runs[number - 1]
-    length = min(sum(segment.length for segment in segments), LENGTH_MAX)
-    dense = sample_path(segments, length / POINTS / _DENSE)
+    whole = sum(segment.length for segment in segments)
+    length = min(whole, LENGTH_MAX)
+    dense = sample_path(_driven(segments), length / POINTS / _DENSE)
     new = np.diff(dense.segment, prepend=-1) != 0
     since = np.arange(len(new)) - np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))
     kept = new | (since % _DENSE == 0)
     last = segments[-1]
     end = last.last_line if isinstance(last, NurbsSegment) else last.line
     lines = f'lines {segments[0].line} to {end}'
-    return _of_points(f'run {number} of {len(runs)}, {lines}', dense.point, kept)
+    return _of_points(f'run {number} of {len(runs)}, {lines}', dense.point, kept, whole)
 
 
 def table_path(text: str) -> ParetoPath:
@@ -143,25 +151,47 @@ def table_path(text: str) -> ParetoPath:
     corner = _table(text)
     corner = corner[np.append(True, np.any(np.diff(corner, axis=0) != 0.0, axis=1))]
     length = np.linalg.norm(np.diff(corner, axis=0), axis=1)
-    total = float(length.sum())
-    if len(corner) < 3 or not _turns(np.diff(corner, axis=0)):
+    whole = float(length.sum())
+    corners = len(corner)
+    if corners < 3 or not _turns(np.diff(corner, axis=0)):
         raise ValueError(
-            f'expected points on a path that bends but found {len(corner)} different ones on a '
+            f'expected points on a path that bends but found {corners} different ones on a '
             'straight line: it has no contour error to compare'
         )
-    count = np.maximum(np.ceil(length / (min(total, LENGTH_MAX) / POINTS)), 1.0).astype(int)
+    begin = np.cumsum(length) - length
+    driven = int(np.count_nonzero(begin < LENGTH_MAX))
+    corner, length = corner[: driven + 1].copy(), length[:driven]
+    if length[-1] > LENGTH_MAX:  # it is left within, and must not be divided to its end
+        corner[-1] = corner[-2] + (corner[-1] - corner[-2]) * (LENGTH_MAX / length[-1])
+        length[-1] = LENGTH_MAX
+    count = np.maximum(np.ceil(length / (min(whole, LENGTH_MAX) / POINTS)), 1.0).astype(int)
     place = np.repeat(np.arange(len(count)), count)
     share = (np.arange(len(place)) - np.repeat(np.cumsum(count) - count, count)) / count[place]
     point = corner[place] + share[:, np.newaxis] * (corner[place + 1] - corner[place])
     point = np.vstack([point, corner[-1:]])
-    return _of_points(f'{len(corner)} points', point, np.ones(len(point), dtype=bool))
+    return _of_points(f'{corners} points', point, np.ones(len(point), dtype=bool), whole)
 
 
-def _of_points(name: str, point: Array, kept: NDArray[np.bool_]) -> ParetoPath:
+def _driven(segments: tuple[Segment, ...]) -> tuple[Segment, ...]:
+    """Return the segments of a run up to `LENGTH_MAX`."""
+    found, length = [], 0.0
+    for segment in segments:
+        if length >= LENGTH_MAX:
+            break
+        if segment.length > SEGMENT_MAX:
+            raise ValueError(
+                f'line {segment.line}: expected segments of at most {SEGMENT_MAX:g} m but found '
+                f'{segment.length:g} m'
+            )
+        found.append(segment)
+        length += segment.length
+    return tuple(found)
+
+
+def _of_points(name: str, point: Array, kept: NDArray[np.bool_], whole: float) -> ParetoPath:
     """Return the path through points, of which the schedulers get those that are kept."""
     arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1)))
-    whole = float(arc[-1])
-    if whole > LENGTH_MAX:
+    if arc[-1] > LENGTH_MAX:
         last = int(np.searchsorted(arc, LENGTH_MAX, side='right'))
         point, arc, kept = point[:last], arc[:last], kept[:last].copy()
     kept[[0, -1]] = True
@@ -209,6 +239,10 @@ def _table(text: str) -> Array:
         if len(values) != len(header) or not all(map(isfinite, values)):
             raise ValueError(
                 f'line {number}: expected {len(header)} finite numbers but found {",".join(row)!r}'
+            )
+        if max(map(abs, values)) > 1e3 * REACH:
+            raise ValueError(
+                f'line {number}: expected places within {REACH:g} m but found {",".join(row)!r}'
             )
         points.append(values)
     if len(points) < 3:

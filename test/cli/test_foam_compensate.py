@@ -75,6 +75,7 @@ def test_a_list_of_stitches_keeps_its_other_columns(fuzzycnc, tmp_path, model):
     rows += [
         [f'n{k}', f'{1e3 * y:.6f}', f'{1e3 * x:.6f}'] for k, (x, y) in enumerate(TRACK.points)
     ]
+    rows[0].append('remark')  # no row has one
     with open(tmp_path / 'in.csv', 'w', newline='') as file:
         csv.writer(file).writerows(rows)
     options = ('--size', '150x100mm', '--out', 'out.csv')
@@ -83,6 +84,7 @@ def test_a_list_of_stitches_keeps_its_other_columns(fuzzycnc, tmp_path, model):
     with open(tmp_path / 'out.csv', newline='') as file:
         found = list(csv.DictReader(file))
     assert [row['note'] for row in found] == [row[0] for row in rows[1:]]
+    assert {row['remark'] for row in found} == {''}
     commanded = 1e-3 * np.array([[float(row['x_mm']), float(row['y_mm'])] for row in found])
     wanted = expected(model)
     np.testing.assert_allclose(commanded, wanted.commanded, atol=0.1e-6)
@@ -155,6 +157,7 @@ def test_bad_options_are_refused(refused, tmp_path, model, program, option, valu
         ('a.csv', 'x,y\n1,2\n', ['a.csv: line 1', 'x_mm, y_mm']),
         ('a.csv', 'x_mm,y_mm\n1,2\n4,inf\n', ['line 3', 'y_mm', 'finite']),
         ('a.csv', 'x_mm,y_mm\n1,2\n4\n', ['line 3', 'y_mm', 'finite']),
+        ('a.csv', 'x_mm,y_mm\n1,2\n4,2,9\n', ['line 3', '2 cells', 'found 3']),
         ('a.csv', 'x_mm,y_mm\n1,2\n', ['two points or more', '1']),
         ('a.csv', 'x_mm,y_mm\n1,2\n1,2\n', ['stitches, 3 mm apart', '0 mm']),
         ('a.csv', 'x_mm,y_mm\n1,2\n9,2\n', ['stitches, 3 mm apart', '8 mm', '--step']),

@@ -203,6 +203,20 @@ def test_long_run_is_cut():
     assert 'of 1570.8 mm' in path.name
 
 
+def test_far_away_points_cost_no_memory():
+    path = table_path('x,y\n0,0\n10,0\n10,1e5\n0,1e5\n')
+    assert path.contour.length == pytest.approx(LENGTH_MAX, rel=1e-3)
+    assert 'of 100020.0 mm' in path.name
+    assert len(path.arc_length) <= 2 * POINTS
+    far = read_program('G0 X0 Y0\nG2 X10 Y0 I5 F600\nG1 X900000\n')
+    with pytest.raises(
+        ValueError, match=r'line 3: expected segments of at most 20 m but found 899.99 m'
+    ):
+        program_path(far)
+    behind = 'G0 X0 Y0\nF600\n' + 'G2 X0 Y0 I50\n' * 5 + 'G1 X900000\n'
+    assert program_path(read_program(behind)).contour.length == pytest.approx(0.5, rel=1e-3)
+
+
 def test_table_keeps_its_corners():
     path = table_path('x,y,z\n0,0,0\n20,0,0\n20,20,0\n20,20,5\n')
     assert path.contour.length == pytest.approx(0.045, rel=1e-12)
@@ -224,6 +238,7 @@ def test_table_keeps_its_corners():
         ('x,y\n0,0\n1,1\n', 'three points or more but found 2'),
         ('x,y\n0,0\n1,1\n2,2\n', 'path that bends but found 3 different ones'),
         ('x,y\n1,1\n1,1\n1,1\n', 'path that bends but found 1 different ones'),
+        ('x,y\n0,0\n1e308,0\n0,1e308\n', 'line 3: expected places within 1000 m'),
         ('x,y\n"0,0\n', 'line 2: expected numbers'),
         ('x,y\n0\r,0\n', 'line 2: expected a CSV table, but: new-line character'),
     ],

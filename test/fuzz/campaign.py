@@ -94,6 +94,12 @@ def refusal(kind: type[ValueError], work: Callable[[], object]) -> str:
     return reason
 
 
+def refused_or_read(read: Callable[[Path], object], file: Path) -> None:
+    """Assert that a reader returns, or says what is wrong with which file."""
+    reason = refusal(ValueError, lambda: read(file))
+    assert not reason or str(file) in reason
+
+
 def _note(duration: float, memory: int) -> None:
     test = os.environ.get('PYTEST_CURRENT_TEST', '').split('::')[-1].removesuffix(' (call)')
     worst = WORST.setdefault(test, Worst())

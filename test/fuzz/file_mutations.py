@@ -90,6 +90,13 @@ def mutated_text(text: str, rng: random.Random, edits: int = 4) -> str:
     return text
 
 
+def damaged(text: str, rng: random.Random) -> bytes:
+    """Return a damaged text file."""
+    if rng.random() < 0.3:
+        return mutated_bytes(text.encode(), rng)
+    return mutated_text(text, rng).encode('utf-8', 'surrogatepass')
+
+
 def mutated_json(text: str, rng: random.Random, edits: int = 2) -> str:
     """Return a JSON document in which some values are others, or missing."""
     try:

@@ -26,8 +26,8 @@ from fuzzycnc_ros.nodes.parameters import ParameterError
 from fuzzycnc_ros.nodes.sources.device_file import read_devices
 
 sys.path.insert(0, str(Path(__file__).parent))
-from campaign import SEEDS, fuzz, refusal
-from file_mutations import mutated_bytes, mutated_json, mutated_text
+from campaign import SEEDS, fuzz, refusal, refused_or_read
+from file_mutations import damaged, mutated_json, mutated_text
 from pattern_targets import offsets_text
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
@@ -114,13 +114,6 @@ rules:
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp('fuzz')
-
-
-def damaged(text: str, rng: random.Random) -> bytes:
-    """Return a damaged text file."""
-    if rng.random() < 0.3:
-        return mutated_bytes(text.encode(), rng)
-    return mutated_text(text, rng).encode('utf-8', 'surrogatepass')
 
 
 @fuzz(80, share=0.2)
@@ -228,9 +221,3 @@ def test_offset_files(seed):
         assert np.isfinite(found[0].nominal).all()
         assert np.isfinite(found[0].offset).all()
         assert len(found[0].nominal) == len(found[0].offset)
-
-
-def refused_or_read(read, file):
-    """Assert that a reader returns, or says what is wrong with which file."""
-    reason = refusal(ValueError, lambda: read(file))
-    assert not reason or str(file) in reason

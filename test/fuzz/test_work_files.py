@@ -1,0 +1,138 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Hostile files that commands work on: samples, records, stitches, points of a path."""
+
+import csv
+import random
+import sys
+from functools import cache
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+
+from fuzzycnc_ros.cli.foam_compensate import Job, shifted_points, shifted_program
+from fuzzycnc_ros.cli.foam_samples import COLUMNS, read_samples
+from fuzzycnc_ros.cli.servo_records import read_csv
+from fuzzycnc_ros.core.deformation import SheetMaterial, read_model
+from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.core.machine.foam_tracks import FoamTrack
+from fuzzycnc_ros.scenario.pareto_path import table_path
+
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
+import pattern_bench
+from campaign import SEEDS, fuzz, refusal, refused_or_read
+from file_mutations import damaged
+
+pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
+
+TRACK = 1e3 * FoamTrack.parallelogram(np.radians(45.0)).points
+PROGRAM = 'G21 G90\nG0 X22.3 Y32.3\nG1 X92.3 F1200\nG1 X127.6 Y67.6\nG3 X97.6 Y67.6 I-15\nM2\n'
+MOVES = [
+    f'{1e-3 * k:.3f},{10 * (k > 9)},{min(0.1 * k, 10):.3f},{0.2 * (k < 99):g}' for k in range(120)
+]
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp('fuzz')
+
+
+@cache
+def job_parts():
+    """Return a model and its sheet."""
+    return read_model(pattern_bench.model_text()), SheetMaterial(15e-3, (0.15, 0.1))
+
+
+@cache
+def samples_text() -> str:
+    """Return a table of samples."""
+    x, s = foam_samples(0)
+    rows = np.column_stack([x, s])[::9]
+    lines = [','.join(f'{cell:.6g}' for cell in row) for row in rows]
+    return '\n'.join(
+        [f'{",".join(COLUMNS)},sheet'] + [f'{line},s{k}' for k, line in enumerate(lines)]
+    )
+
+
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_samples_of_soft_material(folder, seed):
+    file = folder / 'samples.csv'
+    file.write_bytes(damaged(samples_text(), random.Random(seed)))
+
+    def read(path):
+        found = read_samples([path])
+        assert np.isfinite(found.x).all()
+        assert np.isfinite(found.s).all()
+
+    refused_or_read(read, file)
+
+
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_records_of_an_axis(folder, seed):
+    file = folder / 'moves.csv'
+    text = '\n'.join(['t,reference,position,duty', *MOVES])
+    file.write_bytes(damaged(text, random.Random(seed)))
+
+    def read(path):
+        found = read_csv(path, 1e-3)
+        assert np.isfinite(found.position).all()
+
+    refused_or_read(read, file)
+
+
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_stitches(folder, seed):
+    rng = random.Random(seed)
+    rows = [f'{x:.3f},{y:.3f},2,0' for x, y in TRACK]
+    file = folder / 'stitches.csv'
+    file.write_bytes(damaged('\n'.join(['x_mm,y_mm,kind,turn', *rows]), rng))
+    written = []
+    job = Job(*job_parts(), 6e-3, 3e-3)
+    if not refusal(ValueError, lambda: written.append(shifted_points(file, job))):
+        header, *lines = csv.reader(StringIO(written[0]))
+        places = [header.index(name) for name in ('x_mm', 'y_mm', 'offset_x_mm', 'offset_y_mm')]
+        assert np.isfinite([[float(line[place]) for place in places] for line in lines]).all()
+
+
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_stitched_programs(folder, seed):
+    file = folder / 'quilt.ngc'
+    file.write_bytes(damaged(PROGRAM, random.Random(seed)))
+    written = []
+    job = Job(*job_parts(), 6e-3, 3e-3)
+    if not refusal(ValueError, lambda: written.append(shifted_program(file, 'mm', job))):
+        assert 'nan' not in written[0].lower() or 'nan' in file.read_text(errors='replace').lower()
+
+
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_points_of_a_path(seed):
+    text = '\n'.join(['x,y', *(f'{x:.3f},{y:.3f}' for x, y in TRACK)])
+    found = []
+    hostile = damaged(text, random.Random(seed)).decode(errors='surrogateescape')
+    if not refusal(ValueError, lambda: found.append(table_path(hostile))):
+        assert np.isfinite(found[0].arc_length).all()
+
+
+@pytest.mark.parametrize(
+    'make', [samples_text, lambda: '\n'.join(['t,reference,position,duty', *MOVES])]
+)
+def test_the_tables_themselves_are_read(folder, make):
+    file = folder / 'good.csv'
+    file.write_text(make())
+    assert read_samples([file]) if make is samples_text else read_csv(file, 1e-3)
+
+
+def test_the_stitches_themselves_are_shifted(folder):
+    file = folder / 'good.ngc'
+    file.write_text(PROGRAM)
+    text = shifted_program(file, 'mm', Job(*job_parts(), 6e-3, 3e-3))
+    assert text.count('\n') > 30
