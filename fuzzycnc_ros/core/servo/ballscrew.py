@@ -44,6 +44,9 @@ class MovingDisturbance:
     Examples
     --------
     >>> memory = MovingDisturbance(1e-3, settle=2e-3)
+    >>> memory.reset(0.02)
+    >>> memory.recall(1)
+    0.02
     >>> for seen in 0.01, 0.03, 0.05:
     ...     memory.learn(1, seen)
     >>> memory.recall(1), memory.recall(-1)
@@ -53,10 +56,11 @@ class MovingDisturbance:
     def __init__(self, period: float, settle: float) -> None:
         self._share = period / _MEMORY
         self._settle = round(settle / period)
-        self.reset()
+        self.reset(0.0)
 
-    def reset(self) -> None:
-        """Forget what was seen."""
+    def reset(self, disturbance: float) -> None:
+        """Forget what was seen; a disturbance [-] is all that is known."""
+        self._first = disturbance
         self._seen: dict[int, float] = {}
         self._count = {1: 0, -1: 0}
         self.rest()
@@ -75,12 +79,9 @@ class MovingDisturbance:
         share = max(1.0 / self._count[way], self._share)
         self._seen[way] = before + (disturbance - before) * share
 
-    def recall(self, way: int) -> float | None:
-        """Return the mean disturbance [-] of motion in a direction, else in the other one.
-
-        None before the first motion.
-        """
-        return self._seen.get(way, self._seen.get(-way))
+    def recall(self, way: int) -> float:
+        """Return the mean disturbance [-] of motion in a direction, else in the other one."""
+        return self._seen.get(way, self._seen.get(-way, self._first))
 
 
 class BallscrewController(VariableUniverseController):
@@ -156,7 +157,7 @@ class BallscrewController(VariableUniverseController):
     def _restart(self, position: float, duty: float) -> None:
         self._friction = 0.0
         self._way = self._going = 0
-        self._moving.reset()
+        self._moving.reset(duty)
         super()._restart(position, duty)
 
     def _wanted(
@@ -176,9 +177,9 @@ class BallscrewController(VariableUniverseController):
         """Have the observer set off with what was seen in motion, and see what there is to see."""
         observer = self._observer
         assert observer is not None
-        seen = None if self._going else self._moving.recall(self._way)
-        if seen is not None:
+        if not self._going:
             # At rest the observer is off by what friction takes; a load beyond that is seen.
+            seen = self._moving.recall(self._way)
             rest, hidden = observer.state[-1], abs(_HIDDEN * self._coulomb)
             observer.state = (*observer.state[:-1], min(max(seen, rest - hidden), rest + hidden))
         slowest = min(self._way * velocity, self._way * observer.state[observer.velocity_place])
