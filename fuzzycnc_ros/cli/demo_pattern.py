@@ -13,11 +13,10 @@ from rich.console import Console
 from fuzzycnc_ros.cli.demo_steps import ANSWER_TIMEOUT, RUN_TIMEOUT, Steps, finish, progress_of
 from fuzzycnc_ros.cli.free_domain import own_domain
 from fuzzycnc_ros.cli.graph_processes import GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.shift_quilter import trained_foam
 
 MACHINE = 'mill'
 TRACK = 'parallelogram:45'
-DATA_SEED = 1000
-"""Seed of the training samples, far from those that the method's settings were chosen on."""
 BAGS = {'before': 'before', 'after': 'bag'}
 """Bag of each run."""
 
@@ -77,7 +76,7 @@ def _run(out: Path, seed: int, progress: Steps) -> tuple[PatternResult, Any]:
 
     own_domain()
     with progress.step('trained a T-S fuzzy neural network on 265 samples'):
-        model = _trained(DATA_SEED + seed)
+        model = trained_foam(seed)
         (out / 'model.json').write_text(model, encoding='utf-8')
     live, alone, replayed, outcomes, live_s = {}, {}, {}, [], 0.0
     for name, folder in BAGS.items():
@@ -128,14 +127,6 @@ def _run(out: Path, seed: int, progress: Steps) -> tuple[PatternResult, Any]:
         )
         (out / 'report.html').write_text(render_page(page), encoding='utf-8')
     return result, pattern_table(live)
-
-
-def _trained(seed: int) -> str:
-    """Return the text of a model of simulated samples."""
-    from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
-    from fuzzycnc_ros.core.machine.foam_samples import foam_samples
-
-    return write_model(TSFuzzyNetwork().fit(*foam_samples(seed)).model_)
 
 
 def _run_live(

@@ -226,12 +226,7 @@ def shifted_points(source: Path, job: Job) -> str:
 
     from fuzzycnc_ros.core.deformation.stitch_path import LINE, StitchPath
 
-    header, cells_of_line = table_cells(source)
-    missing = [name for name in COLUMNS if name not in header]
-    if missing:
-        raise ValueError(
-            f'line 1: expected the columns {",".join(COLUMNS)} but found no {", ".join(missing)}'
-        )
+    header, cells_of_line = table_cells(source, COLUMNS)
     taken = [name for name in ADDED if name in header]
     if taken:
         raise ValueError(

@@ -33,19 +33,25 @@ class NumberTable:
     labels: tuple[str, ...] | None
 
 
-def table_cells(path: Path) -> tuple[list[str], dict[int, list[str]]]:
+def table_cells(path: Path, columns: Sequence[str]) -> tuple[list[str], dict[int, list[str]]]:
     """Return the header of a CSV file, and the cells of its rows by line; empty ones are left out.
 
     Raises
     ------
     ValueError
-        If it is no text, or a cell is longer than any number or name; without the file's name.
+        If it is no text, a column is missing, or a cell is longer than any number or name; without
+        the file's name.
     """
     try:
         lines = list(csv.reader(path.read_text(encoding='utf-8-sig').splitlines()))
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f'expected a CSV file as text: {error}') from error
     header = [name.strip() for name in lines[0]] if lines else []
+    missing = [name for name in columns if name not in header]
+    if missing:
+        raise ValueError(
+            f'line 1: expected the columns {",".join(columns)} but found no {", ".join(missing)}'
+        )
     rows = {
         number: cells
         for number, cells in enumerate(lines[1:], start=2)
@@ -64,15 +70,9 @@ def read_numbers(path: Path, columns: Sequence[str], label: str = '') -> NumberT
         the file and the line.
     """
     try:
-        header, cells_of_line = table_cells(path)
+        header, cells_of_line = table_cells(path, columns)
     except ValueError as error:
         raise ValueError(f'{path}: {error}') from error
-    missing = [name for name in columns if name not in header]
-    if missing:
-        raise ValueError(
-            f'{path}: line 1: expected the columns {",".join(columns)} but found no '
-            f'{", ".join(missing)}'
-        )
     places = [header.index(name) for name in columns]
     labelled = header.index(label) if label and label in header else None
     rows, labels = [], []

@@ -7,9 +7,9 @@ from pathlib import Path
 from fuzzycnc_ros.cli.graph_processes import NodeSpec
 
 QUILT = 'quilt'
-TRACK = 'parallelogram:45'
 FOAM_SEED = 1000
-"""Seed of the samples that the foam model is trained on, before that of the run is added."""
+"""Seed of the samples that the foam model is trained on, before that of the run is added; far from
+those that the method's settings were chosen on."""
 PATTERN_BAGS = {'before': 'before', 'trained': 'trained', 'after': 'quilt'}
 """Bag of each run of the quilter: as drawn, which gives the gains of the model, by the model as
 trained, and compensated.  As with the mill, what is judged is run over DDS, and what it is
@@ -44,7 +44,7 @@ def pattern_alone(path: Path, model: str, seed: int) -> None:
     """Stitch the pattern in this process, into a bag; without a model it is not compensated."""
     from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
     from fuzzycnc_ros.scenario import PublishedBag
-    from fuzzycnc_ros.scenario.pattern import run_patterns
+    from fuzzycnc_ros.scenario.pattern import TRACK, run_patterns
 
     with PublishedBag(path, machine=QUILT) as bag:
         run_patterns(
@@ -58,7 +58,7 @@ def pattern_alone(path: Path, model: str, seed: int) -> None:
 
 def quilt_specs(model: Path, seed: int) -> list[NodeSpec]:
     """Return the nodes of the quilter in the order of their turns, the machine last."""
-    from fuzzycnc_ros.scenario.pattern import STITCH_BLEND
+    from fuzzycnc_ros.scenario.pattern import STITCH_BLEND, TRACK
 
     managed = {'lockstep': True, 'autostart': True}
     return [

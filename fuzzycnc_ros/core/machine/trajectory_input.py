@@ -159,10 +159,7 @@ class TrajectoryInput:
 
     @property
     def acceleration(self) -> Array:
-        """Mean acceleration from the sample in force to the next, shape (axes,) [m/s^2].
-
-        Zero where none is due a period later: the axes stand still.
-        """
+        """Mean acceleration to the next sample, shape (axes,) [m/s^2]; 0 if none is due then."""
         if self.next_time != self._time + self._period:
             return np.zeros(len(self._axes))
         velocity = self._queue[0][1].velocity[self._row]
