@@ -14,6 +14,7 @@ hypothesis.settings.register_profile('explore', derandomize=False)
 hypothesis.settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'seeded'))
 
 ROOT = Path(__file__).parents[1]
+collect_ignore = ['support']
 
 
 @pytest.fixture(scope='session')

@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading thermal runs from bags."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from benches.component_bench import machine_state
 
 from fuzzycnc_ros.bags.errors import BagDataError, BagTopicError, RunError
 from fuzzycnc_ros.bags.runs import read_run
@@ -14,9 +12,6 @@ from fuzzycnc_ros.bags.typestore import message_type
 from fuzzycnc_ros.components.codes import SpeedStatus
 from fuzzycnc_ros.components.records import SpindleSpeed
 from fuzzycnc_ros.convert import Target, encode
-
-sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
-from component_bench import machine_state
 
 SECOND = 10**9
 

@@ -3,11 +3,10 @@
 """`fuzzycnc foam`: demo, train and learn, and what they refuse."""
 
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from foam_bags import Run, sample_run, write_bag
 
 from fuzzycnc_ros.cli.foam import COMMANDS
 from fuzzycnc_ros.cli.foam_samples import COLUMNS
@@ -15,9 +14,6 @@ from fuzzycnc_ros.core.deformation import read_model
 from fuzzycnc_ros.core.deformation.offset_file import read_offsets
 from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
-
-sys.path.insert(0, str(Path(__file__).parent))
-from foam_bags import Run, sample_run, write_bag
 
 TRACK = FoamTrack.parallelogram(np.radians(45.0))
 

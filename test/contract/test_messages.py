@@ -3,17 +3,14 @@
 """What every interface definition says of itself: units, invalid values, enums, users."""
 
 import re
-import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import interfaces
 import pytest
+from interfaces import FILES, FOLDER, Field
 
 from fuzzycnc_ros.components.registry import COMPONENTS
-
-sys.path.insert(0, str(Path(__file__).parent))
-import interfaces
-from interfaces import FILES, FOLDER, Field
 
 UNITS = {'-', 'm', '1/m', 'm/s', 'rad', 'rad/s', 's', 'degC', 'K', 'Pa'}
 NODES = {*COMPONENTS, 'recorder', 'player'}

@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records and messages are one thing: same fields, same constants, nothing lost on the way."""
 
-import sys
 from dataclasses import fields, is_dataclass
-from pathlib import Path
 from typing import Any, get_type_hints
 
+import interfaces
 import numpy as np
 import pytest
 
@@ -15,9 +14,6 @@ from fuzzycnc_ros.components.records import Record, SensorCluster
 from fuzzycnc_ros.convert import Target, decode, encode
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.core.machine.offset_input import OffsetStatus
-
-sys.path.insert(0, str(Path(__file__).parent))
-import interfaces
 
 TYPES = {
     item.TYPE.split('/')[-1]: item

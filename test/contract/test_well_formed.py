@@ -3,10 +3,9 @@
 """Arrays that a definition calls parallel are held to it where records come in."""
 
 import re
-import sys
 from dataclasses import fields, replace
-from pathlib import Path
 
+import interfaces
 import numpy as np
 import pytest
 
@@ -20,9 +19,6 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.components.well_formed import EPOCH_MAX, PARALLEL, misfit
-
-sys.path.insert(0, str(Path(__file__).parent))
-import interfaces
 
 ANSWERED = {
     'AxisCommand',

@@ -2,11 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The figures of a campaign at the end of its run."""
 
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parent))
-from campaign import CAMPAIGN, WORST
+from fuzzing.campaign import CAMPAIGN, WORST
 
 
 def pytest_terminal_summary(terminalreporter):

@@ -4,7 +4,6 @@
 
 import random
 import shutil
-import sys
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
@@ -12,6 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benches import predictor_bench
+from fuzzing.campaign import SEEDS, bounded, fuzz, refusal
+from fuzzing.file_mutations import mutated_bytes, mutated_json, mutated_text
+from fuzzing.record_mutations import ROSBAGS, mutated
 from hypothesis import given
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
@@ -29,13 +32,6 @@ from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, Simulate
 from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.convert import encode
-
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
-import predictor_bench
-from campaign import SEEDS, bounded, fuzz, refusal
-from file_mutations import mutated_bytes, mutated_json, mutated_text
-from record_mutations import ROSBAGS, mutated
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

@@ -7,16 +7,12 @@ makes it publish a number that is none, or keeps it from working on with the nex
 """
 
 import random
-import sys
-from pathlib import Path
 
 import pytest
+from fuzzing.campaign import SEEDS, bounded, fuzz
+from fuzzing.component_targets import TARGETS
+from fuzzing.record_mutations import check_published, mutated
 from hypothesis import given
-
-sys.path.insert(0, str(Path(__file__).parent))
-from campaign import SEEDS, bounded, fuzz
-from component_targets import TARGETS
-from record_mutations import check_published, mutated
 
 from fuzzycnc_ros.components.records import SECOND
 from fuzzycnc_ros.components.registry import COMPONENTS

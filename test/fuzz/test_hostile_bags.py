@@ -6,13 +6,16 @@ Each is read or refused, within the bounds of `campaign`.
 """
 
 import shutil
-import sys
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from benches import predictor_bench
+from fuzzing import hostile_files, hostile_runs
+from fuzzing import raw_bags as raw
+from fuzzing.campaign import refusal
 
 from fuzzycnc_ros.bags.playback import messages, played_topics
 from fuzzycnc_ros.bags.reader import BagReader
@@ -23,14 +26,6 @@ from fuzzycnc_ros.bags.typestore import message_definition
 from fuzzycnc_ros.cli.evaluate import judge_bag
 from fuzzycnc_ros.cli.many_bags import NamedBag
 from fuzzycnc_ros.core.thermal import train_model
-
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
-import hostile_files
-import hostile_runs
-import predictor_bench
-import raw_bags as raw
-from campaign import refusal
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

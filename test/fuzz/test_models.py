@@ -4,24 +4,19 @@
 
 import json
 import random
-import sys
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from benches import predictor_bench
+from fuzzing.campaign import SEEDS, bounded, fuzz, refusal
+from fuzzing.file_mutations import mutated_bytes, mutated_json, mutated_text
 from hypothesis import given
 
 from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, read_model, write_model
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
 from fuzzycnc_ros.core.thermal import load_model, train_model
 from fuzzycnc_ros.core.thermal.document import ModelFileError
-
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
-import predictor_bench
-from campaign import SEEDS, bounded, fuzz, refusal
-from file_mutations import mutated_bytes, mutated_json, mutated_text
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

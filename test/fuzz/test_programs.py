@@ -3,20 +3,16 @@
 """Hostile part programs: refused with the line, or read into finite motion."""
 
 import random
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzzing.campaign import SEEDS, bounded, fuzz, refusal
+from fuzzing.file_mutations import mutated_bytes, mutated_text
 from hypothesis import given
 
 from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.program_request import schedule_text
 from fuzzycnc_ros.core.feedrate.program import ProgramError, read_program
-
-sys.path.insert(0, str(Path(__file__).parent))
-from campaign import SEEDS, bounded, fuzz, refusal
-from file_mutations import mutated_bytes, mutated_text
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

@@ -4,13 +4,15 @@
 
 import random
 import shutil
-import sys
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzzing.campaign import SEEDS, fuzz, refusal, refused_or_read
+from fuzzing.file_mutations import damaged, mutated_json, mutated_text
+from fuzzing.pattern_targets import offsets_text
 from hypothesis import given
 
 from fuzzycnc_ros.bags.csv import CsvMapping, import_csv
@@ -24,11 +26,6 @@ from fuzzycnc_ros.core.thermal.document import ModelFileError
 from fuzzycnc_ros.nodes.opcua_control_file import read_control
 from fuzzycnc_ros.nodes.parameters import ParameterError
 from fuzzycnc_ros.nodes.sources.device_file import read_devices
-
-sys.path.insert(0, str(Path(__file__).parent))
-from campaign import SEEDS, fuzz, refusal, refused_or_read
-from file_mutations import damaged, mutated_json, mutated_text
-from pattern_targets import offsets_text
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

@@ -4,13 +4,14 @@
 
 import csv
 import random
-import sys
 from functools import cache
 from io import StringIO
-from pathlib import Path
 
 import numpy as np
 import pytest
+from benches import pattern_bench
+from fuzzing.campaign import SEEDS, fuzz, refusal, refused_or_read
+from fuzzing.file_mutations import damaged
 from hypothesis import given
 
 from fuzzycnc_ros.cli.foam_compensate import Job, shifted_points, shifted_program
@@ -20,12 +21,6 @@ from fuzzycnc_ros.core.deformation import SheetMaterial, read_model
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
 from fuzzycnc_ros.core.machine.foam_tracks import FoamTrack
 from fuzzycnc_ros.scenario.pareto_path import table_path
-
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
-import pattern_bench
-from campaign import SEEDS, fuzz, refusal, refused_or_read
-from file_mutations import damaged
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

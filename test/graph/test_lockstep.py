@@ -64,7 +64,7 @@ def test_reordered_inputs_change_nothing(graph, model_file, tmp_path, expected, 
     delayed = ('machine_state', 'compensation_applied', 'sensor_readings')
     folder = tmp_path / 'relay'
     folder.mkdir()
-    command = [sys.executable, str(root / 'test' / 'graph' / 'delaying_relay.py')]
+    command = [sys.executable, str(root / 'test' / 'support' / 'delaying_relay.py')]
     graph.launch('delaying_relay', [*command, *delayed], folder)
     renamed = ('-r', 'machine_state:=late/machine_state')
     common = {'lockstep': True}

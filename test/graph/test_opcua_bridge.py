@@ -3,8 +3,6 @@
 """The bridge and a real OPC UA server that behaves as a control, with faults on either side."""
 
 import signal
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,17 +10,15 @@ import pytest
 pytest.importorskip('asyncua')
 
 
+from benches.line_control import WATCHDOG
+from equipment.bridge_rig import ACTIVATE, CONFIGURE, DEACTIVATE, MICRON, BridgeRig
+from equipment.field_servers import Field, Route
+from equipment.opcua_machine import AXES, FILE, ControlServer, LineControl, control_file
+
 from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
 from fuzzycnc_ros.components.records import (
     MachineState,
 )
-
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
-from bridge_rig import ACTIVATE, CONFIGURE, DEACTIVATE, MICRON, BridgeRig
-from field_servers import Field, Route
-from line_control import WATCHDOG
-from opcua_machine import AXES, FILE, ControlServer, LineControl, control_file
 
 pytestmark = pytest.mark.ros
 

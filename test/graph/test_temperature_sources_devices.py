@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driver of devices in its node: real servers, faults on the way to them, and back again."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +11,10 @@ pytest.importorskip('asyncua')
 pytest.importorskip('pymodbus')
 
 from asyncua import ua
+from equipment.field_servers import LOCAL, Field, ModbusServer, OpcUaServer, Route
 
 from fuzzycnc_ros.components.codes import SpeedStatus, Status
 from fuzzycnc_ros.components.records import MachineState, SpindleSpeed, Temperatures
-
-sys.path.insert(0, str(Path(__file__).parent))
-from field_servers import LOCAL, Field, ModbusServer, OpcUaServer, Route
 
 pytestmark = pytest.mark.ros
 

@@ -6,25 +6,14 @@ Trained on D0, D0b and T1, judged on T2 and T3, which no model has seen.
 """
 
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from itertools import groupby
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-from fuzzycnc_ros.components.codes import CompensationState, Reason
-from fuzzycnc_ros.components.component import Emission
-from fuzzycnc_ros.components.records import Displacement, MachineState
-from fuzzycnc_ros.core.machine.duties import DUTIES
-from fuzzycnc_ros.core.thermal import load_model, train_model
-from fuzzycnc_ros.scenario import run_shift
-
-sys.path.insert(0, str(Path(__file__).parent))
 from stepped_shift import (
     ALARM_SEEDS,
     CANDIDATES,
@@ -46,6 +35,13 @@ from stepped_shift import (
     speed_model,
     with_fault,
 )
+
+from fuzzycnc_ros.components.codes import CompensationState, Reason
+from fuzzycnc_ros.components.component import Emission
+from fuzzycnc_ros.components.records import Displacement, MachineState
+from fuzzycnc_ros.core.machine.duties import DUTIES
+from fuzzycnc_ros.core.thermal import load_model, train_model
+from fuzzycnc_ros.scenario import run_shift
 
 
 @pytest.mark.slow

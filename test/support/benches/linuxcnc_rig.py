@@ -1,0 +1,144 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bridge on LinuxCNC's registers and HAL file as they were measured, without a HAL."""
+
+import numpy as np
+from benches.bridge_bench import BridgeRig
+from benches.component_bench import Bench
+
+from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
+from fuzzycnc_ros.components.linuxcnc_bridge import LinuxcncBridge, LinuxcncBridgeConfig
+from fuzzycnc_ros.components.linuxcnc_status import ControllerStatus
+from fuzzycnc_ros.components.records import nanoseconds
+
+AXES = ('X', 'Y', 'Z')
+CYCLE = 0.01
+SCALE = 1e-8
+SLEW = 50e-6
+RATE = 10_000.0
+"""Counts per second of the HAL file [1/s]."""
+HOLD = 2.0
+STEP_MAX = SLEW * CYCLE + SCALE
+"""Largest change of an applied offset in a cycle [m]."""
+
+
+class Controller:
+    """LinuxCNC's offset registers and the shipped HAL file, in steps of a cycle.
+
+    Counts change registers by deltas, and only while the machine is ready and the enable is on;
+    counts are limited in rate; without a heartbeat they go to zero after a while.
+    """
+
+    def __init__(self):
+        self.on = self.homed = self.enable = True
+        self.soft_limited = False
+        self.scale = np.full(3, SCALE)
+        self.cap = np.full(3, np.inf)
+        self.position = np.zeros(3)
+        self.counts = np.zeros(3)
+        self.register = np.zeros(3)
+        self.applied = np.zeros(3)
+        self.alive = False
+        self.silent = np.inf
+        self.told = np.zeros(3)
+        self.clear = False
+        self.writer = ''
+        self.tick = 0
+
+    def write(self, orders):
+        """Take what a bridge writes; None is silence."""
+        if orders is None:
+            self.silent += CYCLE
+        else:
+            self.silent, self.told, self.clear = 0.0, orders.counts, orders.rezero
+
+    def cycle(self):
+        """Let the servo thread run for a cycle; return what can be read then."""
+        ready = self.on and self.homed
+        self.tick += 1
+        self.alive = self.silent <= HOLD
+        wanted = self.told if self.alive else np.zeros(3)
+        reach = RATE * CYCLE
+        before = self.counts
+        self.counts = before + np.clip(wanted - before, -reach, reach)
+        if not ready:
+            self.counts = np.zeros(3)
+        if self.clear or not ready:
+            self.register = np.zeros(3)
+        elif self.enable:
+            self.register = self.register + self.scale * (self.counts - before)
+        if ready and self.enable:
+            self.applied = np.clip(self.register, -self.cap, self.cap)
+        return ControllerStatus(
+            mode=MachineMode.ON if self.on else MachineMode.OFF,
+            homed=self.homed,
+            ready=ready,
+            alive=self.alive,
+            frozen=not self.enable,
+            soft_limited=bool(np.any(np.abs(self.register) > self.cap)),
+            writer=self.writer,
+            position=self.position,
+            applied=self.applied,
+            register=self.register,
+            counts=self.counts,
+            scale=self.scale,
+            tick=self.tick,
+        )
+
+
+class Rig(BridgeRig):
+    """A bridge on a controller, cycle by cycle."""
+
+    axes, close = AXES, SCALE
+
+    def __init__(self, controller=None, *, active=True, **parameters):
+        self.controller = controller or Controller()
+        self.config = LinuxcncBridgeConfig(**{'slew_max': SLEW, **parameters})
+        self.time = 100.0
+        self.path, self.on = [], []
+        self.restart(active=active)
+
+    def restart(self, *, active=True):
+        """Put a new bridge in the place of the old one."""
+        self.bench = Bench(LinuxcncBridge(self.config))
+        self.bridge = self.bench.component
+        if active:
+            assert self.bench.request('activate').success
+
+    def run(self, duration):
+        """Let time pass."""
+        for _ in range(round(duration / CYCLE)):
+            self.time += CYCLE
+            status = self.controller.cycle()
+            self._note()
+            self.bench.emitted += self.bridge.observe(nanoseconds(self.time), status)
+            if self.bridge.wants_control:
+                self.bridge.take_control()
+            self.controller.write(self.bridge.orders)
+
+    def silence(self, duration):
+        """Let time pass without a bridge."""
+        for _ in range(round(duration / CYCLE)):
+            self.time += CYCLE
+            self.controller.write(None)
+            self.controller.cycle()
+            self._note()
+
+    def _note(self):
+        self.path.append(self.controller.applied.copy())
+        self.on.append(self.controller.on)
+
+    @property
+    def applied(self):
+        return self.controller.applied
+
+
+def settled(offset=(10, -20, 30), **parameters):
+    """Return a rig with offsets in force."""
+    rig = Rig(**parameters)
+    rig.run(0.2)
+    rig.command(offset)
+    rig.run(2.0)
+    assert rig.at(offset)
+    assert rig.last.status == AppliedStatus.FOLLOWING
+    return rig

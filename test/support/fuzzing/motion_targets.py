@@ -1,0 +1,171 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The components of motion at work: feed scheduler and servo controller."""
+
+import random
+from dataclasses import replace
+
+import numpy as np
+from benches import trajectory_bench
+from benches.component_bench import Bench, machine_state
+from fuzzing.targets import CopiedTarget, work
+
+from fuzzycnc_ros.components.codes import MachineMode, ServoStatus, TrajectoryStatus
+from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
+from fuzzycnc_ros.components.records import (
+    SECOND,
+    AxisState,
+    PositionCommand,
+    ToolPath,
+    TrajectoryState,
+)
+from fuzzycnc_ros.components.servo_controller import ServoController
+
+PERIOD = 1_000_000
+"""Control period of the servo axes [ns]."""
+
+
+class SchedulerTarget(CopiedTarget):
+    """A scheduler that waits for a path, on a machine at rest."""
+
+    component = 'feedrate_scheduler'
+    inputs = ('axis_state', 'machine_state', 'trajectory_state', 'tool_path')
+    step = 50_000_000
+    axes = ('X', 'Y', 'Z')
+
+    def make(self) -> Bench:
+        bench = Bench(FeedrateScheduler())
+        assert bench.request('activate').success
+        self._rest(bench, 999 * SECOND)
+        return bench
+
+    def _rest(self, bench: Bench, stamp: int) -> None:
+        for name in self.inputs[:3]:
+            bench.push(name, self.good(name, stamp, random.Random(0)))
+        work(bench, stamp)
+
+    def good(self, name, stamp, rng):
+        if name == 'machine_state':
+            return replace(machine_state(1.0, state=int(MachineMode.ON)), stamp=stamp)
+        if name == 'trajectory_state':
+            return TrajectoryState(
+                stamp=stamp,
+                path_id='',
+                epoch=0,
+                part=0,
+                status=int(TrajectoryStatus.IDLE),
+                reason='',
+                arc_length=0.0,
+            )
+        if name == 'axis_state':
+            return AxisState(
+                stamp=stamp,
+                axis=self.axes,
+                reference=np.zeros(3),
+                position=np.zeros(3),
+                velocity=np.zeros(3),
+            )
+        return ToolPath(
+            stamp=stamp,
+            frame_id='mill/workpiece',
+            path_id='good',
+            includes_compensation=False,
+            axis=self.axes,
+            start=np.zeros(3),
+            kind=np.array([0, 1, 3], np.uint8),
+            junction=np.array([0, 1, 1], np.uint8),
+            block=np.array([1, 2, 3], np.int64),
+            feedrate=np.array([0.05, 0.05, np.nan]),
+            offset=np.array([0, 3, 13, 14], np.uint32),
+            data=np.array(
+                [5e-3, 0.0, 0.0, 5e-3, 4e-3, 0.0, 5e-3, 2e-3, 0.0, 0.0, 0.0, 1.0, np.pi, 0.1]
+            ),
+        )
+
+    def recover(self, bench, stamp):
+        bench.request('deactivate')  # a slow path would be worked through up to the far future
+        work(bench, stamp)
+        assert bench.request('activate').success  # takes a path that has come meanwhile
+        bench.request('deactivate')
+        stamp += 100 * SECOND
+        work(bench, stamp)
+        assert bench.request('activate').success
+        epoch = max((item.epoch for item in bench.records('trajectory')), default=0)
+        for _ in range(3):
+            stamp += 2 * SECOND
+            for name in self.inputs[:3]:
+                record = self.good(name, stamp, random.Random(0))
+                if name == 'trajectory_state':
+                    record = replace(record, epoch=min(epoch, 2**63 - 1))
+                bench.push(name, record)
+            work(bench, stamp)
+        stamp += SECOND // 10
+        before = len(bench.records('trajectory'))
+        path = replace(self.good('tool_path', stamp, random.Random(0)), path_id=f'again {stamp}')
+        bench.push('tool_path', path)
+        work(bench, stamp)
+        work(bench, stamp + SECOND)
+        found = bench.records('trajectory')[before:]
+        assert found, bench.health()
+        assert found[0].path_id == path.path_id
+        assert found[0].part == 0
+
+
+class ServoTarget(CopiedTarget):
+    """A servo controller that holds an axis."""
+
+    component = 'servo_controller'
+    inputs = ('machine_state', 'position_command', 'trajectory', 'axis_state')
+    step = PERIOD
+
+    def make(self) -> Bench:
+        bench = Bench(ServoController())
+        bench.until(999.0)
+        assert bench.request('activate').success
+        self.start = 1000 * SECOND
+        for number in range(20):
+            stamp = self.start - (20 - number) * PERIOD
+            bench.push('machine_state', machine_state(stamp / SECOND, axis=('X',)))
+            bench.push('axis_state', self.good('axis_state', stamp, random.Random(0)))
+            work(bench, stamp)
+        return bench
+
+    def good(self, name, stamp, rng):
+        if name == 'machine_state':
+            return replace(machine_state(1.0), stamp=stamp)
+        if name == 'position_command':
+            return PositionCommand(
+                stamp=stamp, axis=('X',), position=np.array([1e-3]), velocity=np.array([np.nan])
+            )
+        if name == 'trajectory':
+            part = trajectory_bench.parts(start=stamp + 50 * PERIOD)[0]
+            return replace(
+                trajectory_bench.record(part, stamp),
+                axis=('X',),
+                position=part.position.reshape(-1, 3)[:, 0].copy(),
+                velocity=part.velocity.reshape(-1, 3)[:, 0].copy(),
+            )
+        return AxisState(
+            stamp=stamp,
+            frame_id='mill/workpiece',
+            axis=('X',),
+            reference=np.full(1, np.nan),
+            position=np.zeros(1),
+            velocity=np.zeros(1),
+        )
+
+    def recover(self, bench, stamp):
+        work(bench, stamp)
+        bench.request('deactivate')
+        assert bench.request('activate').success
+        for _ in range(80):
+            stamp += PERIOD
+            bench.push('machine_state', self.good('machine_state', stamp, random.Random(0)))
+            bench.push('axis_state', self.good('axis_state', stamp, random.Random(0)))
+            work(bench, stamp)
+        assert bench.records('axis_command')[-1].stamp == stamp
+        assert bench.records('servo_state')[-1].status == ServoStatus.RESTING, bench.health()
+
+    def check(self, bench):
+        for item in bench.records('axis_command'):
+            assert (np.abs(item.duty) <= 1.0).all()

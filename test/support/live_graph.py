@@ -1,0 +1,477 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A real graph for tests: nodes as processes, and a node of the test to watch them.
+
+A `conftest.py` imports the fixtures by name.
+
+Every test has a ROS domain of its own.  Nodes are started with this interpreter and environment,
+each in a process group of its own, and always killed at the end; what they wrote is shown when a
+test fails.  Tests wait for conditions with a deadline and never sleep for luck.
+"""
+
+import contextlib
+import fcntl
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from fuzzycnc_ros.bags.canonical import topic_hashes
+from fuzzycnc_ros.bags.replay import ROSBAGS
+from fuzzycnc_ros.cli.graph_processes import NodeSpec, parameter_file, ros_arguments
+from fuzzycnc_ros.cli.up import node_specs
+from fuzzycnc_ros.components.component import Durability
+from fuzzycnc_ros.convert import decode, encode
+from fuzzycnc_ros.core.thermal import train_model
+from fuzzycnc_ros.nodes.environment import prepare_environment
+from fuzzycnc_ros.nodes.messages import message_class
+from fuzzycnc_ros.nodes.qos import subscription_qos
+from fuzzycnc_ros.nodes.run import run
+from fuzzycnc_ros.scenario.thermal_shift import record_calibration, run_shift
+
+ROOT = Path(__file__).parents[2]
+DOMAINS = 100
+"""Domains 1 to 100: above 101 the ports would lie among those that the system hands out."""
+PORTS, PORTS_EACH = 7400, 250
+"""First port of domain 0, and ports of each domain, as DDS-RTPS lays down."""
+START_TIMEOUT = 30.0
+STOP_TIMEOUT = 20.0
+RUN_TIMEOUT = 240.0
+CLOSE_TIMEOUT = 3.0
+STREAM, LATCHED = Durability.STREAM, Durability.LATCHED
+
+prepare_environment()
+_turn = count()
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """A ROS domain that no other test of this user uses now; a lock file holds it."""
+    first = os.getpid() + 7 * next(_turn)
+    for offset in range(DOMAINS):
+        number = 1 + (first + offset) % DOMAINS
+        path = Path(tempfile.gettempdir()) / f'fuzzycnc-domain-{os.getuid()}-{number}.lock'
+        with path.open('w') as handle:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield number
+            for file in Path('/dev/shm').glob('*fastrtps_port*'):
+                port = int(re.findall(r'port(\d+)', file.name)[0])
+                if 0 <= port - PORTS - PORTS_EACH * number < PORTS_EACH:
+                    file.unlink(missing_ok=True)
+            return
+    pytest.fail(f'expected a free ROS domain among 1 to {DOMAINS} but all are locked')
+
+
+class Running:
+    """A node that was started as a process."""
+
+    def __init__(self, name: str, process: subprocess.Popen[bytes], log: Path) -> None:
+        self.name, self.process, self.log = name, process, log
+
+    @property
+    def output(self) -> str:
+        """What the node has written so far."""
+        return self.log.read_text(errors='replace')
+
+    @property
+    def outcome(self) -> dict[str, Any]:
+        """What a machine or player says of its run in its last line."""
+        lines = [line for line in self.output.splitlines() if line.startswith('{')]
+        assert lines, f'{self.name} told no outcome: {self.output}'
+        return json.loads(lines[-1])
+
+    def send(self, number: int) -> None:
+        """Send a signal to the node's process group."""
+        os.killpg(self.process.pid, number)
+
+    def wait(self, timeout: float = RUN_TIMEOUT) -> int:
+        """Wait for the node's end; return its exit code."""
+        try:
+            return self.process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(
+                f'{self.name} did not end within {timeout:g} s: {self.output}'
+            ) from None
+
+    def interrupt(self, number: int = signal.SIGINT, timeout: float = STOP_TIMEOUT) -> int:
+        """Ask the node to end; return its exit code."""
+        self.send(number)
+        return self.wait(timeout)
+
+
+class Graph:
+    """The nodes of one test."""
+
+    def __init__(self, domain: int, folder: Path) -> None:
+        self.domain = domain
+        self.folder = folder
+        self.running: list[Running] = []
+        self._shared: set[str] = set()
+
+    def start(
+        self,
+        node: str,
+        parameters: Mapping[str, Any] | None = None,
+        *,
+        files: tuple[Path, ...] = (),
+        arguments: tuple[str, ...] = (),
+        namespace: str = '/mill',
+    ) -> Running:
+        """Start a node with parameters, parameter files read before them, and remappings."""
+        folder = self.folder / f'{len(self.running)}-{node}'
+        folder.mkdir(parents=True)
+        own = parameter_file(folder, namespace, [NodeSpec(node, parameters or {})])
+        command = [sys.executable, '-m', f'fuzzycnc_ros.nodes.{node}']
+        command += [*ros_arguments(namespace, [*files, own]), *arguments]
+        return self.launch(node, command, folder)
+
+    def start_shift(
+        self,
+        model: Path,
+        *,
+        bag: Path | None = None,
+        lockstep: bool = True,
+        overrides: Mapping[str, Mapping[str, Any]] | None = None,
+        without: tuple[str, ...] = (),
+        **machine: Any,
+    ) -> dict[str, Running]:
+        """Start the nodes that compensate a duty, the simulated machine last."""
+        specs = node_specs(
+            duties=tuple(machine.pop('duties', ('T2',))),
+            model=model,
+            record=bag,
+            lockstep=lockstep,
+            autostart=True,
+            machine_parameters=machine,
+        )
+        return {
+            spec.name: self.start(
+                spec.name, {**spec.parameters, **(overrides or {}).get(spec.name, {})}
+            )
+            for spec in specs
+            if spec.name not in without
+        }
+
+    def launch(self, name: str, command: list[str], folder: Path) -> Running:
+        """Start any command in the test's domain."""
+        environment = {
+            **os.environ,
+            'ROS_DOMAIN_ID': str(self.domain),
+            'PYTHONPATH': os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')]),
+            'PYTHONUNBUFFERED': '1',
+            'OMP_NUM_THREADS': '1',
+        }
+        log = folder / 'output.log'
+        with log.open('wb') as output:
+            process = subprocess.Popen(
+                command,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                env=environment,
+                cwd=ROOT,
+                start_new_session=True,
+            )
+        self.running.append(Running(name, process, log))
+        return self.running[-1]
+
+    def kill(self, node: Running) -> None:
+        """Kill a node as a power cut would."""
+        self._note_shared_memory(node)
+        node.send(signal.SIGKILL)
+        node.process.wait()
+
+    def stop(self) -> None:
+        """Ask all nodes to end; each must end with code 0."""
+        living = [node for node in self.running if node.process.poll() is None]
+        for node in living:
+            node.send(signal.SIGINT)
+        codes = {node.name: node.wait(STOP_TIMEOUT) for node in living}
+        assert set(codes.values()) <= {0}, codes
+
+    def close(self) -> None:
+        """End what still runs, kill what does not end, remove what is left in shared memory."""
+        living = [node for node in self.running if node.process.poll() is None]
+        for node in living:
+            self._note_shared_memory(node)
+            with contextlib.suppress(ProcessLookupError):
+                node.send(signal.SIGCONT)
+                node.send(signal.SIGINT)
+        deadline = time.monotonic() + CLOSE_TIMEOUT
+        for node in living:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                node.process.wait(max(0.0, deadline - time.monotonic()))
+            with contextlib.suppress(ProcessLookupError):
+                node.send(signal.SIGKILL)
+            node.process.wait()
+        for path in self._shared:
+            Path(path).unlink(missing_ok=True)
+
+    def _note_shared_memory(self, node: Running) -> None:
+        """Note the files that a node has open or mapped, which it leaves if it is killed."""
+        process = Path(f'/proc/{node.process.pid}')
+        with contextlib.suppress(OSError):
+            names = [os.readlink(link) for link in (process / 'fd').iterdir()]
+            text = '\n'.join([(process / 'maps').read_text(), *names])
+            self._shared.update(re.findall(r'/dev/shm/(?:sem\.)?fastrtps_\S+', text))
+
+
+class Observer:
+    """A node of the test itself, in the same domain."""
+
+    def __init__(self, domain: int) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(
+            context=self.context,
+            domain_id=domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.node = rclpy.create_node('observer', namespace='/mill', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self._readers: dict[str, Any] = {}
+        self.statuses: dict[str, list[tuple[int, str]]] = {}
+        """Level and text of each diagnostic item that was ever reported, in order of change."""
+
+    def records(self, topic: str, kind: Any, durability: Durability = STREAM) -> list[Any]:
+        """Return a list that grows with the records of a topic."""
+        heard: list[Any] = []
+        self._readers[topic] = self.node.create_subscription(
+            message_class(kind.TYPE),
+            topic,
+            lambda message: heard.append(decode(kind, message)),
+            subscription_qos(durability, lockstep=True),
+        )
+        return heard
+
+    def hears(self, topic: str) -> bool:
+        """Whether somebody publishes a topic that is listened to, and the route stands."""
+        return bool(self._readers[topic].get_publisher_count())
+
+    def forget(self, topic: str) -> None:
+        """Hear no more of a topic: listening costs the graph time."""
+        self.node.destroy_subscription(self._readers.pop(topic))
+
+    def watch_diagnostics(self) -> None:
+        """Note every change on /diagnostics."""
+
+        def note(array: DiagnosticArray) -> None:
+            for status in array.status:
+                news = (status.level[0], status.message)
+                heard = self.statuses.setdefault(status.name, [])
+                if not heard or heard[-1] != news:
+                    heard.append(news)
+
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', note, 100)
+
+    def told(self, item: str, text: str) -> bool:
+        """Whether a diagnostic item has ever said something."""
+        return any(text in message for _, message in self.statuses.get(item, ()))
+
+    def spin(self) -> None:
+        """Work for a moment."""
+        self.executor.spin_once(timeout_sec=0.02)
+
+    def spin_for(self, duration: float) -> None:
+        """Work for some wall time [s]."""
+        end = time.monotonic() + duration
+        while time.monotonic() < end:
+            self.spin()
+
+    def until(
+        self, condition: Callable[[], Any], what: str = '', timeout: float = START_TIMEOUT
+    ) -> None:
+        """Spin until a condition holds.
+
+        Raises
+        ------
+        AssertionError
+            If it does not hold in time.
+        """
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, f'not within {timeout:g} s: {what}'
+            self.spin()
+
+    def until_ended(self, node: Running, timeout: float = RUN_TIMEOUT) -> int:
+        """Spin until a node has ended; return its exit code."""
+        what = f'end of {node.name}'
+        self.until(lambda: node.process.poll() is not None, what, timeout)
+        for _ in range(20):  # what is still on its way
+            self.spin()
+        return int(node.process.returncode)
+
+    def call(self, kind: Any, name: str, request: Any, timeout: float = START_TIMEOUT) -> Any:
+        """Call a service and return its response."""
+        client = self.node.create_client(kind, name)
+        try:
+            self.until(client.service_is_ready, f'service {name}', timeout)
+            future = client.call_async(request)
+            self.until(future.done, f'answer of {name}', timeout)
+            return future.result()
+        finally:
+            self.node.destroy_client(client)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def graph(domain: int, tmp_path: Path) -> Iterator[Graph]:
+    """Nodes as processes in a domain of their own."""
+    started = Graph(domain, tmp_path / 'nodes')
+    try:
+        yield started
+    finally:
+        started.close()
+
+
+@pytest.fixture
+def observer(domain: int, graph: Graph) -> Iterator[Observer]:
+    """A node of the test in the same domain, closed before the nodes are."""
+    watching = Observer(domain)
+    try:
+        yield watching
+    finally:
+        watching.close()
+
+
+@pytest.fixture(scope='session')
+def model_text() -> str:
+    """A model trained on three calibration runs of the simulated mill."""
+    return train_model(record_calibration().runs).to_json()
+
+
+@pytest.fixture
+def model_file(model_text: str, tmp_path: Path) -> Path:
+    """The trained model as a file."""
+    path = tmp_path / 'model.json'
+    path.write_text(model_text, encoding='utf-8')
+    return path
+
+
+OUTPUTS = (
+    'machine_state',
+    'compensation_applied',
+    'displacement',
+    'sensor_readings',
+    'thermal_reference',
+    'temperatures',
+    'thermal_error',
+    'predictor_state',
+    'compensation',
+)
+"""Topics of a shift that must come out alike."""
+
+
+@pytest.fixture(scope='session')
+def outputs() -> tuple[str, ...]:
+    """Topics of a shift that must come out alike, without namespace."""
+    return OUTPUTS
+
+
+@pytest.fixture(scope='session')
+def bag_hashes() -> Callable[[Path], dict[str, str]]:
+    """Return the canonical hash of each output in a bag."""
+
+    def find(bag: Path) -> dict[str, str]:
+        found = topic_hashes(bag)
+        return {name: found[f'/mill/{name}'] for name in OUTPUTS if f'/mill/{name}' in found}
+
+    return find
+
+
+class InProcess:
+    """The same shift in one process, without DDS."""
+
+    def __init__(self, model_text: str) -> None:
+        self._model_text = model_text
+
+    def run(
+        self, *, duties: tuple[str, ...] = ('T2',), seed: int = 0, **machine: Any
+    ) -> dict[str, list[Any]]:
+        """Return the records of each output."""
+        log: dict[str, list[Any]] = {name: [] for name in OUTPUTS}
+
+        def sink(topic: str, record: Any) -> None:
+            if topic in log:
+                log[topic].append(record)
+
+        parameters = {'simulated_machine': machine}
+        run_shift(self._model_text, duties=duties, seed=seed, parameters=parameters, sink=sink)
+        return log
+
+    def hashes(self, **machine: Any) -> dict[str, str]:
+        """Return the canonical hash of each output."""
+        found = topic_hashes(
+            (f'/mill/{name}', record.TYPE, record.stamp, encode(record, ROSBAGS))
+            for name, records in self.run(**machine).items()
+            for record in records
+        )
+        return {name: found[f'/mill/{name}'] for name in OUTPUTS}
+
+
+@pytest.fixture(scope='session')
+def in_process(model_text: str) -> InProcess:
+    """The same shift in one process, without DDS."""
+    return InProcess(model_text)
+
+
+@pytest.fixture
+def refusal(
+    domain: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> Callable[[str, Mapping[str, Any]], str]:
+    """Start a node with parameters that it must refuse; return its one line.
+
+    It runs in this process, since a process of its own takes half a second to start.
+    """
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    monkeypatch.chdir(tmp_path)
+
+    def start(node: str, parameters: Mapping[str, Any]) -> str:
+        file = parameter_file(tmp_path, '/mill', [NodeSpec(node, parameters)])
+        module = import_module(f'fuzzycnc_ros.nodes.{node}')
+        assert run([module.make], ros_arguments('/mill', [file])) == 2
+        lines = capfd.readouterr().err.splitlines()
+        errors = [line for line in lines if line.startswith('error: ')]
+        assert len(errors) == 1, lines
+        assert not any(line.startswith('Traceback') for line in lines), lines
+        return errors[0]
+
+    return start
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
+    """Show what the nodes wrote when a test fails."""
+    outcome = yield
+    report = outcome.get_result()
+    nodes = getattr(item, 'funcargs', {}).get('graph')
+    if report.failed and isinstance(nodes, Graph):
+        for node in nodes.running:
+            code = node.process.poll()
+            report.sections.append((f'{node.name}, exit code {code}', node.output))
