@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rules import for_each
 
 from fuzzycnc_ros.components.component import LATCHED
 from fuzzycnc_ros.components.registry import COMPONENTS, MACHINES
@@ -38,7 +39,7 @@ def label(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-EVERY_PAGE = pytest.mark.parametrize('page', PAGES, ids=label)
+EVERY_PAGE = for_each(PAGES, label)
 
 
 def anchors(path: Path) -> set[str]:
@@ -65,9 +66,7 @@ def test_the_pages_were_found():
     }
 
 
-@pytest.mark.parametrize(
-    ('path', 'content'), TABLES['files']().items(), ids=[label(p) for p in TABLES['files']()]
-)
+@for_each(TABLES['files']().items(), lambda case: label(case[0]))
 def test_generated_file_is_up_to_date(path, content):
     assert path.read_text() == content, 'run `make tables`'
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
+from rules import for_each
 
 ROOT = Path(__file__).parents[2]
 HEADER = ('Copyright The fuzzycnc authors', 'SPDX-License-Identifier: Apache-2.0')
@@ -91,7 +91,7 @@ def test_the_tree_was_found():
     assert {'setup.py', 'Makefile', '.ci/run', 'package.xml'} <= {label(path) for path in SOURCES}
 
 
-@pytest.mark.parametrize('path', SOURCE_FILES, ids=label)
+@for_each(SOURCE_FILES, label)
 def test_header(path):
     head = path.read_text(encoding='utf-8').splitlines()[:6]
     while head and head[0].startswith(('#!', '<?xml', '<!DOCTYPE', '<!doctype')):
@@ -103,7 +103,7 @@ def test_header(path):
     assert len(head) >= len(HEADER)
 
 
-@pytest.mark.parametrize('path', SOURCES, ids=label)
+@for_each(SOURCES, label)
 def test_no_machine_path_and_no_registry(path):
     text = path.read_text(encoding='utf-8')
     found = [

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from rules import for_each
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / 'fuzzycnc_ros'
@@ -134,7 +135,7 @@ def test_every_module_is_in_a_ring():
     assert not unknown, f'expected one of {sorted(RINGS)} but found {sorted(unknown)}'
 
 
-@pytest.mark.parametrize('path', MODULES, ids=label)
+@for_each(MODULES, label)
 def test_imports_run_inward(path):
     own = ring_of(path)
     allowed = RINGS.get(own, set()) | {own}
@@ -146,9 +147,7 @@ def test_imports_run_inward(path):
     assert not outward
 
 
-@pytest.mark.parametrize(
-    'path', [path for path in MODULES if ring_of(path) in WITHOUT_ROS], ids=label
-)
+@for_each([path for path in MODULES if ring_of(path) in WITHOUT_ROS], label)
 def test_ros_stays_outside(path):
     found = [
         f'{label(path)}:{line} imports {name}'
@@ -171,9 +170,7 @@ def test_no_node_imports_another():
     assert not found
 
 
-@pytest.mark.parametrize(
-    'path', [path for path in MODULES if ring_of(path) in ('core', 'components')], ids=label
-)
+@for_each([path for path in MODULES if ring_of(path) in ('core', 'components')], label)
 def test_core_and_components_are_pure(path):
     """No clock, file, log or global random state: the same inputs give the same outputs."""
     found = [

@@ -4,11 +4,12 @@
 
 import re
 import xml.etree.ElementTree as ET
+from operator import attrgetter
 from pathlib import Path
 
 import interfaces
-import pytest
 from interfaces import FILES, FOLDER, Field
+from rules import for_each
 
 from fuzzycnc_ros.components.registry import COMPONENTS
 
@@ -17,20 +18,31 @@ NODES = {*COMPONENTS, 'recorder', 'player'}
 PLANNED = {'deformation_compensator', 'feedrate_scheduler', 'servo_controller', 'linuxcnc_bridge'}
 """Nodes whose messages are fixed before they are there."""
 
-MESSAGES = [pytest.param(path, id=path.name) for path in FILES['msg'].values()]
-CALLS = [
-    pytest.param(path, id=path.name) for kind in ('srv', 'action') for path in FILES[kind].values()
-]
+MESSAGES = list(FILES['msg'].values())
+CALLS = [path for kind in ('srv', 'action') for path in FILES[kind].values()]
 EVERY_FIELD = [
-    pytest.param(path, item, id=f'{path.name}-{item.name}')
+    (path, item)
     for kind in FILES
     for path in FILES[kind].values()
     for part in interfaces.parts(path)
     for item in part
 ]
-NUMBERS = [p for p in EVERY_FIELD if p.values[1].is_number]
-FLOATS = [p for p in EVERY_FIELD if p.values[1].is_float]
-ENUMS = [p for p in EVERY_FIELD if (p.values[1].tag or '').startswith(('enum ', 'flags '))]
+NUMBERS = [(path, item) for path, item in EVERY_FIELD if item.is_number]
+FLOATS = [(path, item) for path, item in EVERY_FIELD if item.is_float]
+ENUMS = [
+    (path, item) for path, item in EVERY_FIELD if (item.tag or '').startswith(('enum ', 'flags '))
+]
+
+
+def file_name(path: Path) -> str:
+    """Return what names a definition."""
+    return path.name
+
+
+def field_name(case: tuple[Path, Field]) -> str:
+    """Return what names a field."""
+    path, item = case
+    return f'{path.name}: {item.name}'
 
 
 def users(path: Path, role: str) -> str:
@@ -46,32 +58,32 @@ def test_the_definitions_were_found():
     assert FILES['action']
 
 
-@pytest.mark.parametrize('path', [*MESSAGES, *CALLS])
+@for_each([*MESSAGES, *CALLS], file_name)
 def test_line_one_says_what_it_is(path):
     first = path.read_text().splitlines()[0]
     assert re.fullmatch(r'# [A-Z].{10,}\.', first)
 
 
-@pytest.mark.parametrize('path', [*MESSAGES, *CALLS])
+@for_each([*MESSAGES, *CALLS], file_name)
 def test_every_field_is_explained(path):
     silent = [i.name for part in interfaces.parts(path) for i in part if len(i.comment) < 6]
     assert not silent
 
 
-@pytest.mark.parametrize(('path', 'item'), NUMBERS)
+@for_each(NUMBERS, field_name)
 def test_number_has_its_unit(path, item: Field):
     assert item.tag, f'expected "# [unit] ..." but found {item.comment!r}'
     if not item.tag.startswith(('enum ', 'flags ')):
         assert item.tag in UNITS
 
 
-@pytest.mark.parametrize(('path', 'item'), FLOATS)
+@for_each(FLOATS, field_name)
 def test_float_says_what_an_invalid_value_is(path, item: Field):
     """Either NaN stands for one, or there is none."""
     assert re.search(r'\bNaN\b|always finite|in \[-?\d', item.comment)
 
 
-@pytest.mark.parametrize(('path', 'item'), ENUMS)
+@for_each(ENUMS, field_name)
 def test_enum_has_constants(path, item: Field):
     kind, prefix = item.tag.split()
     named = [i for part in interfaces.parts(path) for i in part if i.value is not None]
@@ -82,7 +94,7 @@ def test_enum_has_constants(path, item: Field):
     assert [int(i.value) for i in own] == [1 << n if bits else n for n in range(len(own))]
 
 
-@pytest.mark.parametrize('path', MESSAGES)
+@for_each(MESSAGES, file_name)
 def test_every_constant_belongs_to_an_enum(path):
     part = interfaces.parts(path)[0]
     named = ('enum ', 'flags ')
@@ -92,7 +104,7 @@ def test_every_constant_belongs_to_an_enum(path):
     assert declared == used
 
 
-@pytest.mark.parametrize('path', MESSAGES)
+@for_each(MESSAGES, file_name)
 def test_message_begins_with_a_header_that_says_stamp_and_frame(path):
     first = interfaces.parts(path)[0]
     fields = [item for item in first if item.value is None]
@@ -104,7 +116,7 @@ def test_message_begins_with_a_header_that_says_stamp_and_frame(path):
     assert re.search(r'frame_id: (<machine>/(machine|workpiece|tool)|empty)', fields[0].comment)
 
 
-@pytest.mark.parametrize('path', [*MESSAGES, *CALLS])
+@for_each([*MESSAGES, *CALLS], file_name)
 def test_parallel_arrays_name_an_array(path):
     for part in interfaces.parts(path):
         arrays = {item.name for item in part if item.is_array}
@@ -114,7 +126,7 @@ def test_parallel_arrays_name_an_array(path):
                 assert name in arrays - {item.name}
 
 
-@pytest.mark.parametrize('path', MESSAGES)
+@for_each(MESSAGES, file_name)
 def test_axis_arrays_carry_iso_841_names(path):
     for item in interfaces.parts(path)[0]:
         if item.name == 'axis':
@@ -122,13 +134,13 @@ def test_axis_arrays_carry_iso_841_names(path):
             assert 'ISO 841' in item.comment
 
 
-@pytest.mark.parametrize('path', MESSAGES)
+@for_each(MESSAGES, file_name)
 def test_error_and_offset_state_their_sign(path):
     if path.stem in ('ThermalError', 'Compensation', 'Displacement'):
         assert 'Sign: ' in interfaces.head(path)
 
 
-@pytest.mark.parametrize('path', MESSAGES)
+@for_each(MESSAGES, file_name)
 def test_message_names_its_users(path):
     for role in ('Published by', 'Read by'):
         text = re.sub(r'\(.*?\)|topic \w+', '', users(path, role))
@@ -136,13 +148,13 @@ def test_message_names_its_users(path):
         assert not unknown
 
 
-@pytest.mark.parametrize('path', CALLS)
+@for_each(CALLS, file_name)
 def test_call_names_its_users(path):
     assert users(path, 'Served by') in NODES
     assert users(path, 'Called by')
 
 
-@pytest.mark.parametrize('path', CALLS)
+@for_each(CALLS, file_name)
 def test_call_answers_whether_and_why(path):
     answer = interfaces.parts(path)[1]
     assert [(item.type, item.name) for item in answer[:2]] == [
@@ -151,7 +163,7 @@ def test_call_answers_whether_and_why(path):
     ]
 
 
-@pytest.mark.parametrize('component', COMPONENTS.values(), ids=list(COMPONENTS))
+@for_each(COMPONENTS.values(), attrgetter('NAME'))
 def test_definition_names_the_nodes_that_declare_it(component):
     for declared, role in ((component.OUTPUTS, 'Published by'), (component.INPUTS, 'Read by')):
         for item in declared:

@@ -9,16 +9,13 @@ from pathlib import Path
 
 import pytest
 import yaml
+from rules import for_each
 
 ROOT = Path(__file__).parents[2]
 TABLES = runpy.run_path(str(ROOT / 'tools' / 'make_tables.py'))
 NODES = TABLES['nodes']()
 RECORDS = sorted({r for node in NODES for r in node.records}, key=lambda r: r.__name__)
-PARAMETERS = [
-    pytest.param(record, item, id=f'{record.__name__}.{item.name}')
-    for record in RECORDS
-    for item in fields(record)
-]
+PARAMETERS = [(record, item) for record in RECORDS for item in fields(record)]
 SI_UNITS = {
     '-',
     'm',
@@ -82,7 +79,7 @@ def test_no_name_is_declared_twice(node):
     assert len(names) == len(set(names))
 
 
-@pytest.mark.parametrize(('record', 'item'), PARAMETERS)
+@for_each(PARAMETERS, lambda case: f'{case[0].__name__}.{case[1].name}')
 def test_parameter_says_what_it_is(record, item):
     assert item.default is not MISSING
     meta = item.metadata
@@ -94,7 +91,7 @@ def test_parameter_says_what_it_is(record, item):
         assert meta['low'] <= meta['high']
 
 
-@pytest.mark.parametrize(('record', 'item'), PARAMETERS)
+@for_each(PARAMETERS, lambda case: f'{case[0].__name__}.{case[1].name}')
 def test_value_out_of_bounds_is_refused(record, item):
     """The refusal names the parameter and the value."""
     meta, default = item.metadata, item.default

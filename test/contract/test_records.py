@@ -3,11 +3,14 @@
 """Records and messages are one thing: same fields, same constants, nothing lost on the way."""
 
 from dataclasses import fields, is_dataclass
+from itertools import product
+from operator import attrgetter
 from typing import Any, get_type_hints
 
 import interfaces
 import numpy as np
 import pytest
+from rules import for_each
 
 from fuzzycnc_ros.components import codes, host_records, records
 from fuzzycnc_ros.components.records import Record, SensorCluster
@@ -123,8 +126,8 @@ def assert_same(found: Any, wanted: Any) -> None:
             assert one == other
 
 
-ALL = pytest.mark.parametrize('record_type', TYPES.values(), ids=list(TYPES))
-EVERY_CASE = pytest.mark.parametrize('case', CASES)
+ALL = for_each(TYPES.values(), attrgetter('TYPE'))
+EVERY_CASE = for_each(product(TYPES.values(), CASES), lambda case: f'{case[0].TYPE}, {case[1]}')
 
 
 def test_every_message_has_a_record():
@@ -173,7 +176,6 @@ def rclpy_target() -> Target:
     return RCLPY
 
 
-@ALL
 @EVERY_CASE
 def test_round_trip_through_rosbags(record_type, case):
     from fuzzycnc_ros.bags import typestore
@@ -186,7 +188,6 @@ def test_round_trip_through_rosbags(record_type, case):
 
 
 @pytest.mark.ros
-@ALL
 @EVERY_CASE
 def test_round_trip_through_rclpy(record_type, case):
     target = rclpy_target()
@@ -200,7 +201,6 @@ def test_round_trip_through_rclpy(record_type, case):
 
 
 @pytest.mark.ros
-@ALL
 @EVERY_CASE
 def test_both_libraries_write_the_same_bytes(record_type, case):
     """Once the padding is normalised, as everywhere where bytes are compared."""

@@ -4,10 +4,12 @@
 
 import re
 from dataclasses import fields, replace
+from operator import attrgetter
 
 import interfaces
 import numpy as np
 import pytest
+from rules import for_each
 
 from fuzzycnc_ros.components.records import (
     AxisCommand,
@@ -40,7 +42,7 @@ def declared(name: str) -> dict[str, set[str]]:
     return found
 
 
-@pytest.mark.parametrize('record', PARALLEL, ids=lambda record: record.__name__)
+@for_each(PARALLEL, attrgetter('__name__'))
 def test_what_is_checked_is_what_the_definition_says(record):
     name = record.TYPE.rsplit('/')[-1]
     checked = {first: set(others) for first, others in PARALLEL[record].items()}
