@@ -11,7 +11,7 @@ FLOOR := $(CURDIR)/.venv-floor
 BIN := $(VENV)/bin
 PYTHON ?=
 ARGS ?=
-FLOOR_TESTS := test/core test/papers test/contract fuzzycnc_ros/core
+FLOOR_TESTS := test/core test/components test/report test/scenario test/papers test/contract fuzzycnc_ros/core
 
 # What a sourced ROS installation or another environment left behind would be mixed with ours.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
@@ -20,9 +20,7 @@ unexport LD_LIBRARY_PATH PYTHONHOME PYTHONPATH VIRTUAL_ENV RMW_IMPLEMENTATION
 # The environment is a whole ROS prefix; one thread a process, as two cores hold many processes.
 ROS := AMENT_PREFIX_PATH='$(VENV)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-# Tests that run nodes keep time and want the processors for themselves; the others share them.
-PYTEST := $(ROS) '$(BIN)/python' -m pytest --timeout=300
-PARALLEL := -n auto --maxprocesses=8 --dist loadfile
+TESTS := $(ROS) '$(BIN)/python' tools/run_tests.py
 
 .PHONY: help
 help: ## List the targets
@@ -37,13 +35,19 @@ demo: setup ## A thermal shift on the simulated mill: train, compensate live, re
 	@$(ROS) '$(BIN)/fuzzycnc' demo $(ARGS)
 
 .PHONY: test
-test: lint ## All checks and all tests
-ifeq ($(strip $(ARGS)),)
-	@status=0; $(PYTEST) $(PARALLEL) -m 'not ros' || status=$$?; \
-	  $(PYTEST) -m ros || status=$$?; exit $$status
-else
-	@$(PYTEST) $(ARGS)
-endif
+test: lint ## Checks and the tests that a change can break, in minutes
+	@$(TESTS) fast $(ARGS)
+
+.PHONY: test-slow
+test-slow: setup ## What `make test` leaves out: all seeds, full sizes, long replays
+	@$(TESTS) slow $(ARGS)
+
+.PHONY: test-all
+test-all: test test-slow ## `make test` and `make test-slow`
+
+.PHONY: qualify
+qualify: setup ## Fault campaign, soak, LinuxCNC, many machines; wants an idle computer
+	@$(TESTS) qualify $(ARGS)
 
 .PHONY: lint
 lint: setup ## Style, format, spelling, types
@@ -66,7 +70,8 @@ test-floor: ## Core and components without ROS on Ubuntu 24.04's versions (Pytho
 	  "$$python" -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if v == (3, 12) else f"test-floor: expected Python 3.12 but found {v[0]}.{v[1]}")' && \
 	  "$$python" tools/setup_env.py floor
 	@PYTHONPATH='$(CURDIR)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 '$(FLOOR)/bin/python' -m pytest \
-	  --timeout=300 $(PARALLEL) -m 'not ros and not slow' -p no:cacheprovider $(FLOOR_TESTS) $(ARGS)
+	  --timeout=300 -n auto --maxprocesses=8 --dist worksteal -m 'not ros and not slow and not qualify' \
+	  -p no:cacheprovider $(FLOOR_TESTS) $(ARGS)
 
 .PHONY: lock
 lock: ## Resolve requirements/*.in anew (needs uv on the PATH)

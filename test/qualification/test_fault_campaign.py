@@ -11,15 +11,15 @@ from fuzzycnc_ros.cli.fault_stage import run_stage
 from fuzzycnc_ros.faults.campaign import STAGES
 
 QUICK = ('strangers', 'compensation')
-"""Stages that are run without `slow` too; with all of them the file takes ten minutes."""
+"""Stages that `make test-all` runs; all of them take ten minutes."""
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 
 def cases():
     """Yield stage and name of each scenario."""
     for stage in STAGES:
-        marks = [] if stage.name in QUICK else [pytest.mark.slow]
+        marks = [pytest.mark.slow if stage.name in QUICK else pytest.mark.qualify]
         for scenario in stage.scenarios:
             yield pytest.param(stage, scenario.name, id=scenario.name, marks=marks)
 

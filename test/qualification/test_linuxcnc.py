@@ -18,7 +18,7 @@ from fuzzycnc_ros.components.records import (
     SECOND,
 )
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.qualify]
 
 AXES = ('X', 'Y', 'Z')
 CLOSE = 0.2 * MICRON

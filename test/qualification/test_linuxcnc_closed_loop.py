@@ -16,7 +16,7 @@ from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
 from fuzzycnc_ros.scenario.closed_loop import ClosedLoopLog
 from fuzzycnc_ros.scenario.shift_log import ShiftLog
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.qualify]
 
 MICRON = 1e-6
 RATE = 150.0

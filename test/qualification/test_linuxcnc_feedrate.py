@@ -17,7 +17,7 @@ from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 from fuzzycnc_ros.core.feedrate.program import strip_feeds
 from fuzzycnc_ros.core.machine.contour import Contour
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.qualify]
 
 TOLERANCE, BLEND = 50e-6, 10e-6
 SCALE, POINTS = 0.875, 2000
@@ -41,7 +41,6 @@ def recorder():
             shutil.rmtree(folder, ignore_errors=True)
 
 
-@pytest.mark.slow
 def test_scheduled_program_runs_and_keeps_the_tolerance(recorder, tmp_path):
     curve = butterfly(SCALE)
     contour = Contour.curve(curve.point)

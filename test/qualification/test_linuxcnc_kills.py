@@ -23,7 +23,7 @@ from fuzzycnc_ros.convert import encode
 from fuzzycnc_ros.nodes.messages import RCLPY, message_class
 from fuzzycnc_ros.nodes.qos import publisher_qos
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.qualify]
 
 MICRON = 1e-6
 CLOSE = 0.2 * MICRON

@@ -19,7 +19,8 @@ NODES = (
 
 
 @pytest.mark.ros
-@pytest.mark.slow
+@pytest.mark.realtime
+@pytest.mark.qualify
 def test_a_live_soak_misses_nothing_and_watches_every_node(monkeypatch):
     soak_live = pytest.importorskip('fuzzycnc_ros.cli.soak_live', reason='run `make test`')
     monkeypatch.setenv('ROS_DOMAIN_ID', '0')  # soak_live takes a domain of its own

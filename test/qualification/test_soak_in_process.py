@@ -26,7 +26,7 @@ from fuzzycnc_ros.scenario.soak import (
 )
 from fuzzycnc_ros.scenario.soak_process import GROWTH_MAX, growths, held_by
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.qualify
 
 
 @pytest.fixture(scope='module')

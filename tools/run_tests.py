@@ -1,0 +1,102 @@
+#!/usr/bin/env python3
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Run a tier of the tests, part by part, and show how long each part took.
+
+A tier has two parts: what keeps no time of its own runs on all processors, what runs in real time
+runs alone, one test after another.  Times are given in seconds and as a ratio to a fixed
+computation of the same run, which tells a slow machine from a slow suite.
+
+Usage: tools/run_tests.py fast|slow|qualify [PYTEST ARGUMENT...]
+       tools/run_tests.py table
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+DURATIONS = ROOT / 'build' / 'durations.tsv'
+TIERS = {
+    'fast': 'not slow and not qualify',
+    'slow': 'slow and not qualify',
+    'qualify': 'qualify',
+}
+ON_ALL_CORES = ('-n', 'auto', '--maxprocesses=8', '--dist', 'worksteal')
+NO_TESTS = 5
+"""Exit code of pytest where the expression leaves none."""
+
+
+def yardstick() -> float:
+    """Return the time that a fixed computation takes here [s]: the best of three, on one core."""
+    best = math.inf
+    for _ in range(3):
+        begin = time.perf_counter()
+        total = 0.0
+        for number in range(1_000_000):
+            total += math.sqrt(number) * (number % 7)
+        best = min(best, time.perf_counter() - begin)
+    return best
+
+
+def table(rows: list[tuple[str, str, float]], unit: float) -> str:
+    """Return part, outcome, time [s] and ratio to the fixed computation as text."""
+    lines = [f'{"part":<28} {"outcome":<8} {"s":>7} {"ratio":>8}']
+    for name, outcome, seconds in rows:
+        lines.append(f'{name:<28} {outcome:<8} {seconds:7.1f} {seconds / unit:8.0f}')
+    lines.append(f'the fixed computation takes {unit * 1e3:.0f} ms here')
+    return '\n'.join(lines)
+
+
+def note(name: str, outcome: str, seconds: float) -> None:
+    """Keep a row for the table of a whole run."""
+    DURATIONS.parent.mkdir(exist_ok=True)
+    with DURATIONS.open('a', encoding='utf-8') as file:
+        file.write(f'{name}\t{outcome}\t{seconds:.1f}\n')
+
+
+def noted() -> list[tuple[str, str, float]]:
+    """Return the rows that were kept since the file was removed."""
+    if not DURATIONS.is_file():
+        return []
+    rows = (line.split('\t') for line in DURATIONS.read_text(encoding='utf-8').splitlines())
+    return [(name, outcome, float(seconds)) for name, outcome, seconds in rows]
+
+
+def run(name: str, command: list[str]) -> bool:
+    """Run a part; return whether it passed."""
+    begin = time.monotonic()
+    done = subprocess.run(command, cwd=ROOT, check=False)
+    passed = done.returncode in (0, NO_TESTS)
+    note(name, 'passed' if passed else 'failed', time.monotonic() - begin)
+    return passed
+
+
+def main(arguments: list[str]) -> int:
+    """Run a tier, or show the table of a whole run."""
+    # A shell that starts this in the background has interrupts ignored; tests send them.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if arguments == ['table']:
+        print(table(noted(), yardstick()))
+        return 0
+    if not arguments or arguments[0] not in TIERS:
+        sys.exit(f'run_tests: expected table, {", ".join(TIERS)} but found {arguments[:1]}')
+    tier, more = arguments[0], arguments[1:]
+    pytest = [sys.executable, '-m', 'pytest', '--timeout=300', *more]
+    marks = TIERS[tier]
+    before = len(noted())
+    passed = run(
+        f'{tier}, on all cores', [*pytest, *ON_ALL_CORES, '-m', f'{marks} and not realtime']
+    )
+    passed &= run(f'{tier}, in real time', [*pytest, '-m', f'{marks} and realtime'])
+    print(table(noted()[before:], yardstick()), flush=True)
+    return 0 if passed else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main(sys.argv[1:]))
