@@ -138,6 +138,7 @@ def test_default_model_on_unseen_duties(recordings):
 
 
 @pytest.mark.paper
+@pytest.mark.slow
 def test_trained_lag_ridge_on_the_hardest_duty(recordings):
     figures = [
         1e6

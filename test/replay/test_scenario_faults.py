@@ -52,7 +52,7 @@ def test_healthy_sensors_are_trusted():
     assert np.mean(seen) < 0.05
 
 
-@pytest.mark.parametrize('step', [5.0, -5.0])
+@pytest.mark.parametrize('step', [5.0, pytest.param(-5.0, marks=pytest.mark.slow)])
 def test_a_jump_is_substituted_within_a_few_samples(step):
     found, moved = [], []
     for shift, sensor, beside in with_fault(f'jump:{{}}:{step}', FAULTY_SEEDS, samples=75):
@@ -125,6 +125,7 @@ def test_a_stuck_sensor_is_found_by_its_readings_and_costs_little():
         assert (shift.largest <= beside.largest + 3.0).all()
 
 
+@pytest.mark.slow
 def test_a_stuck_sensor_whose_readings_flicker_is_left_to_the_watch():
     """As if the readings did change by a bit: the acquisition does not look for stuck sensors."""
     watched, unwatched = (

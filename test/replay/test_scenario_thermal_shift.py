@@ -91,6 +91,7 @@ def test_an_unseen_shift_is_compensated(shift):
 
 
 @pytest.mark.paper
+@pytest.mark.slow
 def test_default_on_t2_within_the_published_figures_median_of_5_seeds():
     found = []
     for seed in range(5):

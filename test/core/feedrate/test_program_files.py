@@ -36,6 +36,7 @@ FILES = {
     'ugs/rotation.ngc': (49965, 0, 825),
     'ugs/spiral.gcode': (8, 6, 1),
 }
+LONG = ('ugs/Gates_combined_R12.nc', 'ugs/rotation.ngc')
 FOR_LINUXCNC = [name for name in FILES if name.startswith('ugs') and 'no_spaces' not in name]
 
 PROGRAM = """G21 G90 G17 G40 G64 P0.01
@@ -49,6 +50,11 @@ G91 G1 X1.5 Y-.5
 G2 X2 Y-2 J-2
 G90.1 G90 G3 I20 J10 F2000
 """
+
+
+def long_ones_are_slow(names):
+    """Return names of programs, those that take seconds marked."""
+    return [pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in names]
 
 
 def read(path):
@@ -75,7 +81,7 @@ def gcode(data):
     return data / 'gcode'
 
 
-@pytest.mark.parametrize('name', FILES)
+@pytest.mark.parametrize('name', long_ones_are_slow(FILES))
 def test_a_real_program_is_read_and_written_without_loss(gcode, name):
     text = read(gcode / name)
     program = read_program(text)
@@ -181,13 +187,13 @@ def canonical(part):
     )
 
 
-@pytest.mark.parametrize('name', FOR_LINUXCNC)
+@pytest.mark.parametrize('name', long_ones_are_slow(FOR_LINUXCNC))
 def test_linuxcnc_reads_the_same_path_and_feeds(gcode, name, tmp_path):
     program = read_program(read(gcode / name))
     check_against(program, interpreted(program.text, tmp_path))
 
 
-@pytest.mark.parametrize('name', FOR_LINUXCNC)
+@pytest.mark.parametrize('name', long_ones_are_slow(FOR_LINUXCNC))
 def test_linuxcnc_reads_the_same_path_and_the_new_feeds(gcode, name, tmp_path):
     program = read_program(read(gcode / name))
     written = write_program(program, slowed(program, 3))
