@@ -4,7 +4,6 @@
 
 import json
 import random
-from functools import cache
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from benches import predictor_bench
 from fuzzing.campaign import SEEDS, bounded, fuzz, refusal
 from fuzzing.file_mutations import mutated_bytes, mutated_json, mutated_text
 from hypothesis import given
+from kept import kept
 
 from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, read_model, write_model
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
@@ -21,7 +21,7 @@ from fuzzycnc_ros.core.thermal.document import ModelFileError
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 
 
-@cache
+@kept
 def thermal_text() -> str:
     """Return a thermal model with a recursion of every kind that trains in a moment."""
     runs = [predictor_bench.recordings()[name] for name in ('D0', 'T1')]
@@ -29,7 +29,7 @@ def thermal_text() -> str:
     return train_model(runs, candidates=kinds).to_json()
 
 
-@cache
+@kept
 def deformation_text() -> str:
     """Return a model of a foam sheet."""
     data = foam_samples(22)

@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from kept import kept
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.errors import BagExistsError
@@ -30,10 +31,15 @@ def calibration(tmp_path_factory):
     return record_calibration(('D0', 'D0b', 'T1'), folder=tmp_path_factory.mktemp('calibration'))
 
 
+@kept
+def model_of_the_mill():
+    return train_model(record_calibration(('D0', 'D0b', 'T1')).runs).to_json()
+
+
 @pytest.fixture(scope='module')
-def model_text(calibration):
+def model_text():
     """A model trained on them."""
-    return train_model(calibration.runs).to_json()
+    return model_of_the_mill()
 
 
 @pytest.fixture(scope='module')

@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from kept import kept
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.components.simulated_machine_part import PART_PROGRAM
@@ -26,11 +27,16 @@ SETTINGS = ShiftSettings(
 )
 
 
+@kept
+def model_of_the_mill():
+    period = {'simulated_machine': {'tick_period': TICK}}
+    return train_model(record_calibration(parameters=period).runs).to_json()
+
+
 @pytest.fixture(scope='module')
 def model():
     """Text of a thermal model."""
-    period = {'simulated_machine': {'tick_period': TICK}}
-    return train_model(record_calibration(parameters=period).runs).to_json()
+    return model_of_the_mill()
 
 
 @pytest.fixture(scope='module')

@@ -28,6 +28,7 @@ from typing import Any
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from kept import kept
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
@@ -357,10 +358,16 @@ def observer(domain: int, graph: Graph) -> Iterator[Observer]:
         watching.close()
 
 
+@kept
+def model_of_the_mill() -> str:
+    """Return a model trained on three calibration runs of the simulated mill."""
+    return train_model(record_calibration().runs).to_json()
+
+
 @pytest.fixture(scope='session')
 def model_text() -> str:
     """A model trained on three calibration runs of the simulated mill."""
-    return train_model(record_calibration().runs).to_json()
+    return model_of_the_mill()
 
 
 @pytest.fixture

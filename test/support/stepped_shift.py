@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cache
 
 import numpy as np
+from kept import kept
 
 from fuzzycnc_ros.components.compensator import Compensator
 from fuzzycnc_ros.components.component import Emission
@@ -153,13 +154,13 @@ def calibrated(seed: int) -> Calibration:
     return record_calibration(seed=seed)
 
 
-@cache
+@kept
 def model_of(seed: int, *candidates: str) -> str:
     """Return the file of a model of them."""
     return train_model(calibrated(seed).runs, candidates=candidates or CANDIDATES).to_json()
 
 
-@cache
+@kept
 def speed_model() -> str:
     """Return the file of a model that reads the spindle speed."""
     name = 'lag_ridge_speed'

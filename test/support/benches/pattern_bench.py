@@ -3,11 +3,11 @@
 """A deformation compensator that knows its sheet, and patterns for it."""
 
 from dataclasses import replace
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
 from benches.component_bench import Bench
+from kept import kept
 
 from fuzzycnc_ros.components.deformation_compensator import DeformationCompensator
 from fuzzycnc_ros.components.deformation_compensator_config import DeformationCompensatorConfig
@@ -24,7 +24,7 @@ CORNERS = [(float(x), float(y)) for x, y in TRACK.points[list(TRACK.corners)]]
 SIDES = [Primitive(start, end, 6e-3, 3e-3) for start, end in pairwise(CORNERS)]
 
 
-@cache
+@kept
 def model_text():
     """Return a model of simulated samples."""
     return write_model(TSFuzzyNetwork().fit(*foam_samples(0)).model_)

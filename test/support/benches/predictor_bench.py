@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from benches.component_bench import Bench
+from kept import kept
 
 from fuzzycnc_ros.components.codes import MachineMode
 from fuzzycnc_ros.components.records import (
@@ -21,7 +22,7 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalPredictorConfig
 from fuzzycnc_ros.core.machine.duties import record_runs
-from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, train_model
+from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, load_model, train_model
 
 START = 6 * 3600.0
 """Machine time of the first sample [s]."""
@@ -36,17 +37,17 @@ def recordings() -> dict[str, ThermalRun]:
     return {name: replace(run, spindle_speed=None) for name, run in record_runs(seed=0).items()}
 
 
+@kept
+def model_text(*names: str) -> str:
+    """Return the file of a model of some runs, of three if none is named."""
+    runs = [recordings()[name] for name in names or ('D0', 'D0b', 'T1')]
+    return train_model(runs, candidates=LINEAR).to_json()
+
+
 @cache
 def trained(*names: str) -> ThermalModel:
-    """Return a model of some runs, of three if none is named."""
-    runs = [recordings()[name] for name in names or ('D0', 'D0b', 'T1')]
-    return train_model(runs, candidates=LINEAR)
-
-
-@cache
-def model_text(*names: str) -> str:
-    """Return its file."""
-    return trained(*names).to_json()
+    """Return that model."""
+    return load_model(model_text(*names))
 
 
 def reference_of(run: ThermalRun, **changes: Any) -> ThermalReference:
