@@ -68,19 +68,26 @@ def noted() -> list[tuple[str, str, float]]:
     return [(name, outcome, float(seconds)) for name, outcome, seconds in rows]
 
 
-def run(name: str, command: list[str]) -> bool:
-    """Run a part; return whether it passed."""
+def run(name: str, command: list[str]) -> int:
+    """Run a part; return the exit code of pytest."""
     begin = time.monotonic()
-    done = subprocess.run(command, cwd=ROOT, check=False)
-    passed = done.returncode in (0, NO_TESTS)
-    note(name, 'passed' if passed else 'failed', time.monotonic() - begin)
-    return passed
+    process = subprocess.Popen(command, cwd=ROOT)
+    try:
+        code = process.wait()
+    except KeyboardInterrupt:
+        process.send_signal(signal.SIGINT)  # asked to end alone: the tests still clean up
+        process.wait()
+        raise
+    outcome = {0: 'passed', NO_TESTS: 'no tests'}.get(code, 'failed')
+    note(name, outcome, time.monotonic() - begin)
+    return code
 
 
 def main(arguments: list[str]) -> int:
     """Run a tier, or show the table of a whole run."""
-    # A shell that starts this in the background has interrupts ignored; tests send them.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    # A shell that starts this in the background has interrupts ignored.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
     if arguments == ['table']:
         print(table(noted(), yardstick()))
         return 0
@@ -90,13 +97,19 @@ def main(arguments: list[str]) -> int:
     pytest = [sys.executable, '-m', 'pytest', '--timeout=300', *more]
     marks = TIERS[tier]
     before = len(noted())
-    passed = run(
-        f'{tier}, on all cores', [*pytest, *ON_ALL_CORES, '-m', f'{marks} and not realtime']
-    )
-    passed &= run(f'{tier}, in real time', [*pytest, '-m', f'{marks} and realtime'])
+    parts = ((*ON_ALL_CORES, '-m', f'{marks} and not realtime'), ('-m', f'{marks} and realtime'))
+    codes = {
+        run(f'{tier}, {how}', [*pytest, *options])
+        for how, options in zip(('on all cores', 'in real time'), parts, strict=True)
+    }
     print(table(noted()[before:], yardstick()), flush=True)
-    return 0 if passed else 1
+    if codes == {NO_TESTS}:
+        print(f'run_tests: expected tests of the tier {tier} but {" ".join(more)} leaves none')
+    return 0 if 0 in codes <= {0, NO_TESTS} else 1
 
 
 if __name__ == '__main__':
-    sys.exit(main(sys.argv[1:]))
+    try:
+        sys.exit(main(sys.argv[1:]))
+    except KeyboardInterrupt:
+        sys.exit(130)
