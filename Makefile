@@ -30,6 +30,10 @@ help: ## List the targets
 setup: ## Build .venv: locked dependencies, messages, package (done once, as needed)
 	@python=$$(tools/find_python.sh $(PYTHON)) && "$$python" tools/setup_env.py full
 
+.PHONY: wheels
+wheels: ## Write wheels of the package and its messages to dist/, to install without this tree
+	@python=$$(tools/find_python.sh $(PYTHON)) && "$$python" tools/setup_env.py wheels
+
 .PHONY: demo
 demo: setup ## A thermal shift on the simulated mill: train, compensate live, report
 	@$(ROS) '$(BIN)/fuzzycnc' demo $(ARGS)
@@ -79,5 +83,5 @@ lock: ## Resolve requirements/*.in anew (needs uv on the PATH)
 
 .PHONY: clean
 clean: ## Remove the environments and everything built
-	@rm -rf .venv .venv-floor build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	@rm -rf .venv .venv-floor build dist install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	@find . -name __pycache__ -not -path './.git/*' -type d -prune -exec rm -rf {} +

@@ -1,6 +1,8 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
+import sys
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
@@ -26,6 +28,19 @@ report = ['jinja2', 'matplotlib']
 ml = ['scikit-learn', 'threadpoolctl']
 modbus = ['pymodbus>=3.10']
 opcua = ['asyncua>=1.1.5', 'cryptography']
+executables = ['fuzzycnc', *nodes]
+
+
+def wrappers():
+    """Write the executables that `ros2 run` looks for; in a wheel pip fills bin/ only."""
+    folder = Path('build', 'executables')
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in executables:
+        path = folder / name
+        path.write_text(f'#!/bin/sh\nexec "${{0%/*}}/../../bin/{name}" "$@"\n')
+        path.chmod(0o755)
+    return [('lib/' + package_name, [str(folder / name) for name in executables])]
+
 
 setup(
     name=package_name,
@@ -38,9 +53,12 @@ setup(
         ('share/' + package_name + '/params', sorted(glob('params/*.*'))),
         ('share/' + package_name + '/launch', sorted(glob('launch/*.launch.py'))),
         ('share/' + package_name + '/linuxcnc', sorted(glob('linuxcnc/*.*'))),
+        *(wrappers() if 'bdist_wheel' in sys.argv else []),  # colcon puts its own there
     ],
     python_requires='>=3.10',
-    install_requires=['numpy>=1.26', 'scipy>=1.11'],
+    # What the commands need, for those who install by pip. ROS is not named: the wheel of
+    # fuzzycnc_msgs brings it, and beside a real ROS pip must not fetch another one.
+    install_requires=['numpy>=1.26', 'scipy>=1.11', *command_line, *report, *ml],
     extras_require={
         'bags': bags,
         'cli': command_line,

@@ -3,9 +3,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build the virtual environment: locked dependencies, the messages, the package.
 
-Three stages, each with a stamp inside the environment that names what it was built from.  A
-stage runs again when its inputs changed; a stamp is written last, so an interrupted run is
-repeated.  Standard library only: this runs before anything is installed.
+Each stage has a stamp inside the environment that names what it was built from, written last.  A
+stage runs again when its inputs changed; one that was interrupted goes on with what it has:
+packages that are installed whole, and the build folder of the messages.  The messages are built
+as soon as ROS is there, beside the rest of the dependencies.  Standard library only: this runs
+before anything is installed.
 """
 
 from __future__ import annotations
@@ -15,16 +17,48 @@ import fcntl
 import hashlib
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
-import time
+from collections.abc import Sequence
 from pathlib import Path
+
+import setup_lock
+from setup_jobs import Interrupted, Job, JobError, Progress, Signals, run
 
 ROOT = Path(__file__).resolve().parents[1]
 SUPPORTED = ((3, 10), (3, 13))  # the ROS wheels exist for these
 CMAKE = (3, 21)
+SLICE = 36  # packages for one run of pip: what an interrupted set-up loses at most
+
+# What takes long to fetch and the messages are not built with: installed while they compile.
+LATER = {
+    'apsw',
+    'asyncua',
+    'cryptography',
+    'fonttools',
+    'hypothesis',
+    'matplotlib',
+    'mypy',
+    'pillow',
+    'pydantic',
+    'pydantic-core',
+    'ruff',
+    'scikit-learn',
+    'scipy',
+    'scipy-stubs',
+    'toppra',
+}
+
+# Loading every entry point once shows that all is there, and leaves its byte code for the many
+# processes that start at the same time later; pip would compile three times as much.
+LOAD_ALL = """
+from importlib.metadata import distribution
+for entry in distribution('fuzzycnc_ros').entry_points:
+    entry.load()
+"""
 
 # The ROS wheels and a sourced ROS installation leave these behind; in another environment's
 # Python they load the wrong libraries or skip the set-up of the right ones.
@@ -103,34 +137,15 @@ def fingerprint(*patterns: str, above: str = '') -> str:
     return digest.hexdigest()
 
 
-def run(what: str, *command: str | Path) -> None:
-    """Run a command, silent unless it fails."""
-    print(f'set-up: {what} ...', file=sys.stderr, flush=True)
-    begin = time.monotonic()
-    done = subprocess.run(
-        [str(part) for part in command],
-        cwd=ROOT,
-        env=clean_environment(),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        close_fds=False,  # the lock stays held while a child of a killed set-up still works
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        print(done.stdout, file=sys.stderr)
-        raise SetupError(f'{what} failed, see above; the next start tries again')
-    print(f'set-up: {what}: {time.monotonic() - begin:.0f} s', file=sys.stderr, flush=True)
-
-
 class Environment:
     """A virtual environment with one stamp a stage."""
 
-    def __init__(self, folder: Path, lock: Path) -> None:
+    def __init__(self, folder: Path, lock: Path, signals: Signals) -> None:
         self.folder = folder
         self.lock = lock
         self.python = folder / 'bin' / 'python'
+        self.signals = signals
+        self.progress = Progress()
 
     def runs(self) -> bool:
         """Return whether the environment's interpreter is there and starts."""
@@ -140,9 +155,23 @@ class Environment:
         done = subprocess.run(command, capture_output=True, env=clean_environment(), check=False)
         return done.returncode == 0
 
-    def pip(self, what: str, *arguments: str | Path) -> None:
-        """Run pip inside the environment."""
-        run(what, self.python, '-m', 'pip', 'install', '--disable-pip-version-check', *arguments)
+    def site_packages(self) -> Path:
+        """Return where pip puts packages."""
+        version = f'python{sys.version_info[0]}.{sys.version_info[1]}'
+        return self.folder / 'lib' / version / 'site-packages'
+
+    def pip(self, *arguments: str | Path) -> list[str | Path]:
+        """Return a command that runs pip inside the environment."""
+        options = ('--disable-pip-version-check', '--no-deps', '--no-build-isolation')
+        verb, *others = arguments
+        return [self.python, '-m', 'pip', verb, *options, *others]
+
+    def run(self, *jobs: Job) -> None:
+        """Carry out jobs, silent but for their progress unless one fails."""
+        try:
+            run(jobs, ROOT, clean_environment(), self.progress, self.signals)
+        except JobError as error:
+            raise SetupError(f'{error}; the next start tries again') from None
 
     def is_current(self, stage: str, wanted: str) -> bool:
         """Return whether the stage was finished with these inputs."""
@@ -155,35 +184,90 @@ class Environment:
         draft.write_text(built_from)
         draft.replace(self.folder / f'{stage}.stamp')
 
-    def ensure_dependencies(self, version: str) -> str:
-        """Make the environment from the lock unless it is there; return what it is made from."""
+    def ensure_folder(self, version: str) -> str:
+        """Make the environment, empty, unless it is there; return what it is made from."""
         # The folder counts too: scripts in an environment name its place.
         wanted = fingerprint(str(self.lock.relative_to(ROOT)), above=f'{version} {self.folder}')
-        if self.is_current('dependencies', wanted) and self.runs():
+        if self.is_current('environment', wanted) and self.runs():
             return wanted
         check_interpreter()
         if self.folder.name == '.venv':
             check_tools()
         what = f'{self.folder.name} with Python {version}'
-        run(what, sys.executable, '-m', 'venv', '--clear', self.folder)
-        # The two packages without a wheel are built with the locked setuptools, not a fetched one.
-        first = self.folder / 'first.txt'
-        first.write_text(locked(self.lock, 'setuptools'))
-        options = ('--require-hashes', '--no-deps', '--no-build-isolation')
-        self.pip('locked setuptools', *options, '-r', first)
-        self.pip('locked dependencies', *options, '-r', self.lock)
-        self.finish('dependencies', wanted)
+        self.run(Job(what, [sys.executable, '-m', 'venv', '--clear', self.folder]))
+        self.finish('environment', wanted)
         return wanted
 
-    def ensure_messages(self, above: str) -> None:
-        """Compile and install fuzzycnc_msgs unless it is current."""
-        wanted = fingerprint('msg_defs/**/*', above=above)
-        if self.is_current('messages', wanted):
+    def ensure_contents(self, wanted: str, messages: bool) -> None:
+        """Install what the environment lacks of the lock; build the messages meanwhile."""
+        sooner: list[Job] = []
+        later: list[Job] = []
+        if not self.is_current('dependencies', wanted):
+            sooner, later = self._installations()
+        defined = fingerprint('msg_defs/**/*', above=wanted)
+        if not messages or self.is_current('messages', defined):
+            self.run(*sooner, *later)
+            self.finish('dependencies', wanted)
             return
         check_tools()
-        options = ('--no-deps', '--no-build-isolation', '--force-reinstall')
-        self.pip('messages (fuzzycnc_msgs)', *options, ROOT / 'msg_defs')
-        self.finish('messages', wanted)
+        try:
+            options = ('--no-compile', '--force-reinstall')
+            self.run(*sooner, self.messages('install', *options, needs=sooner), *later)
+        except SetupError:
+            shutil.rmtree(self.folder / 'messages', ignore_errors=True)  # a fresh one may succeed
+            raise
+        self.finish('dependencies', wanted)
+        self.finish('messages', defined)
+
+    def _installations(self) -> tuple[list[Job], list[Job]]:
+        """Return the runs of pip that messages wait for, and the others."""
+        wanted = setup_lock.entries(self.lock)
+        there = setup_lock.held(self.site_packages())
+        missing = [entry for entry in wanted if (entry.name, entry.version) not in there]
+        stage, done = 'locked dependencies', len(wanted) - len(missing)
+
+        def count(line: str) -> None:
+            nonlocal done
+            # A wheel from a folder is processed, another one is collected.
+            if begun := re.match(
+                r'(?:Collecting |Processing .*/)(\w[\w.]*(?:-[a-z][\w.]*)*)', line
+            ):
+                done += 1
+                self.progress.step(stage, done, len(wanted), begun[1])
+
+        def install(entries: list[setup_lock.Entry], needs: list[Job]) -> list[Job]:
+            jobs = []
+            for part in setup_lock.slices(entries, SLICE):
+                listed = self.folder / f'{part[0].name}.txt'
+                listed.write_text(''.join(entry.text for entry in part))
+                options = ('--no-compile', '--progress-bar=off', '--require-hashes', '-r', listed)
+                jobs.append(Job(stage, self.pip('install', *options), needs, count))
+            return jobs
+
+        # The two packages without a wheel are built with the locked setuptools, not a fetched one.
+        builders = install([entry for entry in missing if entry.name == 'setuptools'], [])
+        others = [entry for entry in missing if entry.name != 'setuptools']
+        sooner = install([entry for entry in others if entry.name not in LATER], builders)
+        later = install([entry for entry in others if entry.name in LATER], builders)
+        return builders + sooner, later
+
+    def messages(self, verb: str, *arguments: str | Path, needs: Sequence[Job] = ()) -> Job:
+        """Return the run of pip that compiles fuzzycnc_msgs, in a folder that is kept."""
+        stage = 'messages (fuzzycnc_msgs)'
+
+        def count(line: str) -> None:
+            if files := re.match(r'\s*\[(\d+)/(\d+)\]', line):  # ninja
+                self.progress.step(stage, int(files[1]), int(files[2]), unit=' files')
+            elif percent := re.match(r'\s*\[ *(\d+)%\]', line):  # make
+                self.progress.step(stage, int(percent[1]), 100, unit=' %')
+
+        # By variables: the pip of Ubuntu 22.04 cannot pass settings on.
+        settings = {
+            'SKBUILD_BUILD_DIR': str(self.folder / 'messages'),
+            'CMAKE_BUILD_PARALLEL_LEVEL': str(os.cpu_count() or 1),
+        }
+        command = self.pip(verb, '--verbose', *arguments, ROOT / 'msg_defs')
+        return Job(stage, command, needs, count, settings)
 
     def ensure_package(self, above: str) -> None:
         """Install the package, editable, with its ament index entries, unless it is current."""
@@ -191,20 +275,28 @@ class Environment:
         wanted = fingerprint(*description, 'params/*', 'launch/*', 'resource/*', above=above)
         if self.is_current('package', wanted):
             return
-        options = ('--no-deps', '--no-build-isolation', '--editable')
-        self.pip('package (fuzzycnc_ros)', *options, ROOT)
-        self._install_shared()
+        stage = 'package (fuzzycnc_ros)'
+        install = Job(stage, self.pip('install', '--editable', ROOT))
+        shutil.rmtree(self.folder / 'share' / 'fuzzycnc_ros', ignore_errors=True)
+        # An editable install leaves out the `data_files` of setup.py: index entry, params, launch.
+        command = ('setup.py', '--quiet', 'install_data', '--install-dir', self.folder)
+        share = Job(stage, [self.python, *command], [install])
+        load = Job(stage, [self.python, '-c', LOAD_ALL], [install, share])
+        self.run(install, share, load)
         self._link_executables()
         self.finish('package', wanted)
 
-    def _install_shared(self) -> None:
-        """Put the ament index entry, params and launch files into share/; pip does not.
-
-        An editable install leaves out the `data_files` of setup.py.
-        """
-        shutil.rmtree(self.folder / 'share' / 'fuzzycnc_ros', ignore_errors=True)
-        install = ('setup.py', '--quiet', 'install_data', '--install-dir', self.folder)
-        run('share/fuzzycnc_ros', self.python, *install)
+    def build_wheels(self) -> None:
+        """Write wheels of the messages and of the package to dist/."""
+        folder = ROOT / 'dist'
+        for stale in folder.glob('fuzzycnc_*.whl'):
+            stale.unlink()
+        shutil.rmtree(ROOT / 'build' / 'lib', ignore_errors=True)  # modules that are no more
+        messages = self.messages('wheel', '--wheel-dir', folder)
+        package = Job('package (fuzzycnc_ros)', self.pip('wheel', '--wheel-dir', folder, ROOT))
+        self.run(messages, package)
+        for wheel in sorted(folder.glob('fuzzycnc_*.whl')):
+            print(wheel.relative_to(ROOT))
 
     def _link_executables(self) -> None:
         """Put the entry points where `ros2 run` looks; pip fills bin/ only."""
@@ -228,49 +320,44 @@ class Environment:
             (folder / name).symlink_to(Path('..', '..', 'bin', name))
 
 
-def locked(lock: Path, name: str) -> str:
-    """Return the lines of one package in a lock file."""
-    lines: list[str] = []
-    for line in lock.read_text().splitlines():
-        if line.startswith(f'{name}=='):
-            lines = [line]
-        elif lines and line.startswith(' '):
-            lines.append(line)
-        elif lines:
-            break
-    if not lines:
-        raise SetupError(f'expected {name} in {lock.relative_to(ROOT)} but found none')
-    return '\n'.join(lines) + '\n'
+def take_turn(guard: int) -> None:
+    """Wait for a set-up that is under way, which then leaves nothing to do."""
+    try:
+        fcntl.flock(guard, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        print('set-up: waiting for another one in this folder', file=sys.stderr, flush=True)
+        fcntl.flock(guard, fcntl.LOCK_EX)
 
 
 def main() -> int:
-    """Carry out one command: `check`, `full` or `floor`."""
+    """Carry out one command: `check`, `full`, `floor` or `wheels`."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('command', choices=('check', 'full', 'floor'))
+    parser.add_argument('command', choices=('check', 'full', 'floor', 'wheels'))
     command = parser.parse_args().command
     try:
         if command == 'check':
             check_interpreter()
             return 0
         version = sys.version.split()[0]
-        with (ROOT / 'setup.py').open() as guard:
+        with Signals() as signals, (ROOT / 'setup.py').open() as guard:
             os.set_inheritable(guard.fileno(), True)
-            fcntl.flock(guard, fcntl.LOCK_EX)  # two starts at once: the second waits, then skips
-            if command == 'floor':
-                lock = ROOT / 'requirements' / 'floor.txt'
-                Environment(ROOT / '.venv-floor', lock).ensure_dependencies(version)
-            else:
-                lock = ROOT / 'requirements' / 'environment.txt'
-                environment = Environment(ROOT / '.venv', lock)
-                dependencies = environment.ensure_dependencies(version)
-                environment.ensure_messages(dependencies)
-                environment.ensure_package(dependencies)
+            take_turn(guard.fileno())
+            floor = command == 'floor'
+            folder = ROOT / ('.venv-floor' if floor else '.venv')
+            lock = ROOT / 'requirements' / ('floor.txt' if floor else 'environment.txt')
+            environment = Environment(folder, lock, signals)
+            made_from = environment.ensure_folder(version)
+            environment.ensure_contents(made_from, messages=not floor)
+            if not floor:
+                environment.ensure_package(made_from)
+            if command == 'wheels':
+                environment.build_wheels()
     except SetupError as error:
         print(f'set-up: {error}', file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print('set-up: interrupted; the next start tries again', file=sys.stderr)
-        return 130
+    except Interrupted as error:
+        print('set-up: interrupted; the next start goes on from here', file=sys.stderr)
+        return 128 + int(error.args[0])
     return 0
 
 
