@@ -26,6 +26,7 @@ from fuzzycnc_ros.core.thermal import train_model
 
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / 'core'))
+import campaign
 import hostile_files
 import hostile_runs
 import predictor_bench
@@ -94,6 +95,18 @@ def test_hostile_bags_are_read_or_refused(make, tmp_path):
     for use in uses(bag, tmp_path / 'repaired'):
         refusal(ValueError, use)
     shutil.rmtree(tmp_path, ignore_errors=True)
+
+
+def test_what_costs_without_bound_is_found(monkeypatch):
+    monkeypatch.setattr(campaign, 'COST_MAX', 3.0)
+    monkeypatch.setattr(campaign, 'GLANCE', 0.1)
+
+    def endless():
+        while True:
+            pass
+
+    with pytest.raises(campaign.CostsTooMuch, match='at most 3 times'):
+        refusal(ValueError, endless)
 
 
 def test_honest_bags_are_read(tmp_path):

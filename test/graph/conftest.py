@@ -26,6 +26,7 @@ from typing import Any
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from processes import HANG, start
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
@@ -47,8 +48,7 @@ DOMAINS = 100
 """Domains 1 to 100: above 101 the ports would lie among those that the system hands out."""
 PORTS, PORTS_EACH = 7400, 250
 """First port of domain 0, and ports of each domain, as DDS-RTPS lays down."""
-START_TIMEOUT = 30.0
-STOP_TIMEOUT = 20.0
+START_TIMEOUT = STOP_TIMEOUT = HANG
 RUN_TIMEOUT = 240.0
 CLOSE_TIMEOUT = 3.0
 STREAM, LATCHED = Durability.STREAM, Durability.LATCHED
@@ -132,6 +132,7 @@ class Graph:
         files: tuple[Path, ...] = (),
         arguments: tuple[str, ...] = (),
         namespace: str = '/mill',
+        interrupts: str = 'default',
     ) -> Running:
         """Start a node with parameters, parameter files read before them, and remappings."""
         folder = self.folder / f'{len(self.running)}-{node}'
@@ -139,7 +140,7 @@ class Graph:
         own = parameter_file(folder, namespace, [NodeSpec(node, parameters or {})])
         command = [sys.executable, '-m', f'fuzzycnc_ros.nodes.{node}']
         command += [*ros_arguments(namespace, [*files, own]), *arguments]
-        return self.launch(node, command, folder)
+        return self.launch(node, command, folder, interrupts)
 
     def start_shift(
         self,
@@ -168,7 +169,9 @@ class Graph:
             if spec.name not in without
         }
 
-    def launch(self, name: str, command: list[str], folder: Path) -> Running:
+    def launch(
+        self, name: str, command: list[str], folder: Path, interrupts: str = 'default'
+    ) -> Running:
         """Start any command in the test's domain."""
         environment = {
             **os.environ,
@@ -179,8 +182,9 @@ class Graph:
         }
         log = folder / 'output.log'
         with log.open('wb') as output:
-            process = subprocess.Popen(
+            process = start(
                 command,
+                interrupts=interrupts,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,

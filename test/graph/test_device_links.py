@@ -30,7 +30,7 @@ from secured_server import SECURITY, secured, user_file
 
 pytestmark = pytest.mark.ros
 
-TIMEOUT = 30.0
+TIMEOUT = 60.0
 MODBUS = """
 devices:
   - name: rtd
