@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import hypothesis
+import processes
 import pytest
 
 # The same examples in every run; HYPOTHESIS_PROFILE=explore looks for new ones.
@@ -16,6 +17,11 @@ hypothesis.settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'seeded'))
 
 ROOT = Path(__file__).parents[1]
 collect_ignore = ['support']
+
+# What a test, the fixtures of a module or those of all have started ends with them.
+nobody_left_by_a_test = pytest.fixture(autouse=True)(processes.nobody_left)
+nobody_left_by_a_module = pytest.fixture(autouse=True, scope='module')(processes.nobody_left)
+nobody_left_by_all = pytest.fixture(autouse=True, scope='session')(processes.nobody_left)
 
 
 @pytest.fixture(scope='session')

@@ -28,6 +28,7 @@ from fuzzycnc_ros.bags.typestore import (
     serialize,
     type_hash,
 )
+from fuzzycnc_ros.bags.uninterrupted import uninterrupted
 from fuzzycnc_ros.components.provenance import MESSAGE_SET
 
 CHUNK_SIZE = 16384
@@ -114,6 +115,15 @@ class BagWriter:
         self._stop = 0
         self._waiting_since: float | None = None
         self._failure = ''
+        try:
+            with uninterrupted():
+                self._begin(chunk_size, compression)
+        except KeyboardInterrupt:
+            self.close()  # nobody else could: an empty bag is whole
+            raise
+
+    def _begin(self, chunk_size: int, compression: str) -> None:
+        """Make the folder and its files."""
         self._sink = Sink(_make_folder(self.path) / f'{self.path.absolute().name}_0.mcap')
         self._writer = self._module.Writer(
             self._sink,
@@ -124,7 +134,7 @@ class BagWriter:
             self._index = spill_index(self._writer, self.path)
             self._writer.start(profile='ros2', library='fuzzycnc_ros')
             self._writer.add_metadata(
-                METADATA_RECORD, {'message_set': str(message_set), **self._custom}
+                METADATA_RECORD, {'message_set': str(self._message_set), **self._custom}
             )
             self._metadata(rosbag2.STATE_RECORDING).write(self.path)
 
@@ -324,7 +334,8 @@ class BagWriter:
         if self._sink.closed:
             return
         try:
-            self._close()
+            with uninterrupted():
+                self._close()
         finally:
             if self._index is not None:
                 self._index.close()

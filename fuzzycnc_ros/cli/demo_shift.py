@@ -3,7 +3,9 @@
 """Scenario `shift` of the demo: a mill with everything on for eight hours, beside a quilter."""
 
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -171,32 +173,35 @@ def _run_both(out: Path, settings: Any, thermal: str, foam: str, progress: Steps
 
     started = time.monotonic()
 
-    def mill() -> tuple[dict[str, Any], float]:
+    def until_over(graph: GraphProcesses) -> float:
         with progress.step('ran the shift of the mill live over DDS, in lock-step'):
-            specs = mill_specs(out / 'model.json', settings)
-            return _graph(out, MILL, LIVE[MILL], specs), time.monotonic()
+            graph.wait('simulated_machine', LIVE_TIMEOUT)
+            return time.monotonic()
 
-    def beside() -> tuple[dict[str, Any], float, Any]:
+    specs = mill_specs(out / 'model.json', settings)
+    # An interrupt reaches this thread, which then ends the mill, and with it the one that waits.
+    with ThreadPoolExecutor(1) as pool, _graph(out, MILL, LIVE[MILL], specs) as mill:
+        shift = pool.submit(until_over, mill)
         with progress.step('stitched a first piece as drawn, fitted the gains of the foam model'):
             adapted = first_piece(out, foam, settings.seed)
         with progress.step('had the quilter stitch its pattern live over DDS, in lock-step'):
             specs = quilt_specs(out / 'foam.json', settings.seed)
-            outcome, ended = _graph(out, QUILT, LIVE[QUILT], specs), time.monotonic()
+            with _graph(out, QUILT, LIVE[QUILT], specs) as quilter:
+                quilter.wait('simulated_machine', LIVE_TIMEOUT)
+                ended, quilted = time.monotonic(), _outcome(quilter)
         with progress.step('ran the same in one process') as bar:
             _run_alone(out, settings, thermal, adapted, bar)
         with progress.step('ran the mill without compensation, at the programmed feed') as bar:
             before = run_whole_shift(thermal, settings, compensated=False, progress=bar.update)
             pattern_alone(out / PATTERN_BAGS['trained'], foam, settings.seed)
-        return outcome, ended, before
-
-    with ThreadPoolExecutor(2) as pool:
-        shift, rest = pool.submit(mill), pool.submit(beside)
-        (outcome, over), (quilted, ended, before) = shift.result(), rest.result()
+        over = shift.result()
+        outcome = _outcome(mill)
     return _Live({MILL: outcome, QUILT: quilted}, max(over, ended) - started, before)
 
 
-def _graph(out: Path, machine: str, bag: str, specs: list[NodeSpec]) -> dict[str, Any]:
-    """Run a graph of nodes to its end, the machine last; return what it says of the run."""
+@contextmanager
+def _graph(out: Path, machine: str, bag: str, specs: list[NodeSpec]) -> Iterator[GraphProcesses]:
+    """Start a graph of nodes in lock-step, the machine last."""
     served = [spec.name for spec in specs[:-1]]
     recorder = NodeSpec('recorder', {'lockstep': True, 'output': str(out / bag)})
     maker = NodeSpec(
@@ -212,10 +217,14 @@ def _graph(out: Path, machine: str, bag: str, specs: list[NodeSpec]) -> dict[str
     with GraphProcesses(machine, folder=out / 'log' / bag) as graph:
         for spec in (*specs[:-1], recorder, maker):
             graph.start(spec)
-        graph.wait('simulated_machine', LIVE_TIMEOUT)
-        outcome = graph.outcome('simulated_machine')
-        graph.stop()
-        graph.check()
+        yield graph
+
+
+def _outcome(graph: GraphProcesses) -> dict[str, Any]:
+    """End a graph whose machine has ended; return what that says of the run."""
+    outcome = graph.outcome('simulated_machine')
+    graph.stop()
+    graph.check()
     return outcome
 
 

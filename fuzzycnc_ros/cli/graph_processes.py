@@ -2,10 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start the nodes of a graph as processes, watch them, take them down."""
 
-import ctypes
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -16,11 +14,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from fuzzycnc_ros.nodes.ending import child_set_up
 from fuzzycnc_ros.nodes.environment import prepare_environment
 
 STOP_TIMEOUT = 10.0
 """Wall time [s] that a node gets to end by itself before it is killed."""
-_PR_SET_PDEATHSIG = 1
 
 
 class GraphError(RuntimeError):
@@ -109,6 +107,7 @@ class GraphProcesses:
         self._params = list(params)
         self._environment = {**os.environ, **(environment or {})}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._asked: set[str] = set()  # to end, by us
 
     def __enter__(self) -> 'GraphProcesses':
         """Return the graph."""
@@ -139,6 +138,7 @@ class GraphProcesses:
         if name == COMPOSED:
             command += [spec.name for spec in specs]
         command += ros_arguments(self._namespace, [*self._params, own]) + self._remap
+        self._asked.discard(name)
         with self.log(name).open('ab' if name in self._processes else 'wb') as log:
             self._processes[name] = subprocess.Popen(
                 command,
@@ -148,7 +148,7 @@ class GraphProcesses:
                 env=self._environment,
                 # Ctrl-C reaches only this process, which then ends the nodes in order.
                 start_new_session=True,
-                preexec_fn=_end_with_parent,
+                preexec_fn=child_set_up(),
             )
 
     @property
@@ -190,7 +190,7 @@ class GraphProcesses:
         Raises
         ------
         GraphError
-            If a node ends with an error, or this one does not end in time.
+            If a node ends with an error, or this one is asked to end or does not end in time.
         """
         until = time.monotonic() + timeout
         while name not in self.poll():
@@ -204,13 +204,16 @@ class GraphProcesses:
             except subprocess.TimeoutExpired:
                 continue
         self.check()
+        if name in self._asked:
+            raise GraphError(f'{name} was asked to end before its time')
 
     def interrupt(self, *names: str) -> list[str]:
         """Ask nodes to end, all if none is named; return which."""
         wanted = [n for n in self._processes if not names or n in names]
         for name in wanted:
             if self._processes[name].poll() is None:
-                self._processes[name].send_signal(signal.SIGINT)
+                self._asked.add(name)
+                self._processes[name].terminate()
         return wanted
 
     def stop(self, *names: str) -> None:
@@ -247,13 +250,3 @@ class GraphProcesses:
 
     def _lines(self, name: str) -> list[str]:
         return self.log(name).read_text(errors='replace').strip().splitlines()
-
-
-def _end_with_parent() -> None:
-    """Let the kernel end a node whose parent was killed (Linux), and let it be interrupted."""
-    # A parent that holds interrupts back, as workers do, would hand that on.
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    try:
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    except (OSError, AttributeError):
-        return  # not Linux: a killed parent leaves its nodes running

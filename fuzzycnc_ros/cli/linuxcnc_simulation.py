@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from fuzzycnc_ros.bridges.linuxcnc import LinuxcncError, linuxcnc_runs
+from fuzzycnc_ros.nodes.ending import child_set_up
 
 PYTHON = '/usr/bin/python3'
 START_TIMEOUT = 40.0
@@ -145,6 +146,7 @@ class LinuxcncSimulation:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
+                preexec_fn=child_set_up(),
             )
         end = time.monotonic() + START_TIMEOUT
         self._socket = socket.socket(socket.AF_UNIX)

@@ -3,6 +3,7 @@
 """Entry point of the command `fuzzycnc`: its subcommands, and what becomes of their errors."""
 
 import inspect
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -36,6 +37,7 @@ from fuzzycnc_ros.cli.simulate import simulate
 from fuzzycnc_ros.cli.soak import soak
 from fuzzycnc_ros.cli.train import train
 from fuzzycnc_ros.cli.up import up
+from fuzzycnc_ros.nodes.ending import interruptible
 
 HELP = """Measure, predict and compensate the thermal error of a CNC machine.
 
@@ -75,8 +77,9 @@ Patterns on soft material, straightened beforehand:
 
 EPILOG = (
     'Exit codes: 0 done; 1 done, and something differs; 2 refused, with one line on standard '
-    'error; 130 interrupted. --debug, anywhere on the line, shows the traceback of an error. '
-    'Not a safety function: e-stop, limit switches and drive limits stay in hardware.'
+    'error; 130 interrupted, 143 if by SIGTERM. --debug, anywhere on the line, shows the '
+    'traceback of an error. Not a safety function: e-stop, limit switches and drive limits stay '
+    'in hardware.'
 )
 
 
@@ -111,7 +114,7 @@ COMMANDS: dict[str, Callable[..., Any] | CommandGroup] = {
 }
 """The subcommands in the order of the help; each one's docstring is its manual."""
 
-INTERRUPTED = 130
+INTERRUPTED, TERMINATED = 130, 143
 
 # What the command line itself refuses; typer keeps the classes in different places.
 _Refusal: type[Exception] = next(
@@ -201,7 +204,11 @@ def run(arguments: Sequence[str]) -> int:
 
 def main() -> None:
     """Run the command line of this process."""
-    sys.exit(run(sys.argv[1:]))
+    with interruptible() as wish:
+        code = run(sys.argv[1:])
+    if code == INTERRUPTED and wish.number == signal.SIGTERM:
+        code = TERMINATED
+    sys.exit(code)
 
 
 def _without_debug(arguments: Sequence[str]) -> tuple[list[str], bool]:

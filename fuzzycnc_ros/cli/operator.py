@@ -144,8 +144,12 @@ class Operator:
             self.pause(SETTLED)  # one reader is there, the others are about to be
             readers = int(publisher.get_subscription_count())
             publisher.publish(encode(record, RCLPY))
-            if not publisher.wait_for_all_acked(Duration(seconds=self._patience)):
-                raise GraphError(f'topic {topic}: its readers have not confirmed it')
+            self.spin_until(
+                # A longer wait could not be interrupted.
+                lambda: bool(publisher.wait_for_all_acked(Duration(seconds=0.1))),
+                self._patience,
+                f'confirmation of topic {topic} by its readers',
+            )
             return readers
         finally:
             self.node.destroy_publisher(publisher)

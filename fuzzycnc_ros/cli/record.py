@@ -3,7 +3,6 @@
 """`fuzzycnc record`: the topics of a live graph into a bag."""
 
 import json
-import signal
 import subprocess
 import sys
 import time
@@ -21,6 +20,8 @@ from fuzzycnc_ros.cli.console import (
     check_ros,
     write_json,
 )
+from fuzzycnc_ros.cli.graph_processes import GraphError
+from fuzzycnc_ros.nodes.ending import child_set_up
 
 STOP_TIMEOUT = 30.0
 """Time [s] that the recorder gets to close its bag."""
@@ -79,29 +80,35 @@ def _run_recorder(arguments: list[str], bag: Path, duration: float | None) -> in
     """Run the node as a process of its own, and hand it every wish to end."""
     command = [sys.executable, '-m', 'fuzzycnc_ros.nodes.recorder', *arguments]
     # Its own session: a Ctrl-C at the terminal must reach it once, from here.
-    process = subprocess.Popen(command, start_new_session=True)
-    previous = signal.signal(signal.SIGTERM, _interrupt)
+    process = subprocess.Popen(command, start_new_session=True, preexec_fn=child_set_up())
+    wished = False
     try:
         # Time counts from the bag's beginning: a node takes a while to start.
         _wait(process, bag.exists)
         began = time.monotonic()
         _wait(process, lambda: duration is not None and time.monotonic() - began >= duration)
     except KeyboardInterrupt:
-        pass  # the wish to end, carried out below
+        wished = True  # to end, which is carried out below
     finally:
-        signal.signal(signal.SIGTERM, previous)
         if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-    return process.wait(STOP_TIMEOUT)
+            process.terminate()
+    try:
+        code = process.wait(STOP_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        raise GraphError(
+            f'the recorder did not close {bag} within {STOP_TIMEOUT:g} s and was killed; make '
+            f'the bag whole with `fuzzycnc info {bag} --repair`'
+        ) from None
+    if wished and code < 0:
+        raise KeyboardInterrupt  # before the recorder had begun
+    return code
 
 
 def _wait(process: subprocess.Popen[bytes], done: Callable[[], bool]) -> None:
     while process.poll() is None and not done():
         time.sleep(0.05)
-
-
-def _interrupt(number: int, frame: Any) -> None:
-    raise KeyboardInterrupt
 
 
 def _figures(bag: Path) -> dict[str, Any]:

@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc up`: the whole graph of one machine, as processes or composed in one."""
 
-import signal
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
@@ -213,7 +212,7 @@ def up(
         open_to_network()
     files = _parameter_files(params)
     started = time.monotonic()
-    with _interrupted_by_sigterm(), ExitStack() as stack:
+    with ExitStack() as stack:
         graphs = []
         plans = []
         bags = []
@@ -258,17 +257,3 @@ def _parameter_files(folder: Path | None) -> list[Path]:
     if not files:
         raise GraphError(f'--params {folder}: expected files <node>.yaml but found none')
     return files
-
-
-@contextmanager
-def _interrupted_by_sigterm() -> Iterator[None]:
-    """Let SIGTERM end the command as Ctrl-C does."""
-
-    def interrupt(number: int, frame: Any) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

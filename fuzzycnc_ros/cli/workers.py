@@ -10,12 +10,13 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.process import BaseProcess
 from multiprocessing.queues import Queue
 from queue import Empty
 from typing import Any, TypeVar
@@ -34,10 +35,14 @@ ONE_THREAD = {name: '1' for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 
 NEWS_PERIOD = 0.1
 """Shortest time between two lines of news of a worker [s]; a bar cannot show more."""
 
+END_PATIENCE = 5.0
+"""Longest time that a piece of work gets to end by itself before its process is killed [s]."""
+
 STEPS = 1000
 """Steps of the bar per piece of work."""
 
 _news: 'Queue[News]'
+_works = False  # whether this process is a worker with a piece in hand
 
 
 @dataclass(frozen=True)
@@ -78,8 +83,9 @@ def in_workers(
 
     Notes
     -----
-    An error of a piece, or an interrupt, ends all processes at once and comes through.  They
-    end by themselves if this process is killed.
+    An error of a piece, or an interrupt, ends all processes and comes through; what they work
+    on is interrupted, and gets `END_PATIENCE` to leave nothing behind.  They end by themselves if
+    this process is killed.
     """
     context = get_context('spawn')
     news = context.Queue()
@@ -95,12 +101,24 @@ def in_workers(
         _watch(futures, news, board)
         return [future.result() for future in futures]
     except BaseException:
-        for worker in set(active_children()) - before:
-            worker.kill()
+        _end(set(active_children()) - before)
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
         news.close()
+
+
+def _end(workers: Collection[BaseProcess]) -> None:
+    """End workers, which first undo what they have begun."""
+    until = time.monotonic() + END_PATIENCE
+    try:
+        for worker in workers:
+            worker.terminate()
+        for worker in workers:
+            worker.join(max(0.0, until - time.monotonic()))
+    finally:
+        for worker in workers:
+            worker.kill()
 
 
 class _Board:
@@ -157,6 +175,7 @@ def _begin(news: 'Queue[News]') -> None:
     _news = news
     # News that nobody reads any more must not keep the process.
     news.cancel_join_thread()
+    signal.signal(signal.SIGTERM, _interrupt)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
@@ -165,7 +184,18 @@ def _end_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
         parent.join()
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(END_PATIENCE)
     os._exit(1)
+
+
+def _interrupt(number: int, frame: Any) -> None:
+    """Leave a piece of work, so that it ends what it has started; without one, end at once."""
+    global _works
+    if not _works:
+        os._exit(1)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 def _work(work: Callable[[Any, Progress], Result], piece: Any, number: int) -> Result:
@@ -179,7 +209,14 @@ def _work(work: Callable[[Any, Progress], Result], piece: Any, number: int) -> R
             told = now
             _news.put(News(number, text, 0.99 * done / max(total, 1)))
 
-    result = work(piece, progress)
+    global _works
+    try:
+        _works = True
+        result = work(piece, progress)
+    except KeyboardInterrupt:
+        os._exit(1)  # there is nobody to take a result
+    finally:
+        _works = False
     _news.put(News(number, 'done', 1.0))
     return result
 

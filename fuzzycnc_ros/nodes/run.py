@@ -3,14 +3,16 @@
 """Start nodes, spin them, end cleanly."""
 
 import sys
-import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 
+from fuzzycnc_ros.bags.uninterrupted import uninterrupted
+from fuzzycnc_ros.nodes.ending import Wish, interruptible
 from fuzzycnc_ros.nodes.environment import prepare_environment
 from fuzzycnc_ros.nodes.parameters import ParameterError
 
@@ -35,10 +37,6 @@ class Served(Protocol):
 HostFactory = Callable[[], Served]
 
 
-SIGNAL_PATIENCE = 0.5
-"""Wall time [s] that a signal takes at most from Python's handler to the end of the context."""
-
-
 def main(make: HostFactory, arguments: Sequence[str] | None = None) -> None:
     """Run one node until it is interrupted, asked to end, or done.
 
@@ -51,16 +49,29 @@ def main(make: HostFactory, arguments: Sequence[str] | None = None) -> None:
 def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -> int:
     """Run several nodes in one process; return the exit code."""
     prepare_environment()
-    rclpy.init(args=arguments)
+    try:
+        with interruptible() as wish:
+            return _spin(makers, arguments, wish)
+    except KeyboardInterrupt:  # before there were nodes, or while they were ended
+        return 0
+
+
+def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: Wish) -> int:
+    """Run nodes until a wish to end is heard or one is done; return the exit code."""
     hosts: list[Served] = []
     # The multi-threaded and the events executor stalled or hung in trials on Jazzy.
-    executor = SingleThreadedExecutor()
+    executor: SingleThreadedExecutor | None = None
     try:
-        for make in makers:
-            host = make()
-            hosts.append(host)
-            executor.add_node(host.node)
-            host.start()
+        with uninterrupted():  # what is half made could not be stopped
+            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+            executor = SingleThreadedExecutor()
+            for make in makers:
+                host = make()
+                hosts.append(host)
+                executor.add_node(host.node)
+                host.start()
+            # They wake an executor that waits, and end the context.
+            install_signal_handlers(SignalHandlerOptions.ALL)
         while rclpy.ok() and not any(host.done for host in hosts):
             executor.spin_once()
         return max((host.exit_code for host in hosts), default=0)
@@ -69,7 +80,7 @@ def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -
     except RuntimeError:
         # A signal that arrives while the executor builds its wait set, or a message is made of
         # what was received, ends up here.
-        if not _ends():
+        if not wish.number:
             raise
         return 0
     except ParameterError as error:
@@ -78,13 +89,6 @@ def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -
     finally:
         for host in reversed(hosts):
             host.stop()
-        executor.shutdown()
+        if executor is not None:
+            executor.shutdown()
         rclpy.try_shutdown()
-
-
-def _ends() -> bool:
-    """Whether the context is being shut down; the handler of a signal does it a little later."""
-    end = time.monotonic() + SIGNAL_PATIENCE
-    while rclpy.ok() and time.monotonic() < end:
-        time.sleep(0.01)
-    return not rclpy.ok()

@@ -37,6 +37,9 @@ from fuzzycnc_ros.nodes.timers import wall_timer
 POLL = 0.05
 """Wall time [s] between two looks at a training."""
 
+STOP_PATIENCE = 2.0
+"""Wall time [s] that a training gets to end with the node; it looks up between two steps only."""
+
 TOLD_AT_ONCE = 5
 """Most feedback sent at one look: a client keeps ten, and loses the oldest of a longer burst."""
 
@@ -130,7 +133,7 @@ class ThermalPredictorNode(ComponentNode):
         if self._training is not None:
             self._training.stop.set()
         if self._thread is not None:
-            self._thread.join()
+            self._thread.join(STOP_PATIENCE)
         self._server.destroy()
         super().stop()
 

@@ -210,7 +210,7 @@ class SlowWriter(BagWriter):
 
     def write(self, *arguments, **options):
         self.busy.set()
-        assert self.go_on.wait(30.0)
+        assert self.go_on.wait(60.0)
         super().write(*arguments, **options)
 
 
@@ -222,7 +222,7 @@ def test_memory_is_bounded_and_what_does_not_fit_is_counted(tmp_path):
     assert sum(taken) == 10
     assert taken == [True] * 10 + [False] * 15
     assert thread.progress().pending_bytes == 10 * len(payload(0))
-    assert writer.busy.wait(30.0)
+    assert writer.busy.wait(60.0)
     writer.go_on.set()
     progress = thread.close()
     assert vars(progress.topics['/a']) == {
@@ -254,7 +254,7 @@ def test_error_of_the_thread_surfaces(tmp_path, monkeypatch):
     count = 0
     while thread.put('/a', bytes(1000), count):
         count += 1
-    assert failed.wait(30.0)
+    assert failed.wait(60.0)
     with pytest.raises(BagWriteError, match=r'No space left on device.*free some space'):
         thread.check()
     assert [str(error) for error in errors] == [thread.progress().error]
@@ -299,7 +299,7 @@ def test_idle_messages_reach_the_disk(tmp_path):
     thread = RecordingThread(Watched(tmp_path / 'bag'))
     thread.add_topic('/a', NUMBER)
     thread.put('/a', payload(1), 1)
-    assert flushed.wait(30.0)
+    assert flushed.wait(60.0)
     report = repair(tmp_path / 'bag')
     assert report.topics['/a'].kept == 1
     thread.close()

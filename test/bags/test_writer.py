@@ -262,27 +262,25 @@ import sys, time
 from fuzzycnc_ros.bags.recorder import RecordingThread
 from fuzzycnc_ros.bags.writer import BagWriter
 
-thread = RecordingThread(BagWriter(sys.argv[1]))
+k = 0
+# Time passes with the messages, however fast they are written.
+thread = RecordingThread(BagWriter(sys.argv[1], clock=lambda: k / 50))
 topics = [f'/t{i}' for i in range(5)]
 for topic in topics:
     thread.add_topic(topic, 'std_msgs/msg/UInt64')
-start, k = time.monotonic(), 0
 while True:
-    now = time.time_ns()
     for topic in topics:
         payload = b'\\x00\\x01\\x00\\x00' + k.to_bytes(8, 'little')
-        thread.put(topic, payload, now, now, k + 1)
+        thread.put(topic, payload, k * 20_000_000, k * 20_000_000, k + 1)
     k += 1
-    if k == 100:
-        print('running', flush=True)
-    print(k, now, flush=True)
-    time.sleep(max(0.0, start + k / 50 - time.monotonic()))
+    while thread.progress().written < 5 * k:
+        time.sleep(0.0005)
+    print(k, flush=True)
 """
 
 
-@pytest.mark.slow
 def test_sigkill_loses_at_most_the_last_second(tmp_path, root):
-    """50 Hz on five topics, killed without warning: at most 1 s is missing after repair."""
+    """50 Hz on five topics, killed without warning: less than 50 of each are lost."""
     bag = tmp_path / 'bag'
     process = subprocess.Popen(
         [sys.executable, '-c', WRITE_UNTIL_KILLED, str(bag)],
@@ -292,15 +290,15 @@ def test_sigkill_loses_at_most_the_last_second(tmp_path, root):
     )
     last = ''
     for line in process.stdout:
-        if line.startswith('150 '):
+        if line == '170\n':
             process.kill()
-        if len(line.split()) == 2 and line.endswith('\n'):
+        if line.endswith('\n'):
             last = line
     process.stdout.close()
     process.wait()
     assert process.returncode == -9
-    sent, killed_at = (int(text) for text in last.split())
-    assert sent >= 150
+    sent = int(last)
+    assert sent >= 170
     with pytest.raises(BagTruncatedError, match=r'info --repair'):
         BagReader(bag)
     report = repair(bag)
@@ -308,6 +306,6 @@ def test_sigkill_loses_at_most_the_last_second(tmp_path, root):
         for topic in (f'/t{i}' for i in range(5)):
             found = list(reader.messages([topic]))
             assert [m.message.data for m in found] == list(range(len(found))), 'gap or disorder'
-            assert killed_at - found[-1].log_time < SECOND
+            assert sent - len(found) < 50
             assert report.topics[topic].kept == len(found)
     assert str(Path(report.path)) in str(report)

@@ -67,6 +67,6 @@ def test_a_process_keeps_its_own_domain(monkeypatch, tmp_path):
     )
     file = tmp_path / f'fuzzycnc-domain-{os.getuid()}-{own}.lock'
     other = subprocess.run(
-        [sys.executable, '-c', script, str(file)], capture_output=True, text=True, timeout=30
+        [sys.executable, '-c', script, str(file)], capture_output=True, text=True, timeout=60
     )
     assert 'BlockingIOError' in other.stderr

@@ -5,9 +5,9 @@ import shlex
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
+from processes import HANG, start, wait_for
 
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.cli.main import COMMANDS, manual
@@ -99,16 +99,11 @@ def test_ctrl_c_in_the_middle_of_work(tmp_path, root):
     command = [sys.executable, '-m', 'fuzzycnc_ros.cli.main', 'simulate', '--seeds', '1000']
     environment = {**os.environ, 'PYTHONPATH': str(root)}
     pipes = {'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE, 'text': True}
-    with subprocess.Popen(
-        [*command, '--out', 'shift'], cwd=tmp_path, env=environment, **pipes
-    ) as process:
-        deadline = time.monotonic() + 60.0
-        while not (tmp_path / 'shift_calibration').exists():
-            assert time.monotonic() < deadline
-            assert process.poll() is None, process.stderr.read()
-            time.sleep(0.02)
+    with start([*command, '--out', 'shift'], cwd=tmp_path, env=environment, **pipes) as process:
+        calibration = tmp_path / 'shift_calibration'
+        wait_for(lambda: calibration.exists() or process.poll() is not None, 'it works')
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=60.0)
+        out, err = process.communicate(timeout=HANG)
     assert process.returncode == 130
     assert (out, err.split()) == ('', ['interrupted'])
 

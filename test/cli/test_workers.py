@@ -7,10 +7,10 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from processes import HANG, start, wait_for
 
 from fuzzycnc_ros.cli.fit_progress import FitCounter
 
@@ -18,6 +18,7 @@ SCRIPT = """
 import json, os, sys, time
 from pathlib import Path
 from fuzzycnc_ros.cli.workers import in_workers
+from fuzzycnc_ros.nodes.ending import interruptible
 
 def work(piece, progress):
     if piece == 'bad':
@@ -27,7 +28,10 @@ def work(piece, progress):
     if piece == 'endless':
         Path(f'{os.getpid()}.part').touch()
         os.rename(f'{os.getpid()}.part', f'{os.getpid()}.pid')
-        time.sleep(600.0)
+        try:
+            time.sleep(600.0)
+        finally:
+            Path(f'{os.getpid()}.undone').touch()
     for step in range(3):
         progress('fit', 'mlp', step, 3)
         time.sleep(0.11)
@@ -37,7 +41,8 @@ if __name__ == '__main__':
     told = []
     pieces = sys.argv[2:]
     try:
-        done = in_workers(work, pieces, pieces, int(sys.argv[1]), lambda *news: told.append(news))
+        with interruptible():
+            done = in_workers(work, pieces, pieces, int(sys.argv[1]), lambda *n: told.append(n))
         print(json.dumps([done, told, os.environ.get('OMP_NUM_THREADS')]))
     except ValueError as error:
         print(error)
@@ -53,26 +58,20 @@ def script(tmp_path, root):
     environment = {**os.environ, 'PYTHONPATH': str(root)}
     started = []
 
-    def start(jobs, *pieces):
-        process = subprocess.Popen(
-            [sys.executable, 'script.py', str(jobs), *pieces], cwd=tmp_path, env=environment,
+    def begin(jobs, *pieces, interrupts='default'):
+        process = start(
+            [sys.executable, 'script.py', str(jobs), *pieces], interrupts=interrupts,
+            cwd=tmp_path, env=environment,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         )  # fmt: skip
         started.append(process)
         return process
 
-    yield start
+    yield begin
     for process in started:
         if process.poll() is None:
             process.kill()
         process.communicate()
-
-
-def wait_for(condition, seconds=60.0):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 def running(pid: int) -> bool:
@@ -84,7 +83,7 @@ def running(pid: int) -> bool:
 
 
 def test_results_keep_their_order_and_progress_never_goes_back(script):
-    out, err = script(2, 'a', 'b', 'c').communicate(timeout=120.0)
+    out, err = script(2, 'a', 'b', 'c').communicate(timeout=HANG)
     assert err == ''
     done, told, threads = json.loads(out)
     assert [piece for piece, *_ in done] == ['a', 'b', 'c']
@@ -97,28 +96,31 @@ def test_results_keep_their_order_and_progress_never_goes_back(script):
     assert any('b (2 of 3): fitting mlp (2 of 3)' in text for text, *_ in told)
 
 
-@pytest.mark.parametrize('how', ['terminal', 'process', 'killed'])
-def test_nobody_is_left_behind(script, tmp_path, how):
-    process = script(2, 'endless', 'endless')
-    wait_for(lambda: len(list(tmp_path.glob('*.pid'))) == 2)
+@pytest.mark.parametrize('interrupts', ['default', 'ignored'])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize('to', ['process', 'group'])
+def test_nobody_is_left_behind(script, tmp_path, to, number, interrupts):
+    """A terminal sends to the group, and so do those who end all of a service."""
+    process = script(2, 'endless', 'endless', interrupts=interrupts)
+    wait_for(lambda: len(list(tmp_path.glob('*.pid'))) == 2, 'both work')
     workers = [int(path.stem) for path in tmp_path.glob('*.pid')]
     assert all(running(pid) for pid in workers)
-    if how == 'terminal':  # Ctrl-C reaches the workers too
-        os.killpg(process.pid, signal.SIGINT)
-    else:
-        process.send_signal(signal.SIGINT if how == 'process' else signal.SIGKILL)
-    out, err = process.communicate(timeout=60.0)
-    if how != 'killed':
+    os.kill(process.pid if to == 'process' else -process.pid, number)
+    out, err = process.communicate(timeout=HANG)
+    wait_for(lambda: not any(running(pid) for pid in workers), 'the workers end')
+    if number != signal.SIGKILL:
         assert (process.returncode, out, err) == (130, '', '')
-    wait_for(lambda: not any(running(pid) for pid in workers))
+    if number != signal.SIGKILL or to == 'process':
+        assert len(list(tmp_path.glob('*.undone'))) == 2
 
 
 def test_an_error_ends_the_others_and_comes_through(script, tmp_path):
     process = script(2, 'endless', 'bad')
-    out, err = process.communicate(timeout=60.0)
+    out, err = process.communicate(timeout=HANG)
     assert (process.returncode, out.strip(), err) == (0, 'piece is bad', '')
     (worker,) = (int(path.stem) for path in tmp_path.glob('*.pid'))
-    wait_for(lambda: not running(worker))
+    assert not running(worker)
+    assert len(list(tmp_path.glob('*.undone'))) == 1
 
 
 def test_fits_are_counted_per_candidate():

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benches import predictor_bench
-from fuzzing import hostile_files, hostile_runs
+from fuzzing import campaign, hostile_files, hostile_runs
 from fuzzing import raw_bags as raw
 from fuzzing.campaign import refusal
 
@@ -89,6 +89,18 @@ def test_hostile_bags_are_read_or_refused(make, tmp_path):
     for use in uses(bag, tmp_path / 'repaired'):
         refusal(ValueError, use)
     shutil.rmtree(tmp_path, ignore_errors=True)
+
+
+def test_what_costs_without_bound_is_found(monkeypatch):
+    monkeypatch.setattr(campaign, 'COST_MAX', 3.0)
+    monkeypatch.setattr(campaign, 'GLANCE', 0.1)
+
+    def endless():
+        while True:
+            pass
+
+    with pytest.raises(campaign.CostsTooMuch, match='at most 3 times'):
+        refusal(ValueError, endless)
 
 
 def test_honest_bags_are_read(tmp_path):

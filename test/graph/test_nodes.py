@@ -20,8 +20,6 @@ from fuzzycnc_ros.core.config import Config
 pytestmark = pytest.mark.ros
 
 NODES = [*COMPONENTS, 'recorder', 'player']
-END_TIMEOUT = 3.0
-"""Wall time [s] within which a node ends when asked."""
 
 
 def schema(node: str) -> list[Any]:
@@ -55,11 +53,17 @@ def needed(tmp_path: Path) -> Callable[[str], dict[str, Any]]:
     return find
 
 
+@pytest.mark.parametrize('interrupts', ['default', 'ignored'])
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_describe_report_and_end(graph, observer, root, needed, number):
+def test_describe_report_and_end(graph, observer, root, needed, number, interrupts):
     observer.watch_diagnostics()
     started = {
-        node: graph.start(node, needed(node), files=(root / 'params' / f'{node}.yaml',))
+        node: graph.start(
+            node,
+            needed(node),
+            files=(root / 'params' / f'{node}.yaml',),
+            interrupts=interrupts,
+        )
         for node in NODES
     }
     for node in NODES:
@@ -72,7 +76,7 @@ def test_describe_report_and_end(graph, observer, root, needed, number):
         f'diagnostics of every node, found {sorted(observer.statuses)}',
     )
     for running in started.values():
-        assert running.interrupt(number, END_TIMEOUT) == 0
+        assert running.interrupt(number) == 0
 
 
 def check_description(observer: Any, node: str) -> None:
@@ -105,7 +109,7 @@ def check_description(observer: Any, node: str) -> None:
 def test_misspelt_parameter_is_refused(graph, needed):
     started = [graph.start(node, {**needed(node), 'lockstpe': True}) for node in NODES]
     for running in started:
-        assert running.wait(30.0) == 2, running.output
+        assert running.wait() == 2, running.output
         errors = [line for line in running.output.splitlines() if line.startswith('error: ')]
         assert len(errors) == 1
         assert 'unknown parameter lockstpe' in errors[0]

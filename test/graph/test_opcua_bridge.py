@@ -224,7 +224,7 @@ def test_lost_connection_is_rebuilt_without_a_step(rig, fault):
     rig.refused('connection' if fault == 'refuse' else 'no answer within')
     assert not rig.allowed
     rig.shop.fault('')
-    rig.until(lambda: rig.allowed, 'rebuilt', 5.0)
+    rig.until(lambda: rig.allowed, 'rebuilt')
     rig.observer.spin_for(1.0)
     np.testing.assert_allclose(rig.control.applied, [10e-6, -20e-6], atol=CLOSE)
     told = [item.offset for item in rig.applied[seen:]]

@@ -2,14 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder killed, and the recorder stopped for a while."""
 
+import contextlib
 import json
+import shutil
 import signal
 import sys
 import time
 
 import pytest
 
-from fuzzycnc_ros.bags.errors import BagTruncatedError
+from fuzzycnc_ros.bags.errors import BagError, BagTruncatedError
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
 from fuzzycnc_ros.components.records import SECOND, MachineState
@@ -37,8 +39,11 @@ except (KeyboardInterrupt, ExternalShutdownException):
 """Publishes 50 times a second on each topic."""
 
 
-def test_killed_recorder_loses_at_most_the_last_second(graph, observer, tmp_path):
-    """SIGKILL after 10 s of traffic: the first 9 s of every topic are in the repaired bag."""
+def test_killed_recorder_keeps_what_it_has_written(graph, observer, tmp_path):
+    """SIGKILL in the midst of traffic: all that was on the disk before is in the repaired bag.
+
+    That messages get there within a second is shown where time can be driven, in test_writer.py.
+    """
     bag = tmp_path / 'bag'
     recorder = graph.start('recorder', {'output': str(bag), 'topics': '^/mill/topic'})
     script = TRAFFIC.replace('{topics}', str(TOPICS))
@@ -51,10 +56,20 @@ def test_killed_recorder_loses_at_most_the_last_second(graph, observer, tmp_path
         lambda: all(observer.node.count_subscribers(name) == 1 for name in names),
         'the recorder reads every topic',
     )
-    begun = time.monotonic()
-    observer.until(lambda: time.monotonic() - begun > 10.0, 'ten seconds of traffic', 20.0)
+    written = {}
+
+    def eight_seconds_written():
+        """The first 400 beats of every topic are on the disk, while the recorder goes on."""
+        copy = tmp_path / f'copy{len(list(tmp_path.glob("copy*")))}'
+        shutil.copytree(bag, copy)
+        with contextlib.suppress(BagError):  # its end is torn, or it has hardly begun
+            kept = repair(copy, copy / 'whole').topics
+            written.update({name: kept[name].kept for name in names if name in kept})
+        observer.spin_for(0.5)
+        return len(written) == TOPICS and min(written.values()) >= 400
+
+    observer.until(eight_seconds_written, '400 beats on the disk', 120.0)
     graph.kill(recorder)
-    killed = time.time_ns()
 
     with pytest.raises(BagTruncatedError, match='its recorder was killed'):
         BagReader(bag)
@@ -63,12 +78,9 @@ def test_killed_recorder_loses_at_most_the_last_second(graph, observer, tmp_path
     assert all(text in str(report) for text in ('messages kept', 'lost'))
     with BagReader(tmp_path / 'repaired') as reader:
         assert set(names) <= set(reader.connections)
-        heard = {name: [m.log_time for m in reader.messages([name])] for name in names}
         sent = {name: [beat(m.message) for m in reader.messages([name])] for name in names}
     for name in names:
-        # The last of ten seconds may be lost, nothing of those before.
-        assert (killed - heard[name][-1]) / SECOND < 1.0
-        assert (heard[name][-1] - heard[name][0]) / SECOND > 8.0
+        assert len(sent[name]) >= written[name] >= 400
         # Each beat goes to all topics: one that is missing between two others was lost.
         own = set(sent[name])
         beats = {stamp for stamps in sent.values() for stamp in stamps}

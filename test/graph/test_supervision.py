@@ -155,7 +155,7 @@ def test_killed_nodes_come_back_without_a_step(supervised, observer):
         )
         if node in heard:
             observer.until(lambda h=heard[node], k=known: len(h) > k + 1, f'{node} is back')
-        observer.until(lambda s=since: at_work(s), f'compensates again, found {told[-1]}', 40.0)
+        observer.until(lambda s=since: at_work(s), f'compensates again, found {told[-1]}', 60.0)
         back_after[node] = round(time.monotonic() - killed, 2)
     print(f'time until compensating again [s]: {back_after}')
     assert supervised.process.interrupt(signal.SIGTERM) == 0, supervised.process.output
@@ -184,7 +184,7 @@ def test_killed_recorder_goes_on_in_another_bag(supervised, observer):
     count = len(states)
     observer.until(lambda: len(states) > count + 20, 'the machine runs on')
     os.kill(supervised.pid('simulated_machine'), signal.SIGKILL)
-    assert supervised.process.wait(30.0) == 2
+    assert supervised.process.wait() == 2
     assert 'mill/simulated_machine was killed by SIGKILL' in supervised.process.output
     assert supervised.living() == []
     assert len(records(again, 'machine_state', MachineState)) > 10
@@ -241,7 +241,7 @@ def test_strangers_are_refused_together_with_the_owner(graph, observer, model_fi
         lambda: observer.told('mill/compensator: read-back', '/mill/stranger'), 'says so too'
     )
     stranger.leave()
-    observer.until(at_work, f'compensates again, found {applied[-1]}', 40.0)
+    observer.until(at_work, f'compensates again, found {applied[-1]}', 60.0)
 
     second = graph.start(
         'compensator',
@@ -250,7 +250,7 @@ def test_strangers_are_refused_together_with_the_owner(graph, observer, model_fi
     )
     observer.until(lambda: refused('/mill/compensator, /mill/compensator_2'), 'refuses both')
     assert second.interrupt() == 0
-    observer.until(at_work, f'compensates again, found {applied[-1]}', 40.0)
+    observer.until(at_work, f'compensates again, found {applied[-1]}', 60.0)
 
     pair = [Stranger(observer, 'axis_command', AxisCommand, f'driver_{n}') for n in (1, 2)]
     observer.until(lambda: states[-1].state == MachineMode.FAULT, 'does not move')

@@ -26,7 +26,7 @@ from fuzzycnc_ros.nodes.sources.polling import TEXT_MAX, Poller
 
 pytestmark = pytest.mark.ros
 
-TIMEOUT = 30.0
+TIMEOUT = 60.0
 MODBUS = """
 devices:
   - name: rtd

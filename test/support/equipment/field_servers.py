@@ -53,7 +53,7 @@ class Field:
 
         self.call(drain())
         self.loop.call_soon_threadsafe(self.loop.stop)
-        self._thread.join(10.0)
+        self._thread.join(60.0)
         self.loop.close()
 
 

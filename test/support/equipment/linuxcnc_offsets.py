@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from processes import start
 
 from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation
 from fuzzycnc_ros.core.arrays import Array
@@ -18,7 +19,7 @@ PERIOD = 1e-3
 MILLIMETRE = 1e-3
 _DEPTH = 16000  # samples that HAL keeps while nobody reads them
 _DRAIN = 0.3  # time in which the reader, which looks every 10 ms, has taken the last ones [s]
-_END = 5.0
+_END = 60.0
 
 
 class OffsetTrace:
@@ -37,7 +38,7 @@ class OffsetTrace:
         self._machine = machine
         machine.halcmd('loadrt', 'sampler', f'depth={_DEPTH}', 'cfg=f')
         machine.halcmd('net', 'fuzzycnc-applied-z', 'sampler.0.pin.0')
-        self._reader = subprocess.Popen(['halsampler', '-t', str(self._file)])
+        self._reader = start(['halsampler', '-t', str(self._file)])
         machine.halcmd('addf', 'sampler.0', 'servo-thread')
 
     def stop(self) -> Array:

@@ -3,12 +3,12 @@
 """What a real LinuxCNC commands to its joints in every servo period, judged by the true path."""
 
 import signal
-import subprocess
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from processes import HANG, start
 
 from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation
 from fuzzycnc_ros.core.arrays import Array
@@ -22,7 +22,7 @@ MILLIMETRE = 1e-3
 REST = 0.2
 """Rest that tells the cut from the way to its start [s]; exact stops are shorter."""
 _DEPTH = 16000  # samples that HAL keeps while nobody reads them
-_DRAIN = 10.0  # time for their reader to take the last ones [s]
+_DRAIN = 60.0  # their reader will not take the last ones any more [s]
 _STILL = 1e-10  # a sample nearer to the last one has not moved [m]: HAL prints nanometres
 
 LOOP = ContouringConfig(velocity_max=10.0, acceleration_max=1000.0)
@@ -98,7 +98,7 @@ class Recorder:
         path = self._folder / f'program{self._runs}.ngc'
         path.write_text(program)
         record = self._folder / f'samples{self._runs}.txt'
-        reader = subprocess.Popen(['halsampler', '-t', str(record)])
+        reader = start(['halsampler', '-t', str(record)])
         try:
             self.halcmd('setp', 'sampler.0.enable', '1')
             self._machine.run(str(path))
@@ -113,7 +113,7 @@ class Recorder:
                 time.sleep(0.01)
         finally:
             reader.send_signal(signal.SIGINT)
-            reader.wait(10.0)
+            reader.wait(HANG)
         lines = record.read_text().splitlines()
         record.unlink()
         # a reader that did not begin with sample 1 reports an overrun before its first one

@@ -8,6 +8,7 @@
 import os
 import resource
 import signal
+import struct
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,8 +20,13 @@ from hypothesis import strategies as st
 
 CAMPAIGN = int(os.environ.get('FUZZYCNC_FUZZ', '0'))
 """Number of examples of a test in a full campaign; 0 in the usual run."""
-TIME_MAX = 5.0
-"""Processor time of one input [s]; unlike wall time it does not depend on the load."""
+COST_MAX = 500.0
+"""Most that one input may cost, as a multiple of a fixed computation in the same run.
+
+The most costly ones take some 50 of it, on a slow computer as on a fast one.
+"""
+GLANCE = 2.0
+"""Processor time [s] between two looks at what an input costs; it decides nothing."""
 MEMORY_MAX = 500_000_000
 """Memory that one input may take [bytes]."""
 
@@ -55,23 +61,37 @@ def fuzz(usual: int, share: float = 1.0):
     )
 
 
-class TookTooLong(BaseException):
-    """An input held the processor for too long; no handler of the code under test takes it."""
+class CostsTooMuch(BaseException):
+    """An input costs without bound; no handler of the code under test takes it."""
+
+
+def fixed_cost() -> float:
+    """Return the processor time [s] of a computation that is always the same."""
+    data, total, begun = bytes(8000), 0, time.process_time()
+    for k in range(200_000):
+        total += struct.unpack_from('<Q', data, 8 * (k % 1000))[0]
+    return time.process_time() - begun
 
 
 @contextmanager
 def bounded() -> Iterator[None]:
-    """Refuse more than `TIME_MAX` of processor time and `MEMORY_MAX` of memory."""
+    """Refuse more than `COST_MAX` of work and `MEMORY_MAX` of memory."""
 
-    def too_long(signum, frame):
-        raise TookTooLong(f'expected at most {TIME_MAX} s of processor time')
+    def look(signum, frame):
+        # Measured now, under the load that the input has met too.
+        cost = (time.process_time() - begun) / fixed_cost()
+        if cost > COST_MAX:
+            raise CostsTooMuch(
+                f'expected at most {COST_MAX:g} times the cost of a fixed computation but found '
+                f'{cost:.0f}'
+            )
 
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (_status('VmSize') + MEMORY_MAX, hard))
-    before = signal.signal(signal.SIGPROF, too_long)
+    before = signal.signal(signal.SIGPROF, look)
     _forget_peak()
     taken, begun = _status('VmRSS'), time.process_time()
-    signal.setitimer(signal.ITIMER_PROF, TIME_MAX)
+    signal.setitimer(signal.ITIMER_PROF, GLANCE, GLANCE)
     try:
         yield
     finally:
