@@ -81,9 +81,14 @@ def uses(bag: Path, out: Path) -> Iterator[Callable[[], object]]:
     yield lambda: evaluate(bag)
 
 
-@pytest.mark.parametrize(
-    'make', hostile_files.CASES + hostile_runs.CASES, ids=lambda make: make.__name__
-)
+SLOW = ('chunk_of_the_smallest_messages', 'chunks_that_overlap', 'very_many_topics')
+CASES = [
+    pytest.param(make, id=make.__name__, marks=[pytest.mark.slow] * (make.__name__ in SLOW))
+    for make in hostile_files.CASES + hostile_runs.CASES
+]
+
+
+@pytest.mark.parametrize('make', CASES)
 def test_hostile_bags_are_read_or_refused(make, tmp_path):
     bag = make(tmp_path / ('bag.mcap' if make in hostile_files.CASES else 'bag'))
     for use in uses(bag, tmp_path / 'repaired'):

@@ -53,7 +53,11 @@ FILES = [
     'ugs/spiral.gcode',
 ]
 
-LONG = ['ugs/Gates_combined_R12.nc', 'ugs/rotation.ngc']
+LONG = [
+    'ccby-5axis/Coordinate_system_representation_Achskreuz.mpf',
+    'ugs/Gates_combined_R12.nc',
+    'ugs/rotation.ngc',
+]
 
 
 def made(scheduler=None, **changes):
