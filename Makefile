@@ -20,6 +20,10 @@ unexport LD_LIBRARY_PATH PYTHONHOME PYTHONPATH VIRTUAL_ENV RMW_IMPLEMENTATION
 # The environment is a whole ROS prefix; one thread a process, as two cores hold many processes.
 ROS := AMENT_PREFIX_PATH='$(VENV)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
+# What must be true after every change is what faults are tried on.
+MUTANTS := build/mutants/mutants.json
+FAST := -m "not slow and not ros"
+
 # Tests that run nodes keep time and want the processors for themselves; the others share them.
 PYTEST := $(ROS) '$(BIN)/python' -m pytest --timeout=300
 PARALLEL := -n auto --maxprocesses=8 --dist loadfile
@@ -67,6 +71,12 @@ test-floor: ## Core and components without ROS on Ubuntu 24.04's versions (Pytho
 	  "$$python" tools/setup_env.py floor
 	@PYTHONPATH='$(CURDIR)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 '$(FLOOR)/bin/python' -m pytest \
 	  --timeout=300 $(PARALLEL) -m 'not ros and not slow' -p no:cacheprovider $(FLOOR_TESTS) $(ARGS)
+
+.PHONY: mutants
+mutants: setup ## Put faults into copies of the sources, see which the fast tests catch
+	@mkdir -p '$(dir $(MUTANTS))' && '$(BIN)/python' tools/mutants.py draw >'$(MUTANTS)'
+	@$(ROS) '$(BIN)/python' tools/mutants.py run '$(MUTANTS)' \
+	  --suite 'fast=$(FAST) --timeout=300 $(PARALLEL)' $(ARGS)
 
 .PHONY: lock
 lock: ## Resolve requirements/*.in anew (needs uv on the PATH)
