@@ -22,6 +22,10 @@ ROS := AMENT_PREFIX_PATH='$(VENV)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 TESTS := $(ROS) '$(BIN)/python' tools/run_tests.py
 
+# What must be true after every change is what faults are tried on.
+MUTANTS := build/mutants/mutants.json
+FAST := -m "not slow and not qualify and not realtime" -n auto --maxprocesses=8 --dist worksteal
+
 .PHONY: help
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -76,6 +80,12 @@ test-floor: ## Core and components without ROS on Ubuntu 24.04's versions (Pytho
 	@PYTHONPATH='$(CURDIR)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 '$(FLOOR)/bin/python' -m pytest \
 	  --timeout=300 -n auto --maxprocesses=8 --dist worksteal -m 'not ros and not slow and not qualify' \
 	  -p no:cacheprovider $(FLOOR_TESTS) $(ARGS)
+
+.PHONY: mutants
+mutants: setup ## Put faults into copies of the sources, see which the fast tests catch
+	@mkdir -p '$(dir $(MUTANTS))' && '$(BIN)/python' tools/mutants.py draw >'$(MUTANTS)'
+	@$(ROS) '$(BIN)/python' tools/mutants.py run '$(MUTANTS)' \
+	  --suite 'fast=$(FAST) --timeout=300' $(ARGS)
 
 .PHONY: lock
 lock: ## Resolve requirements/*.in anew (needs uv on the PATH)
