@@ -20,6 +20,8 @@ from fuzzycnc_ros.core.config import Config
 pytestmark = pytest.mark.ros
 
 NODES = [*COMPONENTS, 'recorder', 'player']
+AGAIN = 5.0
+"""Wall time [s] after which a question that changes nothing is asked again."""
 
 
 def schema(node: str) -> list[Any]:
@@ -85,12 +87,12 @@ def check_description(observer: Any, node: str) -> None:
     names = [item.name for item in items]
     service = f'/mill/{node}'
     listed = observer.call(
-        ListParameters, f'{service}/list_parameters', ListParameters.Request()
+        ListParameters, f'{service}/list_parameters', ListParameters.Request(), again=AGAIN
     ).result.names
     assert set(names) <= set(listed), node
     request = DescribeParameters.Request(names=names)
     described = observer.call(
-        DescribeParameters, f'{service}/describe_parameters', request
+        DescribeParameters, f'{service}/describe_parameters', request, again=AGAIN
     ).descriptors
     for item, descriptor in zip(items, described, strict=True):
         assert item.metadata['doc'] in descriptor.description
@@ -171,7 +173,9 @@ def test_parameter_set_at_run_time(graph, observer, node, name, good, bad, reaso
     def change(value: float) -> Any:
         wanted = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
         request = SetParameters.Request(parameters=[Parameter(name=name, value=wanted)])
-        return observer.call(SetParameters, f'/mill/{node}/set_parameters', request).results[0]
+        return observer.call(
+            SetParameters, f'/mill/{node}/set_parameters', request, again=AGAIN
+        ).results[0]
 
     assert change(good).successful
     refused = change(bad)
@@ -185,7 +189,7 @@ def test_fixed_parameter_is_refused_at_run_time(graph, observer):
     value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=30.0)
     request = SetParameters.Request(parameters=[Parameter(name='interval', value=value)])
     result = observer.call(
-        SetParameters, '/mill/temperature_acquisition/set_parameters', request
+        SetParameters, '/mill/temperature_acquisition/set_parameters', request, again=AGAIN
     ).results[0]
     assert not result.successful
     assert 'interval' in result.reason
