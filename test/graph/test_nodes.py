@@ -20,8 +20,7 @@ from fuzzycnc_ros.core.config import Config
 pytestmark = pytest.mark.ros
 
 NODES = [*COMPONENTS, 'recorder', 'player']
-END_TIMEOUT = 3.0
-"""Wall time [s] within which a node ends when asked."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def schema(node: str) -> list[Any]:
@@ -55,8 +54,9 @@ def needed(tmp_path: Path) -> Callable[[str], dict[str, Any]]:
     return find
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_describe_report_and_end(graph, observer, root, needed, number):
+@pytest.mark.parametrize('first', [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_describe_report_and_end(graph, observer, root, needed, first):
+    """Each node as a process; one half of them is asked to end by one signal, one by the other."""
     observer.watch_diagnostics()
     started = {
         node: graph.start(node, needed(node), files=(root / 'params' / f'{node}.yaml',))
@@ -71,8 +71,8 @@ def test_describe_report_and_end(graph, observer, root, needed, number):
         ),
         f'diagnostics of every node, found {sorted(observer.statuses)}',
     )
-    for running in started.values():
-        assert running.interrupt(number, END_TIMEOUT) == 0
+    for place, running in enumerate(started.values(), first):
+        assert running.interrupt(SIGNALS[place % 2]) == 0, running.output
 
 
 def check_description(observer: Any, node: str) -> None:
@@ -102,15 +102,11 @@ def check_description(observer: Any, node: str) -> None:
             assert (found.from_value, found.to_value) == bounds
 
 
-def test_misspelt_parameter_is_refused(graph, needed):
-    started = [graph.start(node, {**needed(node), 'lockstpe': True}) for node in NODES]
-    for running in started:
-        assert running.wait(30.0) == 2, running.output
-        errors = [line for line in running.output.splitlines() if line.startswith('error: ')]
-        assert len(errors) == 1
-        assert 'unknown parameter lockstpe' in errors[0]
-        assert 'lockstep' in errors[0]
-        assert 'Traceback' not in running.output
+@pytest.mark.parametrize('node', NODES)
+def test_misspelt_parameter_is_refused(refusal, needed, node):
+    line = refusal(node, {**needed(node), 'lockstpe': True})
+    assert 'unknown parameter lockstpe' in line
+    assert 'lockstep' in line
 
 
 REFUSED = [
@@ -153,6 +149,13 @@ def test_impossible_parameter_is_refused(refusal, node, parameters, named):
     assert named in refusal(node, parameters)
 
 
+@pytest.fixture(scope='module')
+def nodes(shared_graph):
+    """Nodes whose parameters are set; no test needs the values of another."""
+    shared_graph.compose('compensator', 'temperature_acquisition')
+
+
+@pytest.mark.usefixtures('nodes')
 @pytest.mark.parametrize(
     ('node', 'name', 'good', 'bad', 'reason'),
     [
@@ -161,13 +164,12 @@ def test_impossible_parameter_is_refused(refusal, node, parameters, named):
         ('temperature_acquisition', 'range_high', 90.0, 2000.0, 'range'),
     ],
 )
-def test_parameter_set_at_run_time(graph, observer, node, name, good, bad, reason):
-    graph.start(node)
-
+def test_parameter_set_at_run_time(shared_observer, node, name, good, bad, reason):
     def change(value: float) -> Any:
         wanted = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
         request = SetParameters.Request(parameters=[Parameter(name=name, value=wanted)])
-        return observer.call(SetParameters, f'/mill/{node}/set_parameters', request).results[0]
+        service = f'/mill/{node}/set_parameters'
+        return shared_observer.call(SetParameters, service, request).results[0]
 
     assert change(good).successful
     refused = change(bad)
@@ -176,11 +178,11 @@ def test_parameter_set_at_run_time(graph, observer, node, name, good, bad, reaso
     assert change(good).successful
 
 
-def test_fixed_parameter_is_refused_at_run_time(graph, observer):
-    graph.start('temperature_acquisition')
+@pytest.mark.usefixtures('nodes')
+def test_fixed_parameter_is_refused_at_run_time(shared_observer):
     value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=30.0)
     request = SetParameters.Request(parameters=[Parameter(name='interval', value=value)])
-    result = observer.call(
+    result = shared_observer.call(
         SetParameters, '/mill/temperature_acquisition/set_parameters', request
     ).results[0]
     assert not result.successful

@@ -37,6 +37,7 @@ except (KeyboardInterrupt, ExternalShutdownException):
 """Publishes 50 times a second on each topic."""
 
 
+@pytest.mark.realtime  # what may be lost is said in wall time
 def test_killed_recorder_loses_at_most_the_last_second(graph, observer, tmp_path):
     """SIGKILL after 10 s of traffic: the first 9 s of every topic are in the repaired bag."""
     bag = tmp_path / 'bag'
@@ -52,7 +53,7 @@ def test_killed_recorder_loses_at_most_the_last_second(graph, observer, tmp_path
         'the recorder reads every topic',
     )
     begun = time.monotonic()
-    observer.until(lambda: time.monotonic() - begun > 10.0, 'ten seconds of traffic', 20.0)
+    observer.until(lambda: time.monotonic() - begun > 10.0, 'ten seconds of traffic')
     graph.kill(recorder)
     killed = time.time_ns()
 
@@ -85,7 +86,7 @@ def test_stopped_recorder_loses_nothing(graph, observer, model_file, tmp_path):
     bag = tmp_path / 'bag'
     states = observer.records('machine_state', MachineState)
     nodes = graph.start_shift(model_file, bag=bag, duties=('T2',), tick_period=0.6)
-    observer.until(lambda: len(states) > 2000, '2000 ticks', 120.0)
+    observer.until(lambda: len(states) > 2000, '2000 ticks')
     observer.forget('machine_state')
     begun = time.monotonic()
     nodes['recorder'].send(signal.SIGSTOP)

@@ -20,7 +20,6 @@ from fuzzycnc_ros.scenario.thermal_shift import record_calibration
 
 pytestmark = pytest.mark.ros
 
-TRAINING_TIMEOUT = 120.0
 DUTIES = ('D0', 'T1')
 
 
@@ -52,7 +51,7 @@ class Client:
     def result(self, handle: Any) -> Any:
         """Wait for the end of a training; return status and result."""
         future = handle.get_result_async()
-        self._observer.until(future.done, 'end of the training', TRAINING_TIMEOUT)
+        self._observer.until(future.done, 'end of the training')
         return future.result()
 
     def cancel(self, handle: Any) -> Any:

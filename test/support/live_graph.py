@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A real graph for tests: nodes as processes, and a node of the test to watch them.
 
-A `conftest.py` imports the fixtures by name.
+A `conftest.py` imports the fixtures by name; `domain` is in the top one.
 
-Every test has a ROS domain of its own.  Nodes are started with this interpreter and environment,
-each in a process group of its own, and always killed at the end; what they wrote is shown when a
-test fails.  Tests wait for conditions with a deadline and never sleep for luck.
+Every test has a ROS domain of its own, or shares one with the tests of its module.  Nodes are
+started with this interpreter and environment, each in a process group of its own, and always
+killed at the end; what they wrote is shown when a test fails.  Tests wait for conditions and never
+sleep for luck; the limits of waiting only guard against a hang, however slow the machine is.
 """
 
 import contextlib
@@ -15,11 +16,13 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
 from itertools import count
 from pathlib import Path
@@ -29,6 +32,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from kept import kept
+from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
@@ -50,19 +54,31 @@ DOMAINS = 100
 """Domains 1 to 100: above 101 the ports would lie among those that the system hands out."""
 PORTS, PORTS_EACH = 7400, 250
 """First port of domain 0, and ports of each domain, as DDS-RTPS lays down."""
-START_TIMEOUT = 30.0
-STOP_TIMEOUT = 20.0
+OWN_PORTS = range(10, 90)
+"""Of them, those that forty participants listen on, each alone."""
+START_TIMEOUT = 120.0
+STOP_TIMEOUT = 120.0
 RUN_TIMEOUT = 240.0
-CLOSE_TIMEOUT = 3.0
+CLOSE_TIMEOUT = 10.0
+ANSWER_TIMEOUT = 60.0
+"""After which a node of a lock-step run is lost, for runs in which none may be."""
+KILL_TIMEOUT = 3.0
+"""The same for runs in which one is killed: they prove as much if a living one is late."""
+DRAIN, SETTLED = 50, 10
+"""Callbacks that are worked off here, and requests that a node answers, until all is taken."""
 STREAM, LATCHED = Durability.STREAM, Durability.LATCHED
 
 prepare_environment()
 _turn = count()
 
 
-@pytest.fixture
-def domain() -> Iterator[int]:
-    """A ROS domain that no other test of this user uses now; a lock file holds it."""
+@contextmanager
+def free_domain() -> Iterator[int]:
+    """Yield a ROS domain that nobody on this host uses; a lock file holds it.
+
+    The lock keeps out other tests of this user, in whatever process; ports in use tell of nodes
+    of others, and of those that outlived a test that was killed.
+    """
     first = os.getpid() + 7 * next(_turn)
     for offset in range(DOMAINS):
         number = 1 + (first + offset) % DOMAINS
@@ -70,15 +86,50 @@ def domain() -> Iterator[int]:
         with path.open('w') as handle:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+                for port in OWN_PORTS:
+                    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                        probe.bind(('', PORTS + PORTS_EACH * number + port))
+            except OSError:
                 continue
-            yield number
-            for file in Path('/dev/shm').glob('*fastrtps_port*'):
-                port = int(re.findall(r'port(\d+)', file.name)[0])
-                if 0 <= port - PORTS - PORTS_EACH * number < PORTS_EACH:
-                    file.unlink(missing_ok=True)
+            _remove_ports(number)
+            try:
+                yield number
+            finally:
+                _remove_ports(number)
             return
-    pytest.fail(f'expected a free ROS domain among 1 to {DOMAINS} but all are locked')
+    pytest.fail(f'expected a free ROS domain among 1 to {DOMAINS} but all are in use')
+
+
+def _remove_ports(number: int) -> None:
+    """Remove what killed nodes of a domain left of their ports in shared memory."""
+    for file in Path('/dev/shm').glob('*fastrtps_port*'):
+        port = int(re.findall(r'port(\d+)', file.name)[0])
+        if 0 <= port - PORTS - PORTS_EACH * number < PORTS_EACH:
+            with contextlib.suppress(FileNotFoundError, PermissionError):
+                file.unlink()
+
+
+@pytest.fixture(scope='module')
+def shared_domain() -> Iterator[int]:
+    """A ROS domain of the tests of a module."""
+    with free_domain() as number:
+        yield number
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Let a process that is started meanwhile be interrupted, even if this one ignores that.
+
+    What is handled here is left to the default there; what is ignored would stay ignored, as it
+    is in all that a shell starts in the background.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    blocked = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        signal.signal(signal.SIGINT, before)
 
 
 class Running:
@@ -119,7 +170,7 @@ class Running:
 
 
 class Graph:
-    """The nodes of one test."""
+    """The nodes of a test, or of the tests of a module."""
 
     def __init__(self, domain: int, folder: Path) -> None:
         self.domain = domain
@@ -144,6 +195,13 @@ class Graph:
         command += [*ros_arguments(namespace, [*files, own]), *arguments]
         return self.launch(node, command, folder)
 
+    def compose(self, *nodes: str) -> Running:
+        """Start nodes in one process, which starts as quickly as one of them."""
+        folder = self.folder / f'{len(self.running)}-composed'
+        folder.mkdir(parents=True)
+        command = [sys.executable, '-m', 'fuzzycnc_ros.nodes.composed', *nodes]
+        return self.launch('composed', [*command, *ros_arguments('/mill', [])], folder)
+
     def start_shift(
         self,
         model: Path,
@@ -161,7 +219,8 @@ class Graph:
             record=bag,
             lockstep=lockstep,
             autostart=True,
-            machine_parameters=machine,
+            # However busy the computer is, a living node answers within a minute.
+            machine_parameters={'answer_timeout': ANSWER_TIMEOUT, **machine},
         )
         return {
             spec.name: self.start(
@@ -181,7 +240,7 @@ class Graph:
             'OMP_NUM_THREADS': '1',
         }
         log = folder / 'output.log'
-        with log.open('wb') as output:
+        with log.open('wb') as output, interruptible():
             process = subprocess.Popen(
                 command,
                 stdout=output,
@@ -249,6 +308,7 @@ class Observer:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self._readers: dict[str, Any] = {}
+        self._clients: dict[str, Any] = {}
         self.statuses: dict[str, list[tuple[int, str]]] = {}
         """Level and text of each diagnostic item that was ever reported, in order of change."""
 
@@ -292,10 +352,30 @@ class Observer:
         self.executor.spin_once(timeout_sec=0.02)
 
     def spin_for(self, duration: float) -> None:
-        """Work for some wall time [s]."""
+        """Work for some wall time [s], in which something must not happen."""
         end = time.monotonic() + duration
         while time.monotonic() < end:
             self.spin()
+
+    def drain(self) -> None:
+        """Take what has arrived."""
+        for _ in range(DRAIN):
+            self.executor.spin_once(timeout_sec=0.0)
+
+    def settle(self, *nodes: str) -> None:
+        """Wait until nodes have taken what was published here, and hear what they said to it.
+
+        Before a request they take what came earlier, one message of each topic at a time.
+        """
+        for node in nodes:
+            if node not in self._clients:
+                name = f'/mill/{node}/get_parameters'
+                self._clients[node] = self.node.create_client(GetParameters, name)
+                self.until(self._clients[node].service_is_ready, f'{node} answers')
+            for _ in range(SETTLED):
+                answer = self._clients[node].call_async(GetParameters.Request())
+                self.until(answer.done, f'{node} answers')
+        self.drain()
 
     def until(
         self, condition: Callable[[], Any], what: str = '', timeout: float = START_TIMEOUT
@@ -338,10 +418,10 @@ class Observer:
         rclpy.shutdown(context=self.context)
 
 
-@pytest.fixture
-def graph(domain: int, tmp_path: Path) -> Iterator[Graph]:
-    """Nodes as processes in a domain of their own."""
-    started = Graph(domain, tmp_path / 'nodes')
+@contextmanager
+def opened(domain: int, folder: Path) -> Iterator[Graph]:
+    """Nodes as processes in a domain, which end in the end."""
+    started = Graph(domain, folder)
     try:
         yield started
     finally:
@@ -349,13 +429,31 @@ def graph(domain: int, tmp_path: Path) -> Iterator[Graph]:
 
 
 @pytest.fixture
+def graph(domain: int, tmp_path: Path) -> Iterator[Graph]:
+    """Nodes as processes in a domain of their own."""
+    with opened(domain, tmp_path / 'nodes') as started:
+        yield started
+
+
+@pytest.fixture(scope='module')
+def shared_graph(shared_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    """Nodes as processes that the tests of a module share."""
+    with opened(shared_domain, tmp_path_factory.mktemp('nodes')) as started:
+        yield started
+
+
+@pytest.fixture
 def observer(domain: int, graph: Graph) -> Iterator[Observer]:
     """A node of the test in the same domain, closed before the nodes are."""
-    watching = Observer(domain)
-    try:
+    with contextlib.closing(Observer(domain)) as watching:
         yield watching
-    finally:
-        watching.close()
+
+
+@pytest.fixture
+def shared_observer(shared_domain: int, shared_graph: Graph) -> Iterator[Observer]:
+    """A node of the test among the nodes that the tests of a module share."""
+    with contextlib.closing(Observer(shared_domain)) as watching:
+        yield watching
 
 
 @kept
@@ -477,8 +575,10 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
     """Show what the nodes wrote when a test fails."""
     outcome = yield
     report = outcome.get_result()
-    nodes = getattr(item, 'funcargs', {}).get('graph')
-    if report.failed and isinstance(nodes, Graph):
-        for node in nodes.running:
+    if not report.failed:
+        return
+    for name in ('graph', 'shared_graph'):
+        nodes = getattr(item, 'funcargs', {}).get(name)
+        for node in nodes.running if isinstance(nodes, Graph) else ():
             code = node.process.poll()
             report.sections.append((f'{node.name}, exit code {code}', node.output))

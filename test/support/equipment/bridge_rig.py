@@ -84,7 +84,7 @@ class BridgeRig:
                 return self.observer.call(ChangeState, service, request, 6.0).success
         raise AssertionError(f'no answer of the bridge: {self.bridge.output}')
 
-    def until(self, condition: Any, what: str = '', timeout: float = 15.0) -> None:
+    def until(self, condition: Any, what: str = '', timeout: float = 60.0) -> None:
         """Wait for a condition."""
         try:
             self.observer.until(condition, what, timeout)
