@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from live_graph import ANSWER_TIMEOUT, KILL_TIMEOUT
+from live_graph import AGAIN, ANSWER_TIMEOUT, KILL_TIMEOUT
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
@@ -237,7 +237,9 @@ def set_model(observer, file):
     """Set the parameter `model`; return the answer."""
     parameter = Parameter(name='model', value=ParameterValue(type=4, string_value=str(file)))
     request = SetParameters.Request(parameters=[parameter])
-    response = observer.call(SetParameters, 'deformation_compensator/set_parameters', request)
+    response = observer.call(
+        SetParameters, 'deformation_compensator/set_parameters', request, again=AGAIN
+    )
     return response.results[0]
 
 

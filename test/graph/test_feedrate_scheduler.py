@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The feedrate scheduler as a managed node: transitions, programs by service, paths over DDS."""
 
+from functools import partial
 from itertools import groupby, pairwise
 
 import numpy as np
 import pytest
 from lifecycle_msgs.msg import State, Transition
-from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rosgraph_msgs.msg import Clock
@@ -121,25 +121,14 @@ class Machine:
 
 @pytest.fixture
 def change(observer):
-    """Ask the scheduler for a transition; tell whether it was carried out."""
-
-    def ask(transition):
-        request = ChangeState.Request(transition=Transition(id=transition))
-        name = '/mill/feedrate_scheduler/change_state'
-        return observer.call(ChangeState, name, request).success
-
-    return ask
+    """Ask for a transition; tell whether it was carried out."""
+    return partial(observer.change, NODE)
 
 
 @pytest.fixture
 def state(observer):
-    """Ask for the scheduler's lifecycle state."""
-
-    def ask():
-        name = '/mill/feedrate_scheduler/get_state'
-        return observer.call(GetState, name, GetState.Request()).current_state.id
-
-    return ask
+    """Ask for the lifecycle state."""
+    return partial(observer.state, NODE)
 
 
 @pytest.fixture

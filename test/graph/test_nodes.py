@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from live_graph import AGAIN
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
 
@@ -81,12 +82,12 @@ def check_description(observer: Any, node: str) -> None:
     names = [item.name for item in items]
     service = f'/mill/{node}'
     listed = observer.call(
-        ListParameters, f'{service}/list_parameters', ListParameters.Request()
+        ListParameters, f'{service}/list_parameters', ListParameters.Request(), again=AGAIN
     ).result.names
     assert set(names) <= set(listed), node
     request = DescribeParameters.Request(names=names)
     described = observer.call(
-        DescribeParameters, f'{service}/describe_parameters', request
+        DescribeParameters, f'{service}/describe_parameters', request, again=AGAIN
     ).descriptors
     for item, descriptor in zip(items, described, strict=True):
         assert item.metadata['doc'] in descriptor.description
@@ -169,7 +170,7 @@ def test_parameter_set_at_run_time(shared_observer, node, name, good, bad, reaso
         wanted = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
         request = SetParameters.Request(parameters=[Parameter(name=name, value=wanted)])
         service = f'/mill/{node}/set_parameters'
-        return shared_observer.call(SetParameters, service, request).results[0]
+        return shared_observer.call(SetParameters, service, request, again=AGAIN).results[0]
 
     assert change(good).successful
     refused = change(bad)
@@ -183,7 +184,7 @@ def test_fixed_parameter_is_refused_at_run_time(shared_observer):
     value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=30.0)
     request = SetParameters.Request(parameters=[Parameter(name='interval', value=value)])
     result = shared_observer.call(
-        SetParameters, '/mill/temperature_acquisition/set_parameters', request
+        SetParameters, '/mill/temperature_acquisition/set_parameters', request, again=AGAIN
     ).results[0]
     assert not result.successful
     assert 'interval' in result.reason

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from action_msgs.msg import GoalStatus
+from live_graph import AGAIN
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
@@ -127,7 +128,9 @@ def set_model(observer: Any, path: Path | str) -> Any:
     """Set the parameter model; return the result."""
     value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(path))
     request = SetParameters.Request(parameters=[Parameter(name='model', value=value)])
-    response = observer.call(SetParameters, '/mill/thermal_predictor/set_parameters', request)
+    response = observer.call(
+        SetParameters, '/mill/thermal_predictor/set_parameters', request, again=AGAIN
+    )
     return response.results[0]
 
 

@@ -13,6 +13,7 @@ sleep for luck; the limits of waiting only guard against a hang, however slow th
 import contextlib
 import fcntl
 import json
+import math
 import os
 import re
 import signal
@@ -32,6 +33,9 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from kept import kept
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from processes import start
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
@@ -66,6 +70,14 @@ KILL_TIMEOUT = 3.0
 """The same for runs in which one is killed: they prove as much if a living one is late."""
 DRAIN, SETTLED = 50, 10
 """Callbacks that are worked off here, and requests that a node answers, until all is taken."""
+AGAIN = 5.0
+"""Wall time [s] after which a question that changes nothing is asked again."""
+GOALS = {
+    Transition.TRANSITION_CONFIGURE: State.PRIMARY_STATE_INACTIVE,
+    Transition.TRANSITION_ACTIVATE: State.PRIMARY_STATE_ACTIVE,
+    Transition.TRANSITION_DEACTIVATE: State.PRIMARY_STATE_INACTIVE,
+    Transition.TRANSITION_CLEANUP: State.PRIMARY_STATE_UNCONFIGURED,
+}
 STREAM, LATCHED = Durability.STREAM, Durability.LATCHED
 
 prepare_environment()
@@ -114,22 +126,6 @@ def shared_domain() -> Iterator[int]:
     """A ROS domain of the tests of a module."""
     with free_domain() as number:
         yield number
-
-
-@contextmanager
-def interruptible() -> Iterator[None]:
-    """Let a process that is started meanwhile be interrupted, even if this one ignores that.
-
-    What is handled here is left to the default there; what is ignored would stay ignored, as it
-    is in all that a shell starts in the background.
-    """
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    blocked = signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-        signal.signal(signal.SIGINT, before)
 
 
 class Running:
@@ -186,6 +182,7 @@ class Graph:
         files: tuple[Path, ...] = (),
         arguments: tuple[str, ...] = (),
         namespace: str = '/mill',
+        interrupts: str = 'default',
     ) -> Running:
         """Start a node with parameters, parameter files read before them, and remappings."""
         folder = self.folder / f'{len(self.running)}-{node}'
@@ -193,7 +190,7 @@ class Graph:
         own = parameter_file(folder, namespace, [NodeSpec(node, parameters or {})])
         command = [sys.executable, '-m', f'fuzzycnc_ros.nodes.{node}']
         command += [*ros_arguments(namespace, [*files, own]), *arguments]
-        return self.launch(node, command, folder)
+        return self.launch(node, command, folder, interrupts)
 
     def compose(self, *nodes: str) -> Running:
         """Start nodes in one process, which starts as quickly as one of them."""
@@ -230,7 +227,9 @@ class Graph:
             if spec.name not in without
         }
 
-    def launch(self, name: str, command: list[str], folder: Path) -> Running:
+    def launch(
+        self, name: str, command: list[str], folder: Path, interrupts: str = 'default'
+    ) -> Running:
         """Start any command in the test's domain."""
         environment = {
             **os.environ,
@@ -240,9 +239,10 @@ class Graph:
             'OMP_NUM_THREADS': '1',
         }
         log = folder / 'output.log'
-        with log.open('wb') as output, interruptible():
-            process = subprocess.Popen(
+        with log.open('wb') as output:
+            process = start(
                 command,
+                interrupts=interrupts,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,
@@ -368,13 +368,9 @@ class Observer:
         Before a request they take what came earlier, one message of each topic at a time.
         """
         for node in nodes:
-            if node not in self._clients:
-                name = f'/mill/{node}/get_parameters'
-                self._clients[node] = self.node.create_client(GetParameters, name)
-                self.until(self._clients[node].service_is_ready, f'{node} answers')
+            name = f'/mill/{node}/get_parameters'
             for _ in range(SETTLED):
-                answer = self._clients[node].call_async(GetParameters.Request())
-                self.until(answer.done, f'{node} answers')
+                self.call(GetParameters, name, GetParameters.Request(), again=AGAIN)
         self.drain()
 
     def until(
@@ -400,16 +396,53 @@ class Observer:
             self.spin()
         return int(node.process.returncode)
 
-    def call(self, kind: Any, name: str, request: Any, timeout: float = START_TIMEOUT) -> Any:
-        """Call a service and return its response."""
-        client = self.node.create_client(kind, name)
+    def call(
+        self,
+        kind: Any,
+        name: str,
+        request: Any,
+        timeout: float = START_TIMEOUT,
+        again: float = math.inf,
+    ) -> Any:
+        """Call a service and return its response.
+
+        A server that has not found this client yet drops its response.  What may be asked twice
+        is asked `again` after so much wall time [s].
+        """
+        client = self._clients.get(name)
+        if client is None:
+            client = self._clients[name] = self.node.create_client(kind, name)
+        self.until(client.service_is_ready, f'service {name}', timeout)
+        futures: list[Any] = []
+        asked = -math.inf
+
+        def answered() -> bool:
+            nonlocal asked
+            if not futures or time.monotonic() - asked > again:
+                futures.append(client.call_async(request))
+                asked = time.monotonic()
+            return any(future.done() for future in futures)
+
+        self.until(answered, f'answer of {name}', timeout)
+        return next(future.result() for future in futures if future.done())
+
+    def state(self, node: str) -> int:
+        """Ask for the lifecycle state of a node."""
+        name = f'/mill/{node}/get_state'
+        return self.call(GetState, name, GetState.Request(), again=AGAIN).current_state.id
+
+    def change(self, node: str, transition: int) -> bool:
+        """Ask a node for a transition; return whether it was carried out.
+
+        Its state tells if its answer was dropped.
+        """
+        request = ChangeState.Request(transition=Transition(id=transition))
+        name = f'/mill/{node}/change_state'
+        self.state(node)  # it is there, and quick to answer
         try:
-            self.until(client.service_is_ready, f'service {name}', timeout)
-            future = client.call_async(request)
-            self.until(future.done, f'answer of {name}', timeout)
-            return future.result()
-        finally:
-            self.node.destroy_client(client)
+            return self.call(ChangeState, name, request, 2 * AGAIN).success
+        except AssertionError:
+            return self.state(node) == GOALS[transition]
 
     def close(self) -> None:
         """Leave the domain."""

@@ -1,0 +1,123 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Processes that tests start: signals as the test needs them, and none that outlives its test."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import time
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import Any
+
+HANG = 60.0
+"""Wall time [s] after which what is waited for will not come: no bound on how long it may take."""
+POLL = 0.01
+
+MARK = f'FUZZYCNC_TEST={uuid.uuid4().hex}'
+"""Environment of everything that this process and its descendants start."""
+os.environ.update([MARK.split('=')])
+
+_strangers: set[int] = set()
+_seen_once: set[int] = set()
+
+
+def start(
+    command: Sequence[str], *, interrupts: str = 'default', **options: Any
+) -> 'subprocess.Popen[Any]':
+    """Start a process in which SIGINT is at its `default`, or `ignored` as in the background.
+
+    Without this it would be as in whatever shell the tests were started from.
+    """
+    disposition = {'default': signal.SIG_DFL, 'ignored': signal.SIG_IGN}[interrupts]
+
+    def set_up() -> None:
+        signal.signal(signal.SIGINT, disposition)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
+
+    return subprocess.Popen(command, preexec_fn=set_up, **options)
+
+
+def wait_for(condition: Callable[[], Any], what: str) -> None:
+    """Wait until a condition holds.
+
+    Raises
+    ------
+    AssertionError
+        If it never does.
+    """
+    until = time.monotonic() + HANG
+    while not condition():
+        assert time.monotonic() < until, f'not within {HANG:g} s: {what}'
+        time.sleep(POLL)
+
+
+def living() -> set[int]:
+    """Return the processes that this one or its descendants have started and that still run."""
+    pids = {int(name) for name in os.listdir('/proc') if name.isdigit()} - {os.getpid()}
+    _strangers.intersection_update(pids)
+    found = {pid for pid in pids - _strangers if _ours(pid)}
+    found.discard(resource_tracker._resource_tracker._pid)  # lives as long as this process
+    # One that is about to begin has no environment yet: it is looked at a second time.
+    rest = pids - found - _strangers
+    _strangers.update(rest & _seen_once)
+    _seen_once.clear()
+    _seen_once.update(rest)
+    return found
+
+
+def command_line(pid: int) -> str:
+    """Return the command line of a process; empty if it is gone."""
+    try:
+        return Path(f'/proc/{pid}/cmdline').read_bytes().replace(b'\0', b' ').decode().strip()
+    except OSError:
+        return ''
+
+
+def children(pid: int, text: str) -> list[int]:
+    """Return the descendants of a process that have a text in their command line."""
+    parents = {item: _parent(item) for item in living()}
+    below, found = {pid}, True
+    while found:
+        found = {item for item, parent in parents.items() if parent in below} - below
+        below |= found
+    return sorted(item for item in below - {pid} if text in command_line(item))
+
+
+def nobody_left() -> Iterator[None]:
+    """Fixture: what was started in the meantime has ended.
+
+    Raises
+    ------
+    AssertionError
+        If a process does not; it is killed, so that it disturbs no other test.
+    """
+    before = living()
+    yield
+    until = time.monotonic() + HANG
+    while (left := living() - before) and time.monotonic() < until:
+        time.sleep(POLL)
+    names = [f'{pid}: {command_line(pid)}' for pid in sorted(left)]
+    for pid in left:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    assert not names, f'expected no process of this test to be left but found {names}'
+
+
+def _ours(pid: int) -> bool:
+    try:
+        environment = Path(f'/proc/{pid}/environ').read_bytes()
+    except OSError:  # gone, or another user's
+        return False
+    return MARK.encode() in environment or (bool(environment) and _parent(pid) == os.getpid())
+
+
+def _parent(pid: int) -> int:
+    """Return the parent of a process; 0 if it is gone."""
+    try:
+        return int(Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[1])
+    except OSError:
+        return 0
