@@ -237,10 +237,8 @@ def set_model(observer, file):
     """Set the parameter `model`; return the answer."""
     parameter = Parameter(name='model', value=ParameterValue(type=4, string_value=str(file)))
     request = SetParameters.Request(parameters=[parameter])
-    response = observer.call(
-        SetParameters, 'deformation_compensator/set_parameters', request, again=AGAIN
-    )
-    return response.results[0]
+    service = '/mill/deformation_compensator/set_parameters'
+    return observer.call(SetParameters, service, request, again=AGAIN).results[0]
 
 
 @pytest.mark.parametrize(('name', 'text'), [('model', 'model file'), ('offsets', 'offsets file')])

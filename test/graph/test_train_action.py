@@ -128,10 +128,8 @@ def set_model(observer: Any, path: Path | str) -> Any:
     """Set the parameter model; return the result."""
     value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(path))
     request = SetParameters.Request(parameters=[Parameter(name='model', value=value)])
-    response = observer.call(
-        SetParameters, '/mill/thermal_predictor/set_parameters', request, again=AGAIN
-    )
-    return response.results[0]
+    service = '/mill/thermal_predictor/set_parameters'
+    return observer.call(SetParameters, service, request, again=AGAIN).results[0]
 
 
 def test_model_is_a_live_parameter(graph, observer, model_file, model_text, tmp_path):

@@ -426,23 +426,23 @@ class Observer:
         self.until(answered, f'answer of {name}', timeout)
         return next(future.result() for future in futures if future.done())
 
-    def state(self, node: str) -> int:
+    def state(self, node: str, machine: str = 'mill') -> int:
         """Ask for the lifecycle state of a node."""
-        name = f'/mill/{node}/get_state'
+        name = f'/{machine}/{node}/get_state'
         return self.call(GetState, name, GetState.Request(), again=AGAIN).current_state.id
 
-    def change(self, node: str, transition: int) -> bool:
+    def change(self, node: str, transition: int, machine: str = 'mill') -> bool:
         """Ask a node for a transition; return whether it was carried out.
 
         Its state tells if its answer was dropped.
         """
         request = ChangeState.Request(transition=Transition(id=transition))
-        name = f'/mill/{node}/change_state'
-        self.state(node)  # it is there, and quick to answer
+        name = f'/{machine}/{node}/change_state'
+        self.state(node, machine)  # it is there: what a killed one left looks like its service
         try:
             return self.call(ChangeState, name, request, 2 * AGAIN).success
         except AssertionError:
-            return self.state(node) == GOALS[transition]
+            return self.state(node, machine) == GOALS[transition]
 
     def close(self) -> None:
         """Leave the domain."""
