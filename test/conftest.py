@@ -3,12 +3,14 @@
 """Fixtures for all tests."""
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import hypothesis
 import processes
 import pytest
+import real_time
 
 # The same examples in every run; HYPOTHESIS_PROFILE=explore looks for new ones.
 hypothesis.settings.register_profile('seeded', derandomize=True)
@@ -82,3 +84,26 @@ def refused(fuzzycnc):
         return lines[0]
 
     return command
+
+
+@pytest.fixture
+def domain() -> Iterator[int]:
+    """A ROS domain of this test alone."""
+    pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
+    from live_graph import free_domain
+
+    with free_domain() as number:
+        yield number
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Judge what runs in real time only where time is kept."""
+    real_time.before(item)
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
+    """Measure anew where such a test fails."""
+    outcome = yield
+    real_time.after(item, outcome.get_result())

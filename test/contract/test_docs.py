@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The docs say what is there: generated tables, links, names, commands, the picture, figures."""
 
-import os
 import re
 import runpy
 from functools import cache
@@ -99,10 +98,10 @@ def declared_topics(node: str, *, lockstep: bool) -> tuple[set[str], set[str]]:
 @pytest.mark.ros
 @pytest.mark.parametrize('lockstep', [False, True], ids=['real time', 'lock-step'])
 @pytest.mark.parametrize('node', list(COMPONENTS))
-def test_nodes_have_the_topics_of_the_tables(node, lockstep, monkeypatch):
+def test_nodes_have_the_topics_of_the_tables(node, lockstep, domain, monkeypatch):
     rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
-    # Nothing is sent, but a neighbour on the default domain need not see the node either.
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+    # Nothing is sent, but a graph under test need not see the node either.
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     switch = f'lockstep:={str(lockstep).lower()}'
     rclpy.init(args=['--ros-args', '-r', '__ns:=/mill', '-p', switch])

@@ -4,7 +4,6 @@
 
 from live_graph import (
     bag_hashes,
-    domain,
     graph,
     in_process,
     model_file,
@@ -13,11 +12,13 @@ from live_graph import (
     outputs,
     pytest_runtest_makereport,
     refusal,
+    shared_domain,
+    shared_graph,
+    shared_observer,
 )
 
 __all__ = [
     'bag_hashes',
-    'domain',
     'graph',
     'in_process',
     'model_file',
@@ -26,4 +27,7 @@ __all__ = [
     'outputs',
     'pytest_runtest_makereport',
     'refusal',
+    'shared_domain',
+    'shared_graph',
+    'shared_observer',
 ]

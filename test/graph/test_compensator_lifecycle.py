@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compensator as a managed node, driven by its services."""
 
+from functools import partial
 from itertools import groupby
 
 import numpy as np
 import pytest
 from lifecycle_msgs.msg import State, Transition
-from lifecycle_msgs.srv import ChangeState, GetState
 from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_ros.components.codes import CompensationState
@@ -101,24 +101,14 @@ class Machine:
 
 @pytest.fixture
 def change(observer):
-    """Ask the compensator for a transition; tell whether it was carried out."""
-
-    def ask(transition):
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return observer.call(ChangeState, '/mill/compensator/change_state', request).success
-
-    return ask
+    """Ask for a transition; tell whether it was carried out."""
+    return partial(observer.change, 'compensator')
 
 
 @pytest.fixture
 def state(observer):
-    """Ask for the compensator's lifecycle state."""
-
-    def ask():
-        request = GetState.Request()
-        return observer.call(GetState, '/mill/compensator/get_state', request).current_state.id
-
-    return ask
+    """Ask for the lifecycle state."""
+    return partial(observer.state, 'compensator')
 
 
 def test_transitions(graph, observer, change, state):

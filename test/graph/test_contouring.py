@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from live_graph import ANSWER_TIMEOUT, KILL_TIMEOUT
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.replay import replay
@@ -45,6 +46,7 @@ def start(graph, *, bag=None, **machine):
             'lockstep': True,
             'lockstep_nodes': ['feedrate_scheduler'],
             'lockstep_recorder': bag is not None,
+            'answer_timeout': ANSWER_TIMEOUT,
             **machine,
         },
     )
@@ -71,18 +73,17 @@ def test_live_and_replayed_equal_in_process(graph, tmp_path):
     assert report.identical, report.topics
 
 
-@pytest.mark.slow
 def test_machine_rests_on_the_path_when_the_scheduler_dies(graph, observer):
     """Killed in mid-path: the axes follow the tail of the newest part to rest, and say so."""
     axes = observer.records('axis_state', AxisState)
     states = observer.records('trajectory_state', TrajectoryState)
     errors = observer.records('contour_error', ContourError)
-    scheduler, machine = start(graph, answer_timeout=0.3, path_timeout=2.0)
+    scheduler, machine = start(graph, answer_timeout=KILL_TIMEOUT, path_timeout=2.0)
 
     def midway():
         return bool(states) and states[-1].arc_length > 0.05
 
-    observer.until(midway, 'the middle of the path', timeout=60.0)
+    observer.until(midway, 'the middle of the path')
     graph.kill(scheduler)
     observer.until_ended(machine)
     assert machine.outcome['degraded'] is True

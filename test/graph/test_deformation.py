@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from live_graph import AGAIN, ANSWER_TIMEOUT, KILL_TIMEOUT
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
@@ -84,6 +85,7 @@ def start(graph, file, *, bag=None, patterns=(TRACK,), **machine):
         'lockstep': True,
         'lockstep_nodes': list(NODES),
         'lockstep_recorder': bag is not None,
+        'answer_timeout': ANSWER_TIMEOUT,
         **machine,
     }
     nodes['simulated_machine'] = graph.start('simulated_machine', values)
@@ -127,8 +129,10 @@ def test_what_was_sent_is_stitched_when_the_compensator_dies(graph, observer, fo
     """Killed in mid-path: the path goes on to its end, and the next pattern is never begun."""
     states = observer.records('trajectory_state', TrajectoryState)
     stitched = observer.records('stitched_path', StitchedPath)
-    nodes = start(graph, foam_file, patterns=(TRACK, TRACK), path_timeout=2.0)
-    observer.until(lambda: states and states[-1].arc_length > 0.02, 'the path', timeout=60.0)
+    nodes = start(
+        graph, foam_file, patterns=(TRACK, TRACK), answer_timeout=KILL_TIMEOUT, path_timeout=2.0
+    )
+    observer.until(lambda: states and states[-1].arc_length > 0.02, 'the path')
     graph.kill(nodes['deformation_compensator'])
     machine = nodes['simulated_machine']
     observer.until_ended(machine)
@@ -207,7 +211,7 @@ def test_bad_input_is_told_and_the_next_pattern_taken(graph, observer, foam_mode
         size=np.array([0.15, 0.1]),
     )
     operator.say('material', sheet)
-    observer.spin_for(0.3)
+    observer.settle('deformation_compensator')
     operator.say('stitch_pattern', pattern(3, 'deep', depth=np.full(4, 13e-3)))
     operator.until_told('the foot would go through the sheet')
     damaged = foam_file.with_name('damaged.json')
@@ -233,8 +237,8 @@ def set_model(observer, file):
     """Set the parameter `model`; return the answer."""
     parameter = Parameter(name='model', value=ParameterValue(type=4, string_value=str(file)))
     request = SetParameters.Request(parameters=[parameter])
-    response = observer.call(SetParameters, 'deformation_compensator/set_parameters', request)
-    return response.results[0]
+    service = '/mill/deformation_compensator/set_parameters'
+    return observer.call(SetParameters, service, request, again=AGAIN).results[0]
 
 
 @pytest.mark.parametrize(('name', 'text'), [('model', 'model file'), ('offsets', 'offsets file')])

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The feedrate scheduler as a managed node: transitions, programs by service, paths over DDS."""
 
+from functools import partial
 from itertools import groupby, pairwise
 
 import numpy as np
 import pytest
 from lifecycle_msgs.msg import State, Transition
-from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rosgraph_msgs.msg import Clock
@@ -36,9 +36,12 @@ from fuzzycnc_ros.nodes.qos import publisher_qos
 pytestmark = pytest.mark.ros
 
 LATCHED = Durability.LATCHED
+NODE = 'feedrate_scheduler'
 AXES = ('X', 'Y', 'Z')
 CURVE = trident()
 """98 mm."""
+STEP, PACE = 0.05, 0.02
+"""Machine time and wall time between two looks of the machine [s]."""
 BAD_PROGRAM = 'G0 X0 Y0\nG1 X10 F600\nG2 X20 Y5 I1 J1\n'
 
 
@@ -118,25 +121,14 @@ class Machine:
 
 @pytest.fixture
 def change(observer):
-    """Ask the scheduler for a transition; tell whether it was carried out."""
-
-    def ask(transition):
-        request = ChangeState.Request(transition=Transition(id=transition))
-        name = '/mill/feedrate_scheduler/change_state'
-        return observer.call(ChangeState, name, request).success
-
-    return ask
+    """Ask for a transition; tell whether it was carried out."""
+    return partial(observer.change, NODE)
 
 
 @pytest.fixture
 def state(observer):
-    """Ask for the scheduler's lifecycle state."""
-
-    def ask():
-        name = '/mill/feedrate_scheduler/get_state'
-        return observer.call(GetState, name, GetState.Request()).current_state.id
-
-    return ask
+    """Ask for the lifecycle state."""
+    return partial(observer.state, NODE)
 
 
 @pytest.fixture
@@ -152,13 +144,16 @@ def program(observer):
 
 def follow(observer, machine, parts, time, done):
     """Let time pass until something holds; return the time."""
-    for _ in range(400):
+
+    def passes():
+        nonlocal time
+        time += STEP
         machine.tell(time)
-        observer.spin_for(0.02)
-        if done():
-            return time
-        time += 0.05
-    raise AssertionError(f'not within 20 s of machine time, {len(parts)} parts')
+        observer.spin_for(PACE)
+        return done()
+
+    observer.until(passes, f'not by {time} s of machine time, {len(parts)} parts')
+    return time
 
 
 def test_transitions_and_a_path(graph, observer, change, state):
@@ -176,7 +171,7 @@ def test_transitions_and_a_path(graph, observer, change, state):
     assert state() == State.PRIMARY_STATE_INACTIVE
     for time in (10.0, 10.1, 10.2):
         machine.tell(time)
-        observer.spin_for(0.05)
+        observer.settle(NODE)
     assert not parts
 
     assert change(Transition.TRANSITION_ACTIVATE)
@@ -208,9 +203,9 @@ def test_transitions_and_a_path(graph, observer, change, state):
     assert np.abs(parts[-1].velocity[-2:]).max() < 1e-9
     count = len(parts)
     for _ in range(20):
-        time += 0.05
+        time += STEP
         machine.tell(time)
-        observer.spin_for(0.01)
+    observer.settle(NODE)
     assert len(parts) == count
     assert change(Transition.TRANSITION_CLEANUP)
 
@@ -245,7 +240,7 @@ def test_programs_by_service(graph, observer, state, program):
     assert not program('').success
 
     machine.tell(20.0)
-    observer.spin_for(0.3)
+    observer.settle(NODE)
     assert program(text, path_id='part', run=True).success
     follow(observer, machine, parts, 20.05, lambda: bool(parts) and parts[-1].last)
     assert {part.path_id for part in parts} == {'part'}
@@ -266,18 +261,18 @@ def test_recording_of_a_live_run_replays(graph, observer, change, state, program
     machine = Machine(observer, readers=2)
     observer.until(lambda: state() == State.PRIMARY_STATE_ACTIVE, 'active')
     machine.tell(30.0)
-    observer.spin_for(0.2)
+    observer.settle(NODE)
     machine.send_path(30.1)
     time = follow(observer, machine, parts, 30.15, lambda: bool(parts) and parts[-1].last)
     for _ in range(2):
         time += 0.5
         machine.tell(time, TrajectoryStatus.FINISHED, 'trident', 1)
-        observer.spin_for(0.2)
+        observer.settle(NODE)
     assert program('G1 X90 F600\n', path_id='slow', run=True).success
     follow(observer, machine, parts, time + 0.05, lambda: len(parts) > 3 and parts[-1].part == 2)
     assert change(Transition.TRANSITION_DEACTIVATE)
     observer.until(lambda: parts[-1].last, 'ends the path')
-    observer.spin_for(0.5)
+    observer.settle(NODE, 'recorder')
     assert recorder.interrupt() == 0
     graph.stop()
     report = replay(bag, nodes=['feedrate_scheduler'])
@@ -293,7 +288,7 @@ def test_second_path_is_told_to_be_lost(graph, observer):
     machine = Machine(observer)
     for time in (5.0, 5.1, 5.2):
         machine.tell(time)
-        observer.spin_for(0.05)
+        observer.settle(NODE)
     machine.send_path(5.3, 'first')
     time = follow(observer, machine, parts, 5.35, lambda: len(parts) >= 2)
     machine.send_path(time + 0.01, 'second')

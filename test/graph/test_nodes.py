@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from live_graph import AGAIN
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
 
@@ -20,8 +21,7 @@ from fuzzycnc_ros.core.config import Config
 pytestmark = pytest.mark.ros
 
 NODES = [*COMPONENTS, 'recorder', 'player']
-AGAIN = 5.0
-"""Wall time [s] after which a question that changes nothing is asked again."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def schema(node: str) -> list[Any]:
@@ -55,9 +55,11 @@ def needed(tmp_path: Path) -> Callable[[str], dict[str, Any]]:
     return find
 
 
-@pytest.mark.parametrize('interrupts', ['default', 'ignored'])
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_describe_report_and_end(graph, observer, root, needed, number, interrupts):
+@pytest.mark.parametrize(
+    ('first', 'interrupts'), [(0, 'ignored'), pytest.param(1, 'default', marks=pytest.mark.slow)]
+)
+def test_describe_report_and_end(graph, observer, root, needed, first, interrupts):
+    """Each node as a process; one half of them is asked to end by one signal, one by the other."""
     observer.watch_diagnostics()
     started = {
         node: graph.start(
@@ -77,8 +79,8 @@ def test_describe_report_and_end(graph, observer, root, needed, number, interrup
         ),
         f'diagnostics of every node, found {sorted(observer.statuses)}',
     )
-    for running in started.values():
-        assert running.interrupt(number) == 0
+    for place, running in enumerate(started.values(), first):
+        assert running.interrupt(SIGNALS[place % 2]) == 0, running.output
 
 
 def check_description(observer: Any, node: str) -> None:
@@ -108,15 +110,11 @@ def check_description(observer: Any, node: str) -> None:
             assert (found.from_value, found.to_value) == bounds
 
 
-def test_misspelt_parameter_is_refused(graph, needed):
-    started = [graph.start(node, {**needed(node), 'lockstpe': True}) for node in NODES]
-    for running in started:
-        assert running.wait() == 2, running.output
-        errors = [line for line in running.output.splitlines() if line.startswith('error: ')]
-        assert len(errors) == 1
-        assert 'unknown parameter lockstpe' in errors[0]
-        assert 'lockstep' in errors[0]
-        assert 'Traceback' not in running.output
+@pytest.mark.parametrize('node', NODES)
+def test_misspelt_parameter_is_refused(refusal, needed, node):
+    line = refusal(node, {**needed(node), 'lockstpe': True})
+    assert 'unknown parameter lockstpe' in line
+    assert 'lockstep' in line
 
 
 REFUSED = [
@@ -159,6 +157,13 @@ def test_impossible_parameter_is_refused(refusal, node, parameters, named):
     assert named in refusal(node, parameters)
 
 
+@pytest.fixture(scope='module')
+def nodes(shared_graph):
+    """Nodes whose parameters are set; no test needs the values of another."""
+    shared_graph.compose('compensator', 'temperature_acquisition')
+
+
+@pytest.mark.usefixtures('nodes')
 @pytest.mark.parametrize(
     ('node', 'name', 'good', 'bad', 'reason'),
     [
@@ -167,15 +172,12 @@ def test_impossible_parameter_is_refused(refusal, node, parameters, named):
         ('temperature_acquisition', 'range_high', 90.0, 2000.0, 'range'),
     ],
 )
-def test_parameter_set_at_run_time(graph, observer, node, name, good, bad, reason):
-    graph.start(node)
-
+def test_parameter_set_at_run_time(shared_observer, node, name, good, bad, reason):
     def change(value: float) -> Any:
         wanted = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
         request = SetParameters.Request(parameters=[Parameter(name=name, value=wanted)])
-        return observer.call(
-            SetParameters, f'/mill/{node}/set_parameters', request, again=AGAIN
-        ).results[0]
+        service = f'/mill/{node}/set_parameters'
+        return shared_observer.call(SetParameters, service, request, again=AGAIN).results[0]
 
     assert change(good).successful
     refused = change(bad)
@@ -184,11 +186,11 @@ def test_parameter_set_at_run_time(graph, observer, node, name, good, bad, reaso
     assert change(good).successful
 
 
-def test_fixed_parameter_is_refused_at_run_time(graph, observer):
-    graph.start('temperature_acquisition')
+@pytest.mark.usefixtures('nodes')
+def test_fixed_parameter_is_refused_at_run_time(shared_observer):
     value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=30.0)
     request = SetParameters.Request(parameters=[Parameter(name='interval', value=value)])
-    result = observer.call(
+    result = shared_observer.call(
         SetParameters, '/mill/temperature_acquisition/set_parameters', request, again=AGAIN
     ).results[0]
     assert not result.successful

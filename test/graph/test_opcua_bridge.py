@@ -10,7 +10,6 @@ import pytest
 pytest.importorskip('asyncua')
 
 
-from benches.line_control import WATCHDOG
 from equipment.bridge_rig import ACTIVATE, CONFIGURE, DEACTIVATE, MICRON, BridgeRig
 from equipment.field_servers import Field, Route
 from equipment.opcua_machine import AXES, FILE, ControlServer, LineControl, control_file
@@ -21,6 +20,8 @@ from fuzzycnc_ros.components.records import (
 )
 
 pytestmark = pytest.mark.ros
+watched = pytest.mark.realtime
+"""The bridge and the control watch each other by the clock."""
 
 SLEW = 200 * MICRON
 CLOSE = 0.05 * MICRON
@@ -110,6 +111,7 @@ def rig(graph, observer, shop, tmp_path):
     return Rig(graph, observer, shop, tmp_path)
 
 
+@watched
 def test_follows_a_line_tells_and_ramps_to_zero(rig):
     rig.control.spindle_speed = 3000.0
     rig.start(active=False)
@@ -135,6 +137,7 @@ def test_follows_a_line_tells_and_ramps_to_zero(rig):
     assert not rig.allowed
 
 
+@watched
 def test_the_control_forbids_and_limits(rig):
     rig.start()
     rig.settle((10, 20))
@@ -159,6 +162,8 @@ def test_the_control_forbids_and_limits(rig):
     rig.until(lambda: rig.last.status == AppliedStatus.EXPIRED and rig.at((0, 0)), 'expires')
 
 
+@watched
+@pytest.mark.slow
 def test_frozen_acknowledgement(rig):
     rig.start()
     rig.settle((10, 20))
@@ -172,6 +177,7 @@ def test_frozen_acknowledgement(rig):
     rig.settle((5, 5))
 
 
+@watched
 def test_second_writer_is_named(rig):
     rig.start()
     rig.settle((10, 20))
@@ -191,6 +197,8 @@ def test_wrong_files_end_the_node(refusal, tmp_path):
     assert 'parameter axes: expected X, Z as in the control file but found X, Y, Z' in text
 
 
+@watched
+@pytest.mark.slow
 def test_is_not_activated_beside_another_bridge(rig):
     rig.start()
     rig.settle((10, 0))
@@ -212,10 +220,11 @@ def test_is_not_activated_beside_another_bridge(rig):
     rig.settle((20, 0))
     assert first.interrupt(signal.SIGINT) == 0
     rig.until(lambda: rig.control.sequence == 0, 'given back at the end')
-    rig.until(lambda: not np.any(rig.control.applied), 'at zero at once', WATCHDOG)
+    rig.until(lambda: not np.any(rig.control.applied), 'at zero at once')
 
 
-@pytest.mark.parametrize('fault', ['refuse', 'hang'])
+@watched
+@pytest.mark.parametrize('fault', [pytest.param('refuse', marks=pytest.mark.slow), 'hang'])
 def test_lost_connection_is_rebuilt_without_a_step(rig, fault):
     rig.start()
     rig.settle((10, -20))
@@ -232,6 +241,7 @@ def test_lost_connection_is_rebuilt_without_a_step(rig, fault):
     rig.settle((15, -20))
 
 
+@watched
 def test_killed_bridge_leaves_no_offset_and_a_new_one_goes_on(rig):
     rig.control.watchdog = 60.0
     rig.start(validity=60.0)
@@ -253,6 +263,7 @@ def test_killed_bridge_leaves_no_offset_and_a_new_one_goes_on(rig):
     rig.settle((5, 5))
 
 
+@watched
 @pytest.mark.slow
 def test_server_starts_anew_with_offsets_standing(rig):
     rig.control.watchdog = 60.0

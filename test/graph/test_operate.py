@@ -19,6 +19,9 @@ from fuzzycnc_ros.nodes.qos import publisher_qos
 
 pytestmark = pytest.mark.ros
 
+HARDLY, LONG = 0.2, 3.0
+"""How long to listen where nothing is to be heard, and where something is, for sure [s]."""
+
 
 @pytest.fixture
 def command(domain, monkeypatch, capsys):
@@ -79,12 +82,6 @@ def test_a_compensator_is_looked_at_limited_activated_and_put_to_rest(
     observer.until(
         lambda: observer.node.count_subscribers('/mill/thermal_error'), 'the compensator is there'
     )
-    file = tmp_path / 'status.json'
-    code, out, err = command('status', '--json', str(file))
-    assert (code, err) == (0, '')
-    assert 'compensator' in out
-    assert 'unconfigured' in out
-    assert '"state": "unconfigured"' in file.read_text()
     assert command('set', 'compensator.offset_max=5e-6') == (
         0,
         'mill/compensator.offset_max = 5e-06\n',
@@ -92,8 +89,12 @@ def test_a_compensator_is_looked_at_limited_activated_and_put_to_rest(
     )
     assert command('activate') == (0, 'mill/compensator is active\n', '')
     assert command('activate')[1] == 'mill/compensator is active already\n'
-    code, out, _ = command('status')
+    file = tmp_path / 'status.json'
+    code, out, err = command('status', '--json', str(file))
+    assert (code, err) == (0, '')
+    assert 'compensator' in out
     assert 'waiting for the read-back' in out
+    assert '"state": "active"' in file.read_text()
     assert command('deactivate')[1].startswith('mill/compensator is inactive')
     assert command('deactivate')[1] == 'mill/compensator is not active\n'
 
@@ -144,8 +145,9 @@ def test_a_reference_is_asked_for(graph, observer, command):
 
 @pytest.mark.parametrize(('offset', 'includes'), [(None, False), (0.0, False), (4e-6, True)])
 def test_a_probe_says_what_was_measured_and_whether_compensated(
-    observer, command, offset, includes
+    observer, command, offset, includes, monkeypatch
 ):
+    monkeypatch.setattr(operate, 'LISTENING', LONG if includes else HARDLY)
     heard = observer.records('displacement', Displacement)
     if offset is not None:
         applied(observer, offset)
@@ -163,12 +165,14 @@ def test_a_probe_says_what_was_measured_and_whether_compensated(
 
 def test_a_probe_that_nobody_hears_or_somebody_else_makes(observer, command, monkeypatch):
     monkeypatch.setattr(operate, 'PATIENCE', 1.0)
+    monkeypatch.setattr(operate, 'LISTENING', HARDLY)
     code, _, err = command('probe', 'Y=-3um')
     assert code == 2
     assert 'a recorder or the predictor of mill must be running' in err
     observer.node.create_publisher(
         message_class(Displacement.TYPE), '/mill/displacement', publisher_qos(Durability.STREAM)
     )
+    monkeypatch.setattr(operate, 'LISTENING', LONG)
     code, _, err = command('probe', 'Y=-3um')
     assert code == 2
     assert 'another node publishes displacement' in err

@@ -97,7 +97,7 @@ def test_stopped_recorder_loses_nothing(graph, observer, model_file, tmp_path):
     bag = tmp_path / 'bag'
     states = observer.records('machine_state', MachineState)
     nodes = graph.start_shift(model_file, bag=bag, duties=('T2',), tick_period=0.6)
-    observer.until(lambda: len(states) > 2000, '2000 ticks', 120.0)
+    observer.until(lambda: len(states) > 2000, '2000 ticks')
     observer.forget('machine_state')
     begun = time.monotonic()
     nodes['recorder'].send(signal.SIGSTOP)

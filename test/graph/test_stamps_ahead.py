@@ -32,7 +32,7 @@ def sensors(observer):
 
         def tell(self, second, ahead=0.0):
             self.clock.publish(Clock(clock=RCLPY.time(int(second * SECOND))))
-            observer.spin_for(0.05)
+            observer.settle('temperature_acquisition')
             record = Temperatures(
                 stamp=int((second + ahead) * SECOND),
                 frame_id='mill/machine',
@@ -76,7 +76,7 @@ def test_one_message_from_the_future_blocks_nothing(graph, observer, sensors, tm
     assert [item.stamp for item in samples[before:]] == [
         second * SECOND for second in range(BEGIN + 4, BEGIN + 8)
     ]
-    observer.spin_for(0.3)  # the recorder, too
+    observer.settle('temperature_acquisition', 'recorder')
     assert node.interrupt() == 0
     assert recorder.interrupt() == 0
     report = replay(tmp_path / 'bag')

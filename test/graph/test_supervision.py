@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""`fuzzycnc up` on a live graph whose nodes are killed; machines with two sources of commands."""
+"""`fuzzycnc up` on a live graph whose nodes are killed."""
 
 import json
 import os
@@ -12,16 +12,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import rclpy
 
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState, MachineMode
+from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState
 from fuzzycnc_ros.components.compensator import CompensatorConfig
-from fuzzycnc_ros.components.component import LATCHED, STREAM
+from fuzzycnc_ros.components.component import LATCHED
 from fuzzycnc_ros.components.host_records import NodeConfiguration, NodeEvent
 from fuzzycnc_ros.components.records import (
     SECOND,
-    AxisCommand,
     Compensation,
     CompensationApplied,
     MachineState,
@@ -29,12 +27,9 @@ from fuzzycnc_ros.components.records import (
     ThermalError,
 )
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
-from fuzzycnc_ros.convert import decode, encode
-from fuzzycnc_ros.nodes.command_watch import LEASE, SETTLED, TopicSources
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos
+from fuzzycnc_ros.convert import decode
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = pytest.mark.ros
 
 LIMITS, MACHINE = CompensatorConfig(), SimulatedMachineConfig()
 MICRO = 1e-6
@@ -119,6 +114,8 @@ def check_steps(told, applied):
     return steps
 
 
+@pytest.mark.slow
+@pytest.mark.realtime  # two minutes of machine time a second, and readings may not be missing long
 def test_killed_nodes_come_back_without_a_step(supervised, observer):
     """One after the other, with compensation at work; the whole bag is looked at."""
     told = observer.records('compensation', Compensation)
@@ -140,7 +137,7 @@ def test_killed_nodes_come_back_without_a_step(supervised, observer):
             and applied[-1].status == AppliedStatus.FOLLOWING
         )
 
-    observer.until(at_work, f'compensates, found {told[-1:]} {applied[-1:]}', 60.0)
+    observer.until(at_work, f'compensates, found {told[-1:]} {applied[-1:]}')
     back_after = {}
     for node in ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator'):
         known, begun = len(heard.get(node, ())), supervised.lives(node)
@@ -155,7 +152,7 @@ def test_killed_nodes_come_back_without_a_step(supervised, observer):
         )
         if node in heard:
             observer.until(lambda h=heard[node], k=known: len(h) > k + 1, f'{node} is back')
-        observer.until(lambda s=since: at_work(s), f'compensates again, found {told[-1]}', 60.0)
+        observer.until(lambda s=since: at_work(s), f'compensates again, found {told[-1]}')
         back_after[node] = round(time.monotonic() - killed, 2)
     print(f'time until compensating again [s]: {back_after}')
     assert supervised.process.interrupt(signal.SIGTERM) == 0, supervised.process.output
@@ -188,136 +185,3 @@ def test_killed_recorder_goes_on_in_another_bag(supervised, observer):
     assert 'mill/simulated_machine was killed by SIGKILL' in supervised.process.output
     assert supervised.living() == []
     assert len(records(again, 'machine_state', MachineState)) > 10
-
-
-class Stranger:
-    """A node that publishes what it should not."""
-
-    def __init__(self, observer, topic, kind, name):
-        self._observer = observer
-        self.node = rclpy.create_node(name, namespace='/mill', context=observer.context)
-        self._publisher = self.node.create_publisher(
-            message_class(kind.TYPE), topic, publisher_qos(STREAM)
-        )
-
-    def send(self, record):
-        """Publish a record."""
-        self._publisher.publish(encode(record, RCLPY))
-
-    def leave(self):
-        """Leave the graph."""
-        self.node.destroy_node()
-
-
-def test_strangers_are_refused_together_with_the_owner(graph, observer, model_file):
-    """Offsets from a stranger and from a second compensator; duties from two strangers."""
-    observer.watch_diagnostics()
-    told = observer.records('compensation', Compensation)
-    applied = observer.records('compensation_applied', CompensationApplied)
-    states = observer.records('machine_state', MachineState)
-    graph.start_shift(model_file, lockstep=False, duties=('T2',), rate=RATE)
-
-    def at_work():
-        return (
-            applied
-            and applied[-1].status == AppliedStatus.FOLLOWING
-            and np.abs(applied[-1].offset).max() > AT_WORK
-        )
-
-    def refused(name):
-        last = applied[-1]
-        return last.status == AppliedStatus.REFUSED and name in last.reason
-
-    observer.until(at_work, 'compensates', 60.0)
-    stranger = Stranger(observer, 'compensation', Compensation, 'stranger')
-    observer.until(lambda: refused('/mill/compensator, /mill/stranger'), 'refuses both')
-    # Orders of the highest rank change nothing any more.
-    last = told[-1]
-    stranger.send(Compensation(**{**vars(last), 'epoch': 1000, 'offset': np.full(2, 50 * MICRO)}))
-    observer.until(lambda: not applied[-1].offset.any(), 'goes to zero')
-    item = 'mill/simulated_machine: sources of compensation'
-    observer.until(lambda: observer.told(item, '/mill/stranger'), 'says who')
-    observer.until(
-        lambda: observer.told('mill/compensator: read-back', '/mill/stranger'), 'says so too'
-    )
-    stranger.leave()
-    observer.until(at_work, f'compensates again, found {applied[-1]}', 60.0)
-
-    second = graph.start(
-        'compensator',
-        {'autostart': True, 'use_sim_time': True},
-        arguments=('-r', '__node:=compensator_2'),
-    )
-    observer.until(lambda: refused('/mill/compensator, /mill/compensator_2'), 'refuses both')
-    assert second.interrupt() == 0
-    observer.until(at_work, f'compensates again, found {applied[-1]}', 60.0)
-
-    pair = [Stranger(observer, 'axis_command', AxisCommand, f'driver_{n}') for n in (1, 2)]
-    observer.until(lambda: states[-1].state == MachineMode.FAULT, 'does not move')
-    item = 'mill/simulated_machine: sources of axis_command'
-    observer.until(lambda: observer.told(item, '/mill/driver_1, /mill/driver_2'), 'says who')
-    for driver in pair:
-        driver.leave()
-    observer.until(lambda: states[-1].state != MachineMode.FAULT, 'moves again')
-    assert at_work()
-    check_steps([command for command in told if command.epoch != 1000], applied)
-    graph.stop()
-
-
-A, B, UNKNOWN = '/mill/compensator', '/mill/b', '_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_'
-
-
-def looks(sources, names, until, start=0.0, numbers=()):
-    """Look every 0.2 s; return what was found last."""
-    found, now = None, start
-    numbers = list(numbers)
-    while now < until:
-        if numbers:
-            sources.heard(numbers.pop(0))
-        found = sources.look(names, now)
-        now += 0.2
-    return found
-
-
-def test_different_names_are_two_sources_at_once():
-    sources = TopicSources()
-    assert looks(sources, [A], 5.0) == ()
-    assert looks(sources, [B, A], 5.0 + 0.1, 5.0) is None
-    assert looks(sources, [B, A], 5.0 + 0.2 * (SETTLED + 1), 5.2) == (B, A)
-    assert looks(sources, [A], 7.0, 6.5) == ()
-
-
-@pytest.mark.parametrize('again', [A, UNKNOWN])
-def test_restarted_node_is_one_source(again):
-    """Until its lease runs out the graph shows the dead one too."""
-    sources = TopicSources()
-    looks(sources, [A], 5.0, numbers=range(50, 75))
-    assert looks(sources, [A, again], 5.0 + LEASE - 1.0, 5.0, numbers=range(1, 60)) is None
-    assert looks(sources, [A], 40.0, 30.0) == ()
-
-
-@pytest.mark.parametrize('again', [A, UNKNOWN])
-def test_two_that_speak_are_two_sources_whatever_their_names(again):
-    sources = TopicSources()
-    looks(sources, [A], 5.0, numbers=range(50, 75))
-    assert looks(sources, [A, again], 5.7, 5.0, numbers=[75, 1, 76, 2, 77]) == tuple(
-        sorted([A, again])
-    )
-
-
-def test_two_that_begin_together_are_two_sources():
-    sources = TopicSources()
-    assert looks(sources, [A, A], 1.5, numbers=[1, 1, 2, 2, 3, 3]) == (A, A)
-
-
-def test_two_restarts_in_a_row_are_still_one_source():
-    sources = TopicSources()
-    looks(sources, [A], 5.0, numbers=range(50, 75))
-    assert looks(sources, [A, A], 7.0, 5.0, numbers=range(1, 11)) is None
-    assert looks(sources, [A, A, A], 9.0, 7.0, numbers=range(1, 11)) is None
-
-
-def test_two_of_one_name_that_outlast_the_lease_are_two_sources():
-    sources = TopicSources()
-    assert looks(sources, [A, A], LEASE - 1.0) is None
-    assert looks(sources, [A, A], LEASE + 1.0, LEASE - 1.0) == (A, A)

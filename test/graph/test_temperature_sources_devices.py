@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driver of devices in its node: real servers, faults on the way to them, and back again."""
 
+from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +30,7 @@ devices:
     host: {host}
     port: {modbus}
     period: {period}
-    timeout: 1.0
+    timeout: {timeout}
     table: input
     scale: 0.1
     open_circuit: [0x7FFF]
@@ -37,7 +39,7 @@ devices:
     protocol: opc_ua
     url: opc.tcp://{host}:{opcua}/
     period: {period}
-    timeout: 1.0
+    timeout: {timeout}
     sensors:
       T3: ns=2;s=T3
       T4: {{path: "0:Objects/2:Mill/2:T4"}}
@@ -54,20 +56,27 @@ class Shop:
         self.opcua = self.field.add(OpcUaServer(VALUES))
         self.routes = [self.field.add(Route(self.modbus)), self.field.add(Route(self.opcua))]
 
-    def reset(self, folder: Path) -> None:
+    def reset(self) -> None:
         """Begin anew: good values, no fault."""
-        self._folder = folder
         self.modbus.delay, self.modbus.words = 0.0, {0: 215, 1: 220}
         self.opcua.values |= VALUES
         for device in (0, 1):
             self.fail(device, '')
 
-    def file(self, period: float = 0.2) -> str:
-        """Write the device file; return its name."""
+    def parameters(
+        self, folder: Path, period: float = 0.2, timeout: float = 1.0
+    ) -> dict[str, Any]:
+        """Write the device file; return the parameters of a node that reads it."""
         modbus, opcua = (route.port for route in self.routes)
-        path = self._folder / 'devices.yaml'
-        path.write_text(FILE.format(host=LOCAL, modbus=modbus, opcua=opcua, period=period))
-        return str(path)
+        path = folder / 'devices.yaml'
+        places = {'host': LOCAL, 'modbus': modbus, 'opcua': opcua}
+        path.write_text(FILE.format(period=period, timeout=timeout, **places))
+        return {
+            'source': 'devices',
+            'device_file': str(path),
+            'interval': 0.5,
+            'stuck_time': 0.0,
+        }
 
     def fail(self, device: int, fault: str) -> None:
         """Begin a fault on the way to a device, or end it."""
@@ -83,30 +92,43 @@ def servers():
 
 
 @pytest.fixture
-def shop(servers, tmp_path):
-    servers.reset(tmp_path)
+def shop(servers):
+    servers.reset()
     return servers
 
 
-@pytest.fixture
-def start(graph, observer, shop):
-    """Start the node and wait for good samples; return them and the node."""
+@pytest.fixture(scope='module')
+def shared_node(shared_graph, servers, tmp_path_factory):
+    """A node that the tests share which need no other parameters."""
+    servers.reset()
+    parameters = servers.parameters(tmp_path_factory.mktemp('shared'))
+    return shared_graph.start('temperature_acquisition', parameters)
 
-    def begin(period: float = 0.2, **parameters):
-        observer.watch_diagnostics()
-        samples = observer.records('temperatures', Temperatures)
-        node = graph.start(
-            'temperature_acquisition',
-            {
-                'source': 'devices',
-                'device_file': shop.file(period),
-                'interval': 0.5,
-                'stuck_time': 0.0,
-                **parameters,
-            },
-        )
-        observer.until(lambda: statuses(samples) == [OK] * 4, 'good samples')
-        return samples, node
+
+@pytest.fixture
+def node(shared_node, shop):
+    """The shared node, with good devices."""
+    yield shared_node
+    assert shared_node.process.poll() is None
+    assert 'Traceback' not in shared_node.output
+
+
+def good_samples(observer):
+    """Wait for good samples; return all."""
+    observer.watch_diagnostics()
+    samples = observer.records('temperatures', Temperatures)
+    observer.until(lambda: statuses(samples) == [OK] * 4, 'good samples')
+    return samples
+
+
+@pytest.fixture
+def start(graph, observer, shop, tmp_path):
+    """Start a node and wait for good samples; return them and the node."""
+
+    def begin(period: float = 0.2, timeout: float = 1.0, **parameters):
+        common = shop.parameters(tmp_path, period, timeout)
+        node = graph.start('temperature_acquisition', {**common, **parameters})
+        return good_samples(observer), node
 
     return begin
 
@@ -116,13 +138,16 @@ def statuses(samples):
     return samples[-1].status.tolist() if samples else None
 
 
-def test_devices_of_both_protocols_make_one_record(graph, observer, start):
+@pytest.mark.usefixtures('node')
+def test_devices_of_both_protocols_make_one_record(shared_observer):
+    observer = shared_observer
     speeds = observer.records('spindle_speed', SpindleSpeed)
     states = observer.records('machine_state', MachineState)
     raw = observer.records('sensor_readings', Temperatures)
-    samples, node = start()
+    samples = good_samples(observer)
     assert samples[-1].sensor == SENSORS
     assert samples[-1].temperature == pytest.approx([21.5, 22.0, 23.5, 24.0])
+    observer.until(lambda: len(raw) > 3, 'sensor_readings')
     assert raw[-1].frame_id == 'mill/machine'
     stamps = [item.stamp for item in raw]
     assert all(np.diff(stamps) > 0)
@@ -132,20 +157,20 @@ def test_devices_of_both_protocols_make_one_record(graph, observer, start):
     assert speeds[-1].frame_id == 'mill/machine'
     name = 'mill/temperature_acquisition: device rtd'
     observer.until(lambda: observer.told(name, 'all values read'), 'health of the device')
-    graph.stop()
-    assert 'Traceback' not in node.output
     # The driver says nothing of the machine: that is for its controller.
     assert not states
 
 
-def test_spindle_speed_that_means_nothing_is_said_so(observer, shop, start):
+@pytest.mark.usefixtures('node')
+def test_spindle_speed_that_means_nothing_is_said_so(shared_observer, shop):
+    observer = shared_observer
     speeds = observer.records('spindle_speed', SpindleSpeed)
-    start()
+    good_samples(observer)
     spindle = 'mill/temperature_acquisition: spindle_speed'
     observer.until(lambda: observer.told(spindle, '314.2 rad/s'), 'a good speed')
     shop.opcua.values['S1'] = 9000
     observer.until(lambda: observer.told(spindle, 'more than max = 628.3 rad/s'), 'out of range')
-    assert speeds[-1].status == SpeedStatus.OUT_OF_RANGE
+    observer.until(lambda: speeds[-1].status == SpeedStatus.OUT_OF_RANGE, 'its status')
     assert speeds[-1].speed == pytest.approx(300.0 * np.pi)
     shop.fail(1, 'refuse')
     observer.until(lambda: speeds[-1].status == SpeedStatus.MISSING, 'a lost control')
@@ -155,8 +180,10 @@ def test_spindle_speed_that_means_nothing_is_said_so(observer, shop, start):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('fault', ['refuse', 'cut', 'hang', 'garble'])
-def test_a_lost_device_is_missing_alone_and_comes_back(graph, observer, shop, start, fault):
-    samples, node = start()
+@pytest.mark.usefixtures('node')
+def test_a_lost_device_is_missing_alone_and_comes_back(shared_observer, shop, fault):
+    observer = shared_observer
+    samples = good_samples(observer)
     for device, name in ((0, 'rtd'), (1, 'control')):
         shop.fail(device, fault)
         lost = [OK] * 4
@@ -174,12 +201,12 @@ def test_a_lost_device_is_missing_alone_and_comes_back(graph, observer, shop, st
     for device in (0, 1):
         shop.fail(device, '')
     observer.until(lambda: statuses(samples) == [OK] * 4, 'all are back')
-    graph.stop()
-    assert 'Traceback' not in node.output
 
 
-def test_wrong_values_have_the_right_status(graph, observer, shop, start):
-    samples, node = start()
+@pytest.mark.usefixtures('node')
+def test_wrong_values_have_the_right_status(shared_observer, shop):
+    observer = shared_observer
+    samples = good_samples(observer)
     rtd = 'mill/temperature_acquisition: device rtd'
     control = 'mill/temperature_acquisition: device control'
 
@@ -193,7 +220,7 @@ def test_wrong_values_have_the_right_status(graph, observer, shop, start):
     shop.opcua.values['T3'] = 23.5
     long = 'x' * 100_000
     bad = ua.DataValue(StatusCode=ua.StatusCode(ua.StatusCodes.BadSensorFailure))
-    for value, text in (
+    values = (
         (np.nan, 'reads nan'),
         (np.inf, 'reads inf'),
         ('hot', "expected a number but the variable holds 'hot'"),
@@ -201,15 +228,16 @@ def test_wrong_values_have_the_right_status(graph, observer, shop, start):
         (True, 'the variable holds True'),
         (long, 'the variable holds '),
         (bad, 'the server reports BadSensorFailure'),
-    ):
-        shop.opcua.values['T4'] = value
-        observer.until(lambda: statuses(samples) == [OK, OK, OK, MISSING], f'no {text}')
-        observer.until(lambda text=text: observer.told(control, text), text)
-        shop.opcua.values['T4'] = 24.0
-        observer.until(lambda: statuses(samples) == [OK] * 4, f'good after {text}')
+    )
+    for one, two in zip_longest(values[::2], values[1::2], fillvalue=(24.0, '')):
+        shop.opcua.values |= {'T3': one[0], 'T4': two[0]}
+        for text in (one[1], two[1]):
+            observer.until(lambda text=text: observer.told(control, text), text)
+        wanted = [OK, OK, MISSING, MISSING if two[1] else OK]
+        observer.until(lambda wanted=wanted: statuses(samples) == wanted, f'{one[1]}, {two[1]}')
+    shop.opcua.values |= VALUES
+    observer.until(lambda: statuses(samples) == [OK] * 4, 'good again')
     assert max(len(message) for _, message in observer.statuses[control]) < 1000
-    graph.stop()
-    assert 'Traceback' not in node.output
 
 
 def test_frozen_values_are_stuck(graph, observer, shop, start):
@@ -228,10 +256,11 @@ def test_frozen_values_are_stuck(graph, observer, shop, start):
     graph.stop()
 
 
+@pytest.mark.slow
 def test_slow_devices_are_no_error(graph, observer, shop, start):
     """Answers take five periods, as behind a busy gateway."""
     shop.modbus.delay = 0.5
-    samples, node = start(period=0.1, interval=1.0)
+    samples, node = start(period=0.1, timeout=30.0, interval=1.0)
     known = len(samples)
     observer.until(lambda: len(samples) >= known + 4, 'samples')
     assert {status for sample in samples for status in sample.status} == {OK}
@@ -247,7 +276,7 @@ def test_bad_device_file_is_refused(refusal, tmp_path):
     line = refusal('temperature_acquisition', {'source': 'devices'})
     assert line == 'error: parameter device_file: expected a file for the source devices'
     path = tmp_path / 'devices.yaml'
-    text = FILE.format(host=LOCAL, modbus=502, opcua=4840, period=0.2)
+    text = FILE.format(host=LOCAL, modbus=502, opcua=4840, period=0.2, timeout=1.0)
     path.write_text(text.replace('T1: 0', 'T1: 70000'))
     line = refusal('temperature_acquisition', {'source': 'devices', 'device_file': str(path)})
     assert line.startswith(f'error: parameter device_file: {path}: line 12: device rtd, sensor T1')
@@ -256,7 +285,7 @@ def test_bad_device_file_is_refused(refusal, tmp_path):
 
 def test_device_slower_than_the_samples_is_refused(refusal, tmp_path):
     path = tmp_path / 'devices.yaml'
-    path.write_text(FILE.format(host=LOCAL, modbus=502, opcua=4840, period=5.0))
+    path.write_text(FILE.format(host=LOCAL, modbus=502, opcua=4840, period=5.0, timeout=1.0))
     parameters = {'source': 'devices', 'device_file': str(path), 'interval': 2.0}
     line = refusal('temperature_acquisition', parameters)
     assert 'device rtd: period = 5 s is longer than the sampling interval = 2 s' in line

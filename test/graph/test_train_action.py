@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from action_msgs.msg import GoalStatus
+from live_graph import AGAIN
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
@@ -20,7 +21,6 @@ from fuzzycnc_ros.scenario.thermal_shift import record_calibration
 
 pytestmark = pytest.mark.ros
 
-TRAINING_TIMEOUT = 120.0
 DUTIES = ('D0', 'T1')
 
 
@@ -52,7 +52,7 @@ class Client:
     def result(self, handle: Any) -> Any:
         """Wait for the end of a training; return status and result."""
         future = handle.get_result_async()
-        self._observer.until(future.done, 'end of the training', TRAINING_TIMEOUT)
+        self._observer.until(future.done, 'end of the training')
         return future.result()
 
     def cancel(self, handle: Any) -> Any:
@@ -128,8 +128,8 @@ def set_model(observer: Any, path: Path | str) -> Any:
     """Set the parameter model; return the result."""
     value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(path))
     request = SetParameters.Request(parameters=[Parameter(name='model', value=value)])
-    response = observer.call(SetParameters, '/mill/thermal_predictor/set_parameters', request)
-    return response.results[0]
+    service = '/mill/thermal_predictor/set_parameters'
+    return observer.call(SetParameters, service, request, again=AGAIN).results[0]
 
 
 def test_model_is_a_live_parameter(graph, observer, model_file, model_text, tmp_path):

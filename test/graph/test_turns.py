@@ -7,6 +7,7 @@ import time
 from dataclasses import replace
 
 import pytest
+from live_graph import ANSWER_TIMEOUT
 
 from fuzzycnc_ros.components.component import STREAM
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
@@ -49,7 +50,7 @@ class Ticking:
             ),
             finished=self.finish,
             recorder=False,
-            answer_timeout=30.0,
+            answer_timeout=ANSWER_TIMEOUT,
         )
 
     def finish(self):
@@ -74,7 +75,7 @@ class Ticking:
 
     def run(self):
         """Go on to the end; the reader misses nothing."""
-        self.observer.until(lambda: self.over, f'{self.ticks} ticks', 60.0)
+        self.observer.until(lambda: self.over, f'{self.ticks} ticks')
         assert (self.sequencer.missed, self.sequencer.lost) == (0, [])
 
 

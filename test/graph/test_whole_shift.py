@@ -3,6 +3,7 @@
 """Part of a shift live over DDS, with all nodes of the mill: the same as in one process."""
 
 import pytest
+from live_graph import ANSWER_TIMEOUT
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.cli.demo_shift import mill_specs
@@ -32,7 +33,7 @@ def test_live_equals_in_process(graph, tmp_path):
             'lockstep': True,
             'lockstep_nodes': [spec.name for spec in nodes],
             'lockstep_recorder': True,
-            'answer_timeout': 10.0,
+            'answer_timeout': ANSWER_TIMEOUT,
         },
     )
     assert machine.wait() == 0

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a machine of composed nodes costs while nothing happens: imports and timers."""
 
-import os
 import subprocess
 import sys
 from importlib import import_module
@@ -43,8 +42,8 @@ def test_only_the_nodes_that_are_named_are_loaded():
         ('compensator', 2),  # it has deadlines
     ],
 )
-def test_nodes_wake_up_only_for_what_may_come_due(node, running, monkeypatch):
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
+def test_nodes_wake_up_only_for_what_may_come_due(domain, node, running, monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     rclpy.init(args=['--ros-args', '-r', '__ns:=/mill'])
     try:

@@ -4,7 +4,6 @@
 
 from live_graph import (
     bag_hashes,
-    domain,
     graph,
     in_process,
     model_file,
@@ -17,7 +16,6 @@ from live_graph import (
 
 __all__ = [
     'bag_hashes',
-    'domain',
     'graph',
     'in_process',
     'model_file',

@@ -2,24 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """A real graph for tests: nodes as processes, and a node of the test to watch them.
 
-A `conftest.py` imports the fixtures by name.
+A `conftest.py` imports the fixtures by name; `domain` is in the top one.
 
-Every test has a ROS domain of its own.  Nodes are started with this interpreter and environment,
-each in a process group of its own, and always killed at the end; what they wrote is shown when a
-test fails.  Tests wait for conditions with a deadline and never sleep for luck.
+Every test has a ROS domain of its own, or shares one with the tests of its module.  Nodes are
+started with this interpreter and environment, each in a process group of its own, and always
+killed at the end; what they wrote is shown when a test fails.  Tests wait for conditions and never
+sleep for luck; the limits of waiting only guard against a hang, however slow the machine is.
 """
 
 import contextlib
 import fcntl
 import json
+import math
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
 from itertools import count
 from pathlib import Path
@@ -29,6 +33,10 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from kept import kept
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from processes import start
+from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
@@ -50,19 +58,39 @@ DOMAINS = 100
 """Domains 1 to 100: above 101 the ports would lie among those that the system hands out."""
 PORTS, PORTS_EACH = 7400, 250
 """First port of domain 0, and ports of each domain, as DDS-RTPS lays down."""
-START_TIMEOUT = 30.0
-STOP_TIMEOUT = 20.0
+OWN_PORTS = range(10, 90)
+"""Of them, those that forty participants listen on, each alone."""
+START_TIMEOUT = 120.0
+STOP_TIMEOUT = 120.0
 RUN_TIMEOUT = 240.0
-CLOSE_TIMEOUT = 3.0
+CLOSE_TIMEOUT = 10.0
+ANSWER_TIMEOUT = 60.0
+"""After which a node of a lock-step run is lost, for runs in which none may be."""
+KILL_TIMEOUT = 3.0
+"""The same for runs in which one is killed: they prove as much if a living one is late."""
+DRAIN, SETTLED = 50, 10
+"""Callbacks that are worked off here, and requests that a node answers, until all is taken."""
+AGAIN = 5.0
+"""Wall time [s] after which a question that changes nothing is asked again."""
+GOALS = {
+    Transition.TRANSITION_CONFIGURE: State.PRIMARY_STATE_INACTIVE,
+    Transition.TRANSITION_ACTIVATE: State.PRIMARY_STATE_ACTIVE,
+    Transition.TRANSITION_DEACTIVATE: State.PRIMARY_STATE_INACTIVE,
+    Transition.TRANSITION_CLEANUP: State.PRIMARY_STATE_UNCONFIGURED,
+}
 STREAM, LATCHED = Durability.STREAM, Durability.LATCHED
 
 prepare_environment()
 _turn = count()
 
 
-@pytest.fixture
-def domain() -> Iterator[int]:
-    """A ROS domain that no other test of this user uses now; a lock file holds it."""
+@contextmanager
+def free_domain() -> Iterator[int]:
+    """Yield a ROS domain that nobody on this host uses; a lock file holds it.
+
+    The lock keeps out other tests of this user, in whatever process; ports in use tell of nodes
+    of others, and of those that outlived a test that was killed.
+    """
     first = os.getpid() + 7 * next(_turn)
     for offset in range(DOMAINS):
         number = 1 + (first + offset) % DOMAINS
@@ -70,15 +98,34 @@ def domain() -> Iterator[int]:
         with path.open('w') as handle:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+                for port in OWN_PORTS:
+                    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                        probe.bind(('', PORTS + PORTS_EACH * number + port))
+            except OSError:
                 continue
-            yield number
-            for file in Path('/dev/shm').glob('*fastrtps_port*'):
-                port = int(re.findall(r'port(\d+)', file.name)[0])
-                if 0 <= port - PORTS - PORTS_EACH * number < PORTS_EACH:
-                    file.unlink(missing_ok=True)
+            _remove_ports(number)
+            try:
+                yield number
+            finally:
+                _remove_ports(number)
             return
-    pytest.fail(f'expected a free ROS domain among 1 to {DOMAINS} but all are locked')
+    pytest.fail(f'expected a free ROS domain among 1 to {DOMAINS} but all are in use')
+
+
+def _remove_ports(number: int) -> None:
+    """Remove what killed nodes of a domain left of their ports in shared memory."""
+    for file in Path('/dev/shm').glob('*fastrtps_port*'):
+        port = int(re.findall(r'port(\d+)', file.name)[0])
+        if 0 <= port - PORTS - PORTS_EACH * number < PORTS_EACH:
+            with contextlib.suppress(FileNotFoundError, PermissionError):
+                file.unlink()
+
+
+@pytest.fixture(scope='module')
+def shared_domain() -> Iterator[int]:
+    """A ROS domain of the tests of a module."""
+    with free_domain() as number:
+        yield number
 
 
 class Running:
@@ -119,7 +166,7 @@ class Running:
 
 
 class Graph:
-    """The nodes of one test."""
+    """The nodes of a test, or of the tests of a module."""
 
     def __init__(self, domain: int, folder: Path) -> None:
         self.domain = domain
@@ -135,6 +182,7 @@ class Graph:
         files: tuple[Path, ...] = (),
         arguments: tuple[str, ...] = (),
         namespace: str = '/mill',
+        interrupts: str = 'default',
     ) -> Running:
         """Start a node with parameters, parameter files read before them, and remappings."""
         folder = self.folder / f'{len(self.running)}-{node}'
@@ -142,7 +190,14 @@ class Graph:
         own = parameter_file(folder, namespace, [NodeSpec(node, parameters or {})])
         command = [sys.executable, '-m', f'fuzzycnc_ros.nodes.{node}']
         command += [*ros_arguments(namespace, [*files, own]), *arguments]
-        return self.launch(node, command, folder)
+        return self.launch(node, command, folder, interrupts)
+
+    def compose(self, *nodes: str) -> Running:
+        """Start nodes in one process, which starts as quickly as one of them."""
+        folder = self.folder / f'{len(self.running)}-composed'
+        folder.mkdir(parents=True)
+        command = [sys.executable, '-m', 'fuzzycnc_ros.nodes.composed', *nodes]
+        return self.launch('composed', [*command, *ros_arguments('/mill', [])], folder)
 
     def start_shift(
         self,
@@ -161,7 +216,8 @@ class Graph:
             record=bag,
             lockstep=lockstep,
             autostart=True,
-            machine_parameters=machine,
+            # However busy the computer is, a living node answers within a minute.
+            machine_parameters={'answer_timeout': ANSWER_TIMEOUT, **machine},
         )
         return {
             spec.name: self.start(
@@ -171,7 +227,9 @@ class Graph:
             if spec.name not in without
         }
 
-    def launch(self, name: str, command: list[str], folder: Path) -> Running:
+    def launch(
+        self, name: str, command: list[str], folder: Path, interrupts: str = 'default'
+    ) -> Running:
         """Start any command in the test's domain."""
         environment = {
             **os.environ,
@@ -182,8 +240,9 @@ class Graph:
         }
         log = folder / 'output.log'
         with log.open('wb') as output:
-            process = subprocess.Popen(
+            process = start(
                 command,
+                interrupts=interrupts,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,
@@ -249,6 +308,7 @@ class Observer:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self._readers: dict[str, Any] = {}
+        self._clients: dict[str, Any] = {}
         self.statuses: dict[str, list[tuple[int, str]]] = {}
         """Level and text of each diagnostic item that was ever reported, in order of change."""
 
@@ -292,10 +352,26 @@ class Observer:
         self.executor.spin_once(timeout_sec=0.02)
 
     def spin_for(self, duration: float) -> None:
-        """Work for some wall time [s]."""
+        """Work for some wall time [s], in which something must not happen."""
         end = time.monotonic() + duration
         while time.monotonic() < end:
             self.spin()
+
+    def drain(self) -> None:
+        """Take what has arrived."""
+        for _ in range(DRAIN):
+            self.executor.spin_once(timeout_sec=0.0)
+
+    def settle(self, *nodes: str) -> None:
+        """Wait until nodes have taken what was published here, and hear what they said to it.
+
+        Before a request they take what came earlier, one message of each topic at a time.
+        """
+        for node in nodes:
+            name = f'/mill/{node}/get_parameters'
+            for _ in range(SETTLED):
+                self.call(GetParameters, name, GetParameters.Request(), again=AGAIN)
+        self.drain()
 
     def until(
         self, condition: Callable[[], Any], what: str = '', timeout: float = START_TIMEOUT
@@ -320,16 +396,53 @@ class Observer:
             self.spin()
         return int(node.process.returncode)
 
-    def call(self, kind: Any, name: str, request: Any, timeout: float = START_TIMEOUT) -> Any:
-        """Call a service and return its response."""
-        client = self.node.create_client(kind, name)
+    def call(
+        self,
+        kind: Any,
+        name: str,
+        request: Any,
+        timeout: float = START_TIMEOUT,
+        again: float = math.inf,
+    ) -> Any:
+        """Call a service and return its response.
+
+        A server that has not found this client yet drops its response.  What may be asked twice
+        is asked `again` after so much wall time [s].
+        """
+        client = self._clients.get(name)
+        if client is None:
+            client = self._clients[name] = self.node.create_client(kind, name)
+        self.until(client.service_is_ready, f'service {name}', timeout)
+        futures: list[Any] = []
+        asked = -math.inf
+
+        def answered() -> bool:
+            nonlocal asked
+            if not futures or time.monotonic() - asked > again:
+                futures.append(client.call_async(request))
+                asked = time.monotonic()
+            return any(future.done() for future in futures)
+
+        self.until(answered, f'answer of {name}', timeout)
+        return next(future.result() for future in futures if future.done())
+
+    def state(self, node: str, machine: str = 'mill') -> int:
+        """Ask for the lifecycle state of a node."""
+        name = f'/{machine}/{node}/get_state'
+        return self.call(GetState, name, GetState.Request(), again=AGAIN).current_state.id
+
+    def change(self, node: str, transition: int, machine: str = 'mill') -> bool:
+        """Ask a node for a transition; return whether it was carried out.
+
+        Its state tells if its answer was dropped.
+        """
+        request = ChangeState.Request(transition=Transition(id=transition))
+        name = f'/{machine}/{node}/change_state'
+        self.state(node, machine)  # it is there: what a killed one left looks like its service
         try:
-            self.until(client.service_is_ready, f'service {name}', timeout)
-            future = client.call_async(request)
-            self.until(future.done, f'answer of {name}', timeout)
-            return future.result()
-        finally:
-            self.node.destroy_client(client)
+            return self.call(ChangeState, name, request, 2 * AGAIN).success
+        except AssertionError:
+            return self.state(node, machine) == GOALS[transition]
 
     def close(self) -> None:
         """Leave the domain."""
@@ -338,10 +451,10 @@ class Observer:
         rclpy.shutdown(context=self.context)
 
 
-@pytest.fixture
-def graph(domain: int, tmp_path: Path) -> Iterator[Graph]:
-    """Nodes as processes in a domain of their own."""
-    started = Graph(domain, tmp_path / 'nodes')
+@contextmanager
+def opened(domain: int, folder: Path) -> Iterator[Graph]:
+    """Nodes as processes in a domain, which end in the end."""
+    started = Graph(domain, folder)
     try:
         yield started
     finally:
@@ -349,13 +462,31 @@ def graph(domain: int, tmp_path: Path) -> Iterator[Graph]:
 
 
 @pytest.fixture
+def graph(domain: int, tmp_path: Path) -> Iterator[Graph]:
+    """Nodes as processes in a domain of their own."""
+    with opened(domain, tmp_path / 'nodes') as started:
+        yield started
+
+
+@pytest.fixture(scope='module')
+def shared_graph(shared_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    """Nodes as processes that the tests of a module share."""
+    with opened(shared_domain, tmp_path_factory.mktemp('nodes')) as started:
+        yield started
+
+
+@pytest.fixture
 def observer(domain: int, graph: Graph) -> Iterator[Observer]:
     """A node of the test in the same domain, closed before the nodes are."""
-    watching = Observer(domain)
-    try:
+    with contextlib.closing(Observer(domain)) as watching:
         yield watching
-    finally:
-        watching.close()
+
+
+@pytest.fixture
+def shared_observer(shared_domain: int, shared_graph: Graph) -> Iterator[Observer]:
+    """A node of the test among the nodes that the tests of a module share."""
+    with contextlib.closing(Observer(shared_domain)) as watching:
+        yield watching
 
 
 @kept
@@ -477,8 +608,10 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
     """Show what the nodes wrote when a test fails."""
     outcome = yield
     report = outcome.get_result()
-    nodes = getattr(item, 'funcargs', {}).get('graph')
-    if report.failed and isinstance(nodes, Graph):
-        for node in nodes.running:
+    if not report.failed:
+        return
+    for name in ('graph', 'shared_graph'):
+        nodes = getattr(item, 'funcargs', {}).get(name)
+        for node in nodes.running if isinstance(nodes, Graph) else ():
             code = node.process.poll()
             report.sections.append((f'{node.name}, exit code {code}', node.output))

@@ -19,7 +19,7 @@ from equipment.secured_server import SECURITY, secured, user_file
 
 from fuzzycnc_ros.bridges import opcua_session
 from fuzzycnc_ros.nodes.parameters import ParameterError
-from fuzzycnc_ros.nodes.sources import opc_ua
+from fuzzycnc_ros.nodes.sources import opc_ua, polling
 from fuzzycnc_ros.nodes.sources.device_file import read_devices
 from fuzzycnc_ros.nodes.sources.device_source import connect
 from fuzzycnc_ros.nodes.sources.polling import TEXT_MAX, Poller
@@ -75,6 +75,12 @@ def poll(tmp_path):
     for poller in pollers:
         poller.close()
         assert not poller._thread.is_alive()
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    """A lost device is asked again at once."""
+    monkeypatch.setattr(polling, 'BACK_OFF_FIRST', 0.05)
 
 
 def wait(poller, wanted):
@@ -145,6 +151,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize('answer', HOSTILE.values(), ids=HOSTILE)
+@pytest.mark.usefixtures('impatient')
 def test_hostile_modbus_servers_are_lost_devices(field, poll, answer):
     server = field.add(HostileServer(answer))
     poller = poll(MODBUS, server, '{T1: 0, T2: 1}')
@@ -178,6 +185,7 @@ ACKNOWLEDGE = b'ACKF' + struct.pack('<IIIIII', 28, 0, 65535, 65535, 0, 0)
     ],
     ids=['noise', 'endless', 'empty', 'error', 'acknowledge', 'channel', 'chunks'],
 )
+@pytest.mark.usefixtures('impatient')
 def test_hostile_opc_ua_servers_are_lost_devices(field, poll, answer):
     server = field.add(HostileServer(answer))
     poller = poll(OPC_UA, server, '{T1: ns=2;s=T1}', timeout=0.3)

@@ -2,13 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bridge as a process, who commands it, and what is heard of it."""
 
-import contextlib
 import time
 from typing import Any, ClassVar
 
 import numpy as np
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 
 from fuzzycnc_ros.components.codes import AppliedStatus
 from fuzzycnc_ros.components.component import Durability
@@ -73,16 +71,8 @@ class BridgeRig:
         return followed and self.states[-1].offsets_allowed
 
     def change(self, transition: int, machine: str = 'mill') -> bool:
-        """Ask for a transition; tell whether it was carried out.
-
-        What a killed bridge left in the graph still looks like its service: ask again then.
-        """
-        request = ChangeState.Request(transition=Transition(id=transition))
-        for _ in range(5):
-            with contextlib.suppress(AssertionError):
-                service = f'/{machine}/{self.NODE}/change_state'
-                return self.observer.call(ChangeState, service, request, 6.0).success
-        raise AssertionError(f'no answer of the bridge: {self.bridge.output}')
+        """Ask for a transition; tell whether it was carried out."""
+        return bool(self.observer.change(self.NODE, transition, machine))
 
     def until(self, condition: Any, what: str = '', timeout: float = 60.0) -> None:
         """Wait for a condition."""
