@@ -256,7 +256,7 @@ class Environment:
         stage = 'messages (fuzzycnc_msgs)'
 
         def count(line: str) -> None:
-            if files := re.match(r'\s*\[(\d+)/(\d+)\]', line):  # ninja
+            if files := re.match(r'\s*\[(\d+)/(\d+)\] (?!Re-)', line):  # ninja
                 self.progress.step(stage, int(files[1]), int(files[2]), unit=' files')
             elif percent := re.match(r'\s*\[ *(\d+)%\]', line):  # make
                 self.progress.step(stage, int(percent[1]), 100, unit=' %')
