@@ -29,12 +29,12 @@ def test_recording_without_ros_names_the_remedy(refused, monkeypatch):
 
 
 @pytest.fixture
-def environment(root):
+def environment(root, domain):
     """A graph of its own on this host, and this source tree for processes in other folders."""
     return {
         **os.environ,
         'PYTHONPATH': os.pathsep.join([str(root), os.environ.get('PYTHONPATH', '')]),
-        'ROS_DOMAIN_ID': str(1 + os.getpid() % 100),
+        'ROS_DOMAIN_ID': str(domain),
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
     }
 
