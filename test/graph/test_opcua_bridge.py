@@ -86,7 +86,7 @@ class Rig(BridgeRig):
         return str(vars(self.control))
 
     def start(self, *, active=True, text=FILE, **parameters):
-        path = control_file(self.folder, self.shop.route.port, text)
+        path = control_file(self.folder, self.shop.route.port, text, timeout=1.0)
         own = {
             'control_file': str(path),
             'axes': list(AXES),

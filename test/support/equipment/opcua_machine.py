@@ -192,7 +192,7 @@ class ControlServer:
         return number if kind in (TYPE.Float, TYPE.Double) else round(number)
 
 
-def control_file(folder: Path, port: int, text: str = FILE, timeout: float = 1.0) -> Path:
+def control_file(folder: Path, port: int, text: str = FILE, timeout: float = 30.0) -> Path:
     """Write a control file for a server; return its name."""
     path = folder / 'control.yaml'
     path.write_text(text.format(host=LOCAL, port=port, timeout=timeout))
