@@ -230,7 +230,7 @@ class Environment:
             nonlocal done
             # A wheel from a folder is processed, another one is collected.
             if begun := re.match(
-                r'(?:Collecting |Processing .*/)(\w[\w.]*(?:-[a-z][\w.]*)*)', line
+                r'(?:Collecting |Processing \S*/)(\w[\w.]*(?:-[a-z][\w.]*)*)', line
             ):
                 done += 1
                 self.progress.step(stage, done, len(wanted), begun[1])

@@ -3,6 +3,7 @@
 """The set-up: what it installs, how it shows its progress, how it ends and goes on."""
 
 import io
+import itertools
 import os
 import re
 import select
@@ -42,6 +43,13 @@ def signals():
 
 def python(script: str) -> list[str]:
     return [sys.executable, '-c', script]
+
+
+def said(stream: io.StringIO, job, line: str) -> str:
+    """Return what is shown when a job prints a line."""
+    before = len(stream.getvalue())
+    job.read(line)
+    return stream.getvalue()[before:]
 
 
 def has_ended(pid: int) -> bool:
@@ -229,7 +237,7 @@ def test_the_compiler_run_tells_how_far_it_is(tmp_path, signals, line, shown):
 def test_dependencies_that_are_there_are_not_installed_again(tmp_path, signals):
     environment = setup_env.Environment(tmp_path, LOCK, signals)
     stream = io.StringIO()
-    environment.progress = setup_jobs.Progress(stream)
+    environment.progress = setup_jobs.Progress(stream, itertools.count(0.0, 60.0).__next__)
     entries = setup_lock.entries(LOCK)
     for entry in entries[:-2]:
         folder = environment.site_packages() / f'{entry.name}-{entry.version}.dist-info'
@@ -239,9 +247,10 @@ def test_dependencies_that_are_there_are_not_installed_again(tmp_path, signals):
     (job,) = sooner + later
     listed = Path(job.command[-1]).read_text()
     assert listed == ''.join(entry.text for entry in entries[-2:])
-    job.read(f'Collecting {entries[-1].name}==1.0 (from -r lock)')
     total = len(entries)
-    assert f'{total - 1} of {total} ({entries[-1].name})' in stream.getvalue()
+    assert f'{total - 1} of {total} (ros-rcl)' in said(stream, job, 'Collecting ros-rcl==9.2 (a)')
+    from_folder = 'Processing /a/types_pyyaml-6.0-py3-none-any.whl (from -r /b/apsw.txt (line 1))'
+    assert f'{total} of {total} (types_pyyaml)' in said(stream, job, from_folder)
 
 
 @pytest.mark.slow
