@@ -260,8 +260,13 @@ def test_recording_of_a_live_run_replays(graph, observer, change, state, program
     parts = observer.records('trajectory', Trajectory)
     machine = Machine(observer, readers=2)
     observer.until(lambda: state() == State.PRIMARY_STATE_ACTIVE, 'active')
+    readers = {'/mill/trajectory': 2, '/mill/feed_schedule': 1}  # the recorder, and this test
+    observer.until(
+        lambda: all(observer.node.count_subscribers(name) == n for name, n in readers.items()),
+        'the recorder reads what the scheduler says',
+    )
     machine.tell(30.0)
-    observer.settle(NODE)
+    observer.settle(NODE, 'recorder')
     machine.send_path(30.1)
     time = follow(observer, machine, parts, 30.15, lambda: bool(parts) and parts[-1].last)
     for _ in range(2):
