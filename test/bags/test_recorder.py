@@ -69,6 +69,18 @@ def test_named_publishers_are_counted_apart(steps):
     assert counter.streams == len(last)
 
 
+def test_a_publisher_that_is_gone_is_forgotten_only_after_long_silence():
+    """While it may come back its next number is no gap of the one that goes on."""
+    there = 2
+    counter = SequenceCounter(lambda: there)
+    for number in (100, 5000, 101, 5001):
+        counter.update(number)
+    there = 1
+    counter.update(5003)  # one lost, and the graph shows one publisher only
+    counter.update(103)  # the other, one lost too, has been silent for two messages
+    assert (counter.streams, counter.missing) == (2, 2)
+
+
 @given(st.lists(st.booleans(), max_size=80), st.integers(0, 1))
 def test_two_anonymous_publishers_without_loss_show_no_gap(turns, first):
     """Whatever their interleaving, two publishers that start at one are told apart."""

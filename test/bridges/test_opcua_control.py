@@ -255,6 +255,15 @@ def test_wrong_files_are_refused(tmp_path, old, new, text):
     assert str(tmp_path / 'control.yaml') in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ('unit', 'metres'), [('um', 1e-6), ('mm', 1e-3), ('m', 1.0), ('inch', 0.0254)]
+)
+def test_lengths_are_in_the_unit_of_the_file(tmp_path, unit, metres):
+    file = read_control(edited(tmp_path, 'position_unit: mm', f'position_unit: {unit}'))
+    assert file.travel.low[0] == pytest.approx(-200.0 * metres)
+    assert file.travel.high[0] == pytest.approx(300.0 * metres)
+
+
 def test_file_without_axes_is_refused(tmp_path):
     start = FILE.index('  X:')
     path = control_file(tmp_path, 1, FILE[: start - len('axes:\n')])

@@ -14,7 +14,6 @@ from fuzzycnc_ros.components.records import (
     nanoseconds,
 )
 from fuzzycnc_ros.components.simulated_machine import (
-    DAY,
     DAY_START,
     SimulatedMachine,
     SimulatedMachineConfig,
@@ -85,8 +84,8 @@ def test_every_duty_starts_cold_on_its_own_day():
     machine = machine_of(duties=('D0', 'T1'), tick_period=60.0, duty_duration=600.0)
     states = run(machine)['machine_state']
     assert sorted({item.cold_since for item in states}) == [
-        nanoseconds(DAY_START),
-        nanoseconds(DAY_START + DAY),
+        nanoseconds(6 * 3600.0),
+        nanoseconds(30 * 3600.0),
     ]
     assert all(item.cold_since < item.stamp for item in states)
 

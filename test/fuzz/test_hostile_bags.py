@@ -6,6 +6,7 @@ Each is read or refused, within the bounds of `campaign`.
 """
 
 import shutil
+import struct
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -17,6 +18,7 @@ from fuzzing import campaign, hostile_files, hostile_runs
 from fuzzing import raw_bags as raw
 from fuzzing.campaign import refusal
 
+from fuzzycnc_ros.bags.errors import BagFormatError
 from fuzzycnc_ros.bags.playback import messages, played_topics
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
@@ -136,6 +138,15 @@ def test_honest_bags_are_read(tmp_path):
             found = list(reader.messages())
         assert [item.message.data for item in found] == count * ['hi']
         assert [item.log_time for item in found] == sorted(item.log_time for item in found)
+
+
+def test_a_chunk_of_another_size_than_it_states_is_damaged(tmp_path):
+    data = raw.message(1, 2)
+    head = struct.pack('<QQQI', 0, 9, len(data) + 1, 0) + raw.text('')
+    chunk = raw.record(raw.CHUNK, head + struct.pack('<Q', len(data)) + data)
+    file = raw.mcap(tmp_path / 'a.mcap', [hostile_files.announced(), chunk])
+    with pytest.raises(BagFormatError, match=f'expected {len(data) + 1} bytes but found'):
+        read_all(file, True)
 
 
 def test_large_messages_are_read_a_few_at_a_time(tmp_path):
