@@ -39,6 +39,13 @@ def states(machine):
     )
 
 
+@pytest.mark.parametrize(
+    ('name', 'minutes'), [('D0', 200), ('D0b', 200), ('T1', 200), ('T2', 200), ('T3', 400)]
+)
+def test_duties_last_as_long_as_their_blocks(name, minutes):
+    assert sum(block.duration for block in DUTIES[name].blocks) == 60.0 * minutes
+
+
 def test_refusals_leave_the_mill_as_it_was():
     machine = mill()
     machine.advance(60.0, SPEED)
