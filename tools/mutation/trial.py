@@ -60,13 +60,16 @@ class Judge:
             while wave:
                 with applied(self._copy, mutant):
                     outcome = self._run(wave)
-                    again = self._run([outcome.test]) if outcome.test in wave else outcome
                 if outcome.code == 0:
                     break
                 suspects = [outcome.test] if outcome.test in wave else wave
-                if again.code != 0 and self._pass_without(suspects):
-                    by = outcome.test or ('time limit' if outcome.hung else 'collection')
-                    return {'caught': True, 'by': by, 'hung': outcome.hung, 'reached': len(tests)}
+                if self._pass_without(suspects):
+                    with applied(self._copy, mutant):
+                        again = outcome if outcome.hung else self._run(suspects)
+                    if again.code != 0:
+                        by = outcome.test or ('time limit' if outcome.hung else 'collection')
+                        found = {'by': by, 'hung': outcome.hung, 'reached': len(tests) + left}
+                        return {'caught': True, **found}
                 doubted += suspects
                 wave = [test for test in wave if test not in suspects]
             ran += len(wave)
