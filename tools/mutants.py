@@ -45,6 +45,7 @@ def describe(mutant: Mutant, results: Mapping[str, dict[str, Any]]) -> str:
         else:
             text = f'SURVIVED {result["ran"]} tests'
             text += f', {result["left"]} more left out' if result['left'] else ''
+            text += f', doubted: {", ".join(result["doubted"])}' if result['doubted'] else ''
         rows.append(f'{suite}: {text}')
     return '\n    '.join(rows)
 

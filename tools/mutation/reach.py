@@ -20,7 +20,10 @@ from typing import Any
 from mutation.draw import PACKAGE, Mutant, find
 
 TOOLS = Path(__file__).resolve().parents[1]
-NOT_COPIED = ('.*', '__pycache__', '*.egg-info', 'build', 'install', 'log')
+NOT_COPIED = [
+    *('.git', '.venv*', '.*_cache', '.hypothesis', '__pycache__', '*.egg-info'),
+    *('build', 'install', 'log'),
+]
 Lines = tuple[int, int] | None
 """First and last line; None for a whole file."""
 

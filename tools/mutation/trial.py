@@ -41,7 +41,8 @@ class Judge:
     def judge(self, mutant: Mutant, budget: float) -> dict[str, Any]:
         """Run a mutant's tests up to the first that catches it; return what came of it.
 
-        Tests beyond the budget [s], by their times in the map, are not run but counted.
+        Tests beyond the budget [s], by their times in the map, are not run but counted.  Those
+        that fail at times, or without the mutant too, are told as doubted.
         """
         durations = self._suite['durations']
         tests, left = [], 0
@@ -52,22 +53,28 @@ class Judge:
             else:
                 left += 1
         begin, ran = 0, 0
+        doubted: list[str] = []
         for size in WAVES:
             wave = tests[begin : begin + size]
             begin += size
             while wave:
                 with applied(self._copy, mutant):
                     outcome = self._run(wave)
-                    again = self._run([outcome.test]) if outcome.test in wave else outcome
                 if outcome.code == 0:
                     break
                 suspects = [outcome.test] if outcome.test in wave else wave
-                if again.code != 0 and self._pass_without(suspects):
-                    by = outcome.test or ('time limit' if outcome.hung else 'collection')
-                    return {'caught': True, 'by': by, 'hung': outcome.hung, 'reached': len(tests)}
+                if self._pass_without(suspects):
+                    with applied(self._copy, mutant):
+                        again = outcome if outcome.hung else self._run(suspects)
+                    if again.code != 0:
+                        by = outcome.test or ('time limit' if outcome.hung else 'collection')
+                        found = {'by': by, 'hung': outcome.hung, 'reached': len(tests) + left}
+                        return {'caught': True, **found}
+                doubted += suspects
                 wave = [test for test in wave if test not in suspects]
             ran += len(wave)
-        return {'caught': False, 'ran': ran, 'left': left, 'reached': len(tests) + left}
+        found = {'caught': False, 'ran': ran, 'left': left, 'reached': len(tests) + left}
+        return {**found, 'doubted': doubted}
 
     def _pass_without(self, tests: list[str]) -> bool:
         key = '\n'.join(tests)
