@@ -56,8 +56,10 @@ def test_one_message_from_the_future_blocks_nothing(graph, observer, sensors, tm
             sensors.clock.get_subscription_count() >= 1
             and sensors.readings.get_subscription_count() == 2
             and observer.hears('temperatures')
+            and observer.node.count_subscribers('/mill/temperatures') == 2  # recorder, test
         )
     )
+    observer.settle('temperature_acquisition', 'recorder')
     for second in range(BEGIN, BEGIN + 3):
         sensors.tell(second)
     newest = (BEGIN + 2) * SECOND
