@@ -21,10 +21,11 @@ unexport LD_LIBRARY_PATH PYTHONHOME PYTHONPATH VIRTUAL_ENV RMW_IMPLEMENTATION
 ROS := AMENT_PREFIX_PATH='$(VENV)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 TESTS := $(ROS) '$(BIN)/python' tools/run_tests.py
+PARALLEL := --timeout=300 -n auto --maxprocesses=8 --dist worksteal
 
 # What must be true after every change is what faults are tried on.
 MUTANTS := build/mutants/mutants.json
-FAST := -m "not slow and not qualify and not realtime" -n auto --maxprocesses=8 --dist worksteal
+FAST := -m "not slow and not qualify and not realtime" $(PARALLEL)
 
 .PHONY: help
 help: ## List the targets
@@ -78,14 +79,14 @@ test-floor: ## Core and components without ROS on Ubuntu 24.04's versions (Pytho
 	  "$$python" -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if v == (3, 12) else f"test-floor: expected Python 3.12 but found {v[0]}.{v[1]}")' && \
 	  "$$python" tools/setup_env.py floor
 	@PYTHONPATH='$(CURDIR)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 '$(FLOOR)/bin/python' -m pytest \
-	  --timeout=300 -n auto --maxprocesses=8 --dist worksteal -m 'not ros and not slow and not qualify' \
+	  $(PARALLEL) -m 'not ros and not slow and not qualify' \
 	  -p no:cacheprovider $(FLOOR_TESTS) $(ARGS)
 
 .PHONY: mutants
 mutants: setup ## Put faults into copies of the sources, see which the fast tests catch
 	@mkdir -p '$(dir $(MUTANTS))' && '$(BIN)/python' tools/mutants.py draw >'$(MUTANTS)'
 	@$(ROS) '$(BIN)/python' tools/mutants.py run '$(MUTANTS)' \
-	  --suite 'fast=$(FAST) --timeout=300' $(ARGS)
+	  --suite 'fast=$(FAST)' $(ARGS)
 
 .PHONY: lock
 lock: ## Resolve requirements/*.in anew (needs uv on the PATH)
