@@ -14,6 +14,7 @@ Usage: tools/run_tests.py fast|slow|qualify [PYTEST ARGUMENT...]
 from __future__ import annotations
 
 import math
+import os
 import signal
 import subprocess
 import sys
@@ -27,7 +28,8 @@ TIERS = {
     'slow': 'slow and not qualify',
     'qualify': 'qualify',
 }
-ON_ALL_CORES = ('-n', 'auto', '--maxprocesses=8', '--dist', 'worksteal')
+ON_ALL_CORES = ('-n', str(min(len(os.sched_getaffinity(0)) + 1, 8)), '--dist', 'worksteal')
+"""One worker more than there are processors: tests that wait for a process leave theirs idle."""
 NO_TESTS = 5
 """Exit code of pytest where the expression leaves none."""
 

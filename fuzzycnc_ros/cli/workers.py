@@ -21,6 +21,7 @@ from multiprocessing.queues import Queue
 from queue import Empty
 from typing import Any, TypeVar
 
+from fuzzycnc_ros.bags.uninterrupted import uninterrupted
 from fuzzycnc_ros.cli.console import Tell
 from fuzzycnc_ros.cli.fit_progress import FitCounter
 
@@ -93,7 +94,8 @@ def in_workers(
     before = set(active_children())
     pool = ProcessPoolExecutor(min(jobs, len(pieces)), context, _begin, (news,))
     try:
-        with _environment(ONE_THREAD), _interrupts_held():
+        # A worker that gets a half of what it starts with would print a traceback.
+        with _environment(ONE_THREAD), uninterrupted(), _interrupts_held():
             futures = [
                 pool.submit(partial(_work, work, piece, number))
                 for number, piece in enumerate(pieces)
