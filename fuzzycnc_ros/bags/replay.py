@@ -27,7 +27,7 @@ from fuzzycnc_ros.components.host_records import (
     NodeEvent,
 )
 from fuzzycnc_ros.components.merge import Merger
-from fuzzycnc_ros.components.provenance import REFUSED
+from fuzzycnc_ros.components.provenance import CLOCK_STEP, REFUSED
 from fuzzycnc_ros.components.records import (
     SECOND,
     Record,
@@ -131,7 +131,7 @@ def replay(
             f'{", ".join(nodes) or ", ".join(_replayable())} but found '
             f'{", ".join(recording.nodes) or "none"}; record all topics of the machine'
         )
-    topics, outputs, notes = [], [], []
+    topics, outputs, notes = [], [], list(recording.notes)
     for done, name in enumerate(wanted):
         if progress is not None:
             progress(name, done, len(wanted))
@@ -160,9 +160,18 @@ class _Recording:
         wanted = [
             topic for topic in reader.connections if not known.isdisjoint(topic.split('/')[-2:])
         ]
-        for topic, kind, _, payload in reader.messages(wanted, raw=True):
-            self.raw[topic].append((kind, payload))
         self._decoder = reader.decoder
+        self.notes: list[str] = []
+        for topic, kind, _, payload in reader.messages(wanted, raw=True):
+            if topic.endswith('/node_event') and CLOCK_STEP.encode() in payload:
+                event = decode(NodeEvent, self._decoder.decode(kind)(payload))
+                if event.name == CLOCK_STEP:
+                    self.notes.append(
+                        f'the clock of {event.node} was set at {event.stamp / SECOND:.3f} s: what '
+                        'came after it is not replayed, as its stamps are a series of their own'
+                    )
+                    break
+            self.raw[topic].append((kind, payload))
         self.nodes: dict[str, list[NodeConfiguration]] = defaultdict(list)
         """Configurations by namespace and node."""
         for topic in list(self.raw):

@@ -26,7 +26,7 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.faults.scenario import Stage
-from fuzzycnc_ros.faults.strangers import STRANGE_EPOCH, Strangers, highest_order
+from fuzzycnc_ros.faults.strangers import STRANGER, Strangers, highest_order
 
 DUTY = 'T2'
 AT_WORK = 2e-6
@@ -148,7 +148,7 @@ class ThermalGraph(LiveGraph):
 
     def _note(self, topic: str, record: Any) -> None:
         if isinstance(record, Compensation):
-            if record.epoch >= STRANGE_EPOCH:
+            if record.source == STRANGER:
                 return
             self._told = record
         elif isinstance(record, ThermalError):

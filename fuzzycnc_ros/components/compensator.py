@@ -8,6 +8,7 @@ invalid or out of domain it holds, then ramps to zero; it never steps.
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from fuzzycnc_ros.components.codes import (
     CompensationState,
     Reason,
 )
+from fuzzycnc_ros.components.command_sources import REQUEST
 from fuzzycnc_ros.components.compensator_config import AXES, CompensatorConfig
 from fuzzycnc_ros.components.component import (
     Answer,
@@ -39,6 +41,7 @@ from fuzzycnc_ros.components.records import (
     nanoseconds,
 )
 from fuzzycnc_ros.core.config import Config
+from fuzzycnc_ros.core.machine.offset_input import EPOCH_STEP
 
 __all__ = ['AXES', 'Compensator', 'CompensatorConfig']
 
@@ -53,9 +56,9 @@ class Compensator(Component):
     SUMMARY = 'The only source of offsets: clamped, rate-limited, expiring. Managed lifecycle.'
     CONFIG = CompensatorConfig
     INPUTS = (
-        Input('machine_state', MachineState, max_age=600.0),
-        Input('compensation_applied', CompensationApplied),
-        Input('thermal_error', ThermalError, driving=True),
+        Input('machine_state', MachineState, max_age=600.0, sole=True),
+        Input('compensation_applied', CompensationApplied, sole=True),
+        Input('thermal_error', ThermalError, driving=True, sole=True),
     )
     OUTPUTS = (Output('compensation', Compensation),)
     MANAGED = True
@@ -80,6 +83,7 @@ class Compensator(Component):
         self._at_limit = np.zeros(len(self._axes), bool)
         self._slewing = np.zeros(len(self._axes), bool)
         self._why = 'inactive'
+        self._misread = ''
 
     @staticmethod
     def _check(config: CompensatorConfig) -> None:
@@ -138,6 +142,13 @@ class Compensator(Component):
         where it is, as after a restart of this node.  One that follows a higher epoch has another
         owner: to that one this one yields, until nobody is followed any more.
         """
+        self._misread = ''
+        if self._epoch and applied.epoch > self._epoch + EPOCH_STEP:
+            self._misread = (
+                f'epoch: expected at most {self._epoch + EPOCH_STEP} but found {applied.epoch}; '
+                'who publishes compensation_applied?'
+            )
+            return
         if not self._active:
             return
         unheard = self._told_epoch != self._epoch  # nothing was told yet as this owner
@@ -145,6 +156,10 @@ class Compensator(Component):
             self._take_over(applied)
         elif applied.stamp <= self._told_at:
             return  # what was told last cannot be in it yet
+        elif self._epoch > applied.epoch + EPOCH_STEP:
+            # The machine believes no such epoch; whoever told it was not the machine.
+            self._epoch = 0
+            self._take_over(applied)
         elif applied.status == AppliedStatus.FOLLOWING:
             self._followed |= applied.epoch == self._epoch
             if applied.epoch > self._epoch:
@@ -164,7 +179,13 @@ class Compensator(Component):
             return self._activate(stamp)
         if name == 'deactivate':
             return self._deactivate(stamp)
-        return super().on_request(name, arguments, stamp)
+        answer = super().on_request(name, arguments, stamp)
+        if name != REQUEST or not (self._doubt and self._active and self._epoch):
+            return answer
+        self._why = self._doubt
+        if self._bad_since is None:
+            self._bad_since = stamp
+        return replace(answer, emissions=(self._update(stamp),))
 
     @property
     def at_rest(self) -> bool:
@@ -203,6 +224,8 @@ class Compensator(Component):
             items.append(
                 Health('read-back', Level.ERROR, f'refused by the machine: {applied.reason}')
             )
+        if self._misread:
+            items.append(Health('read-back', Level.ERROR, self._misread))
         for title, flags in (('size limit', self._at_limit), ('slew limit', self._slewing)):
             if flags.any():
                 named = ', '.join(np.array(self._axes)[flags])
@@ -273,8 +296,15 @@ class Compensator(Component):
         """Whether the offsets in force are those that were told last."""
         return np.array_equal(self._in_force(applied), self._offset)
 
+    @property
+    def _doubt(self) -> str:
+        """Which input comes from several nodes; empty if none does."""
+        return next(iter(self.sources.refusals.values()), '')
+
     def _refusal(self, error: ThermalError) -> str:
         """Say why an error must not be followed; empty if it may."""
+        if self._doubt:
+            return self._doubt
         machine = self.newest('machine_state', error.stamp)
         if not isinstance(machine, MachineState):
             return 'no fresh machine_state'
@@ -284,11 +314,16 @@ class Compensator(Component):
             return f'thermal error invalid: {_reason_text(error.reason)}'
         if not error.in_domain:
             return 'temperatures lie outside what the model was trained on'
-        if not np.all(np.isfinite(error.error)):
-            return 'thermal error is not finite'
         missing = [axis for axis in self._axes if axis not in error.axis]
         if missing:
             return f'thermal error lacks axis {", ".join(missing)}'
+        wild = ~(np.abs(error.error) <= self._config.error_max)  # true for NaN
+        if np.any(wild):
+            axis, value = np.array(error.axis)[wild][0], float(error.error[wild][0])
+            return (
+                f'thermal error of {axis}: expected at most {1e6 * self._config.error_max:g} um, '
+                f'what error_max lets a model say, but found {1e6 * value:g} um'
+            )
         return ''
 
     def _errors(self, error: ThermalError) -> Floats:

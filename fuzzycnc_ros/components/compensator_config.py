@@ -21,6 +21,15 @@ class CompensatorConfig(Config):
     offset_max: float = param(
         50e-6, 'm', 'Largest offset on any axis', low=0.0, high=1e-3, live=True
     )
+    error_max: float = param(
+        200e-6,
+        'm',
+        'Largest thermal error that a model may say; what is beyond is held to be wrong, where '
+        'one beyond offset_max is cut',
+        low=1e-6,
+        high=1e-2,
+        live=True,
+    )
     slew_max: float = param(
         0.1e-6, 'm/s', 'Fastest change of an offset', low=1e-9, high=1e-3, live=True
     )

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Any, ClassVar
 
+from fuzzycnc_ros.components.command_sources import REQUEST, CommandSources
 from fuzzycnc_ros.components.records import Record, nanoseconds
 from fuzzycnc_ros.core.config import Config
 
@@ -50,8 +51,8 @@ class Input:
         Whether a record is only noted for the next driving one: nothing follows from it alone,
         so that in lock-step it gives no turn.
     sole : bool
-        Whether it commands a machine, so that two nodes that publish it at once are both refused;
-        the host tells the component by the request `sources`.
+        Whether a machine depends on it, so that two nodes that publish it at once are both
+        refused; the host tells the component by the request `sources`.
     """
 
     name: str
@@ -126,10 +127,13 @@ class Component:
     OUTPUTS: ClassVar[tuple[Output, ...]] = ()
     MANAGED: ClassVar[bool] = False
     """Whether the node has a managed lifecycle."""
+    MACHINE_SIDE: ClassVar[bool] = False
+    """Whether something moves by what it is told."""
 
     def __init__(self, config: Config | None = None) -> None:
         self._config = self.CONFIG() if config is None else config
         self._newest: dict[str, Record] = {}
+        self.sources = CommandSources(item.name for item in self.INPUTS if item.sole)
         self.machine = 'machine'
         """Name of the machine, the first part of every frame id; the host sets it."""
 
@@ -148,7 +152,12 @@ class Component:
         return None
 
     def receive(self, name: str, record: Record) -> Iterator[Emission]:
-        """Take one record of input `name`; yield what it causes."""
+        """Take one record of input `name`; yield what it causes.
+
+        Where several nodes publish what one alone may, nobody knows which of them is right.
+        """
+        if self.sources.refusal(name):
+            return
         self._newest[name] = record
         handler = getattr(self, f'on_{name}', None)
         if handler is not None:
@@ -160,7 +169,27 @@ class Component:
 
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
         """Carry out a service call or lifecycle transition at machine time `stamp` [ns]."""
+        if name == REQUEST:
+            try:
+                return Answer(True, self.sources.note(arguments))
+            except ValueError as error:
+                return Answer(False, str(error))
         return Answer(False, f'{self.NAME} knows no request {name}')
+
+    def renewed(self, step: int) -> tuple['Component', list[Emission]]:
+        """Return what goes on after the clock has stepped, and what it says at once.
+
+        Stamps begin a new series then, so what rests on times of the old one is forgotten; the
+        host activates a component anew that was active.
+
+        Parameters
+        ----------
+        step : int
+            By how much the clock went forward [ns]; negative if it went back.
+        """
+        fresh = type(self)(self._config)
+        fresh.machine, fresh.sources = self.machine, self.sources
+        return fresh, []
 
     def restore(self, output: str, record: Record) -> None:
         """Take back a persistent record that an earlier life of the component published."""

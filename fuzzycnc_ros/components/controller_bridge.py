@@ -14,7 +14,6 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
-from fuzzycnc_ros.components.command_sources import REQUEST, CommandSources
 from fuzzycnc_ros.components.compensator import AXES
 from fuzzycnc_ros.components.component import (
     Answer,
@@ -44,6 +43,8 @@ ON_THE_WAY = 0.02
 """Time between two reports while offsets move [s]."""
 NOTHING = 1e-12
 """Offset that is the rounding of sums [m]."""
+STEPS_MAX = 2.0
+"""Cycles for whose time one cycle moves offsets at most, however late it comes."""
 SETTLING = 2.0
 """How long a controller may take to go where it is told [s] before that is reported."""
 
@@ -67,6 +68,7 @@ class ControllerBridge(Component, ABC, Generic[StatusT, OrdersT]):
         Output('compensation_applied', CompensationApplied),
     )
     MANAGED = True
+    MACHINE_SIDE = True
     _config: ControllerBridgeConfig
 
     def __init__(self, config: ControllerBridgeConfig | None = None) -> None:
@@ -78,13 +80,15 @@ class ControllerBridge(Component, ABC, Generic[StatusT, OrdersT]):
                 f'axes: expected distinct names of {", ".join(AXES)} but found '
                 f'{", ".join(self._axes) or "none"}'
             )
-        self._sources = CommandSources(type(self))
-        self._input = self._adopting(np.zeros(len(self._places)), 0)
+        self._time = 0
+        self._stamp = 0
+        self._ahead = 0
+        self._step_max = STEPS_MAX * self._config.cycle_period
+        self._input = self._adopting(np.zeros(len(self._places)))
         self._status: StatusT | None = None
         self._absent = f'{self.CONTROLLER} has not been found yet'
         self._active = False
         self._holding = False
-        self._time = 0
         self._apart_since: int | None = None
         self._told: dict[str, tuple[int, tuple[Any, ...]]] = {}
         self._orders: OrdersT | None = None
@@ -144,13 +148,11 @@ class ControllerBridge(Component, ABC, Generic[StatusT, OrdersT]):
                 return Answer(False, 'not active')
             self._active = False
             return Answer(True, 'ramping to zero')
-        if name == REQUEST:
-            return self._sources.note(arguments)
         return super().on_request(name, arguments, stamp)
 
     def lose(self, stamp: int, why: str) -> Iterator[Emission]:
         """Note that the controller is gone."""
-        self._time = max(self._time, stamp)
+        self._work_at(stamp)
         if not self._absent:
             self._told = {}
         self._status, self._absent = None, why
@@ -168,13 +170,22 @@ class ControllerBridge(Component, ABC, Generic[StatusT, OrdersT]):
             self._applied(AppliedStatus.REFUSED, why, self._left(), nothing > 0.0),
         )
 
+    def renewed(self, step: int) -> 'tuple[ControllerBridge[StatusT, OrdersT], list[Emission]]':
+        """Go on through a step of the clock [ns]: the controller and its offsets know of none."""
+        self._ahead -= step
+        return self, []
+
+    def in_simulated_time(self) -> None:
+        """Take the clock as it comes: a simulation may run at any speed."""
+        self._step_max = np.inf
+        self._input = self._adopting(self._input.applied)
+
     def health(self) -> list[Health]:
         """Report the controller, the offsets in force, and why a command was refused."""
-        found = self._sources.health()
         status = self._status
         name = self.CONTROLLER.lower().removeprefix('the ')
         if status is None:
-            return [Health(name, Level.ERROR, self._absent), *found]
+            return [Health(name, Level.ERROR, self._absent)]
         values = {
             f'offset {axis} [um]': f'{1e6 * offset:.2f}'
             for axis, offset in zip(self._axes, status.applied, strict=True)
@@ -185,7 +196,6 @@ class ControllerBridge(Component, ABC, Generic[StatusT, OrdersT]):
         return [
             Health(name, Level.OK, status.mode.name.lower()),
             Health('compensation', level, reason or code.name.lower(), values),
-            *found,
         ]
 
     @property
@@ -233,27 +243,32 @@ class ControllerBridge(Component, ABC, Generic[StatusT, OrdersT]):
             command.offset,
             command.slope,
             command.reference_position,
-            stamp=command.stamp,
-            valid_until=command.valid_until,
+            stamp=command.stamp + self._ahead,
+            valid_until=command.valid_until + self._ahead,
         )
 
-    def _adopting(self, offset: Floats, time: int, epoch: int = 0) -> OffsetInput:
-        """Return an offset input that has `offset` [m] in force at `time` [ns].
+    def _work_at(self, stamp: int) -> None:
+        """Go on to a stamp [ns].
 
-        It is told so by a command that began so long ago that the offsets have got there.
+        The time that offsets move and expire by never goes back, whatever stamps do.
         """
+        self._ahead = max(self._ahead, self._time - stamp)
+        self._stamp, self._time = stamp, stamp + self._ahead
+
+    def _adopting(self, offset: Floats, epoch: int = 0) -> OffsetInput:
+        """Return an offset input that has `offset` [m] in force now."""
         config = OffsetInputConfig(
             offset_max=self._config.offset_max,
             slew_max=self._slew_max,
             lead_max=self._config.lead_max,
+            validity_max=self._config.validity_max,
         )
-        begin = time - nanoseconds(1.0 + 1.01 * config.offset_max / config.slew_max)
-        fresh = OffsetInput(self._places, config, start=begin)
-        offset = np.where(np.abs(offset) > NOTHING, offset, 0.0)
-        if epoch or np.any(offset):
-            until = time + max(nanoseconds(self._config.adopt_time), 1)
-            fresh.command(max(epoch, 1), self._places, offset, stamp=begin, valid_until=until)
-        fresh.advance(time)
+        fresh = OffsetInput(self._places, config, start=self._time, step_max=self._step_max)
+        fresh.adopt(
+            np.where(np.abs(offset) > NOTHING, offset, 0.0),
+            epoch=epoch,
+            valid_until=self._time + nanoseconds(self._config.adopt_time),
+        )
         return fresh
 
     def _verdict(self, status: StatusT, why: str) -> tuple[AppliedStatus, str]:
@@ -310,7 +325,7 @@ class ControllerBridge(Component, ABC, Generic[StatusT, OrdersT]):
         self, mode: MachineMode, homed: bool, position: Floats, speed: float, allowed: bool
     ) -> MachineState:
         return MachineState(
-            stamp=self._time,
+            stamp=self._stamp,
             frame_id=self.frame('machine'),
             state=int(mode),
             homed=homed,
@@ -325,7 +340,7 @@ class ControllerBridge(Component, ABC, Generic[StatusT, OrdersT]):
         self, code: AppliedStatus, reason: str, offset: Floats, at_limit: Bools
     ) -> CompensationApplied:
         return CompensationApplied(
-            stamp=self._time,
+            stamp=self._stamp,
             frame_id=self.frame('machine'),
             epoch=self._input.epoch,
             status=int(code),

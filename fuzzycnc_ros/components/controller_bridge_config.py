@@ -20,6 +20,14 @@ class ControllerBridgeConfig(Config):
     lead_max: float = param(
         5.0, 's', 'How far ahead of the machine a command may be stamped', low=0.0, high=3600.0
     )
+    validity_max: float = param(
+        180.0,
+        's',
+        'How long after its stamp a command acts at most, whatever it says itself: three times '
+        'the period of its source',
+        low=0.01,
+        high=7200.0,
+    )
     adopt_time: float = param(
         120.0,
         's',

@@ -113,6 +113,11 @@ class DeformationCompensator(Component):
         except ValueError as error:
             self._say(Level.ERROR, f'{pattern.path_id or "pattern"} refused: {error}')
 
+    def renewed(self, step: int) -> 'tuple[DeformationCompensator, list[Emission]]':
+        """Go on: nothing rests on times but which pattern was taken last."""
+        self._handled = (-1, '')
+        return self, []
+
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
         """`activate`, `deactivate`, `use_model` and `use_offsets`, by the text of their files."""
         if name in ('activate', 'deactivate'):

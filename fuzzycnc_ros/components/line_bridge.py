@@ -131,7 +131,7 @@ class LineBridge(ControllerBridge[LineStatus, LineOrders]):
 
     def observe(self, stamp: int, status: LineStatus) -> Iterator[Emission]:
         """Take what was read at `stamp` [ns]; decide what to write, yield what is to be told."""
-        self._time = max(self._time, stamp)
+        self._work_at(stamp)
         self._status, self._absent, self._last = status, '', status.applied
         self._look_for_others(status)
         if not self._leads or self._theirs != status.limits.slew_max:
@@ -191,7 +191,7 @@ class LineBridge(ControllerBridge[LineStatus, LineOrders]):
         self._reference = lines.reference_position
         self._clipped = np.zeros(len(self._axes), bool)
         ends = status.limits.travel.ends(lines)
-        self._input = self._adopting(ends, self._time, self._input.epoch)
+        self._input = self._adopting(ends, self._input.epoch)
 
     def _stands(self, status: LineStatus) -> bool:
         """Whether the control follows the lines in its variables, as far as that can be seen."""
@@ -227,8 +227,8 @@ class LineBridge(ControllerBridge[LineStatus, LineOrders]):
             command.epoch,
             self._places,
             cut,
-            stamp=command.stamp,
-            valid_until=command.valid_until,
+            stamp=command.stamp + self._ahead,
+            valid_until=command.valid_until + self._ahead,
         )
         if answer.accepted:
             self._clipped = np.any(np.split(cut != wanted, 2), axis=0)
@@ -283,7 +283,7 @@ class LineBridge(ControllerBridge[LineStatus, LineOrders]):
             )
         if not status.alive:
             return 'the watchdog of the control hears nobody; does its program see the heartbeat'
-        return self._sources.refusal('compensation')
+        return self.sources.refusal('compensation')
 
     def _close(self, status: LineStatus) -> Floats:
         """Return the difference that counts as none on each axis [m]."""

@@ -69,7 +69,7 @@ class LinuxcncBridge(ControllerBridge[ControllerStatus, ControllerOutput]):
         assert status is not None, 'pins are taken after LinuxCNC has been read'
         self._holding = True
         self._registers.restart()
-        self._input = self._adopting(status.register, self._time)
+        self._input = self._adopting(status.register)
         self._orders = ControllerOutput(counts=status.counts.copy())
 
     def refusal(self, limits: ControllerLimits, status: ControllerStatus) -> str:
@@ -93,14 +93,14 @@ class LinuxcncBridge(ControllerBridge[ControllerStatus, ControllerOutput]):
 
     def observe(self, stamp: int, status: ControllerStatus) -> Iterator[Emission]:
         """Take what was read at `stamp` [ns]; decide what to write, yield what is to be told."""
-        self._time = max(self._time, stamp)
+        self._work_at(stamp)
         self._status, self._absent = status, ''
         if not self._holding:
             self._registers.look(status)
         found = self._holding and self._registers.observe(status)
         if found or not self._leads:
             # Others move or clear the registers: when that is over, go on from where they are.
-            self._input = self._adopting(status.register, self._time, self._input.epoch)
+            self._input = self._adopting(status.register, self._input.epoch)
         why = self._forbidden(status)
         self._input.allow(not why or not self._leads, why)
         wanted = self._input.advance(self._time, status.position)
@@ -142,7 +142,7 @@ class LinuxcncBridge(ControllerBridge[ControllerStatus, ControllerOutput]):
                 f'{describe(self._axes, self._registers.base) or "zero"} (scale or enable changed '
                 'with counts standing); ramping to zero to start anew'
             )
-        return self._sources.refusal('compensation')
+        return self.sources.refusal('compensation')
 
     def _leaving(self, status: ControllerStatus) -> str:
         return 'frozen, eoffset-enable is off' if status.frozen else super()._leaving(status)

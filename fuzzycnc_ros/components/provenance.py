@@ -19,6 +19,9 @@ MESSAGE_SET = 1
 REFUSED = 'refused'
 """Name of the event that a host refused a message; arguments `input` and `stamp` [ns]."""
 
+CLOCK_STEP = 'clock_step'
+"""Name of the event that the clock of a node was set; argument `step` [ns]."""
+
 
 def configuration_record(
     component: Component, stamp: int, lifecycle_state: str = 'active'

@@ -91,6 +91,11 @@ class SensorSelector(Component):
             del self._samples[:-SAMPLES_MAX]
         return ()
 
+    def renewed(self, step: int) -> 'tuple[SensorSelector, list[Emission]]':
+        """Forget the samples of the run; a selection stays."""
+        self._samples.clear()
+        return self, []
+
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
         """`select_sensors`: from the named bags, or from the present run if none is named."""
         if name != 'select_sensors':

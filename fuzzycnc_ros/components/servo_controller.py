@@ -140,6 +140,12 @@ class ServoController(Component):
         places = [axis.reference for axis in self._axes]
         self._refusal = self._lead.command(part, places, self._at)
 
+    def renewed(self, step: int) -> 'tuple[ServoController, list[Emission]]':
+        """Forget all but the epoch: the machine side believes no lower one."""
+        fresh = type(self)(self._config)
+        fresh.machine, fresh.sources, fresh._epoch = self.machine, self.sources, self._epoch
+        return fresh, []
+
     def on_axis_state(self, state: AxisState) -> Iterator[Emission]:
         """Answer a control period."""
         stamp = state.stamp
@@ -153,7 +159,7 @@ class ServoController(Component):
         found = dict(zip(state.axis, state.position.tolist(), strict=False))
         readings = [found.get(name, nan) for name in self._names]
         if self._at is None:
-            self._epoch = stamp
+            self._epoch = max(stamp, self._epoch + 1)  # stamps may have gone back
         else:
             periods = round((stamp - self._at) / self._period)
             if periods < 1:

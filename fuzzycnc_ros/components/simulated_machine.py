@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from fuzzycnc_ros.components.codes import MachineMode
-from fuzzycnc_ros.components.command_sources import REQUEST, CommandSources
+from fuzzycnc_ros.components.command_sources import REQUEST
 from fuzzycnc_ros.components.component import (
     LATCHED,
     Answer,
@@ -82,6 +82,7 @@ class SimulatedMachine(Component):
         'trajectories, drives axes, stitches soft sheets.'
     )
     CONFIG = SimulatedMachineConfig
+    MACHINE_SIDE = True
     INPUTS = (
         Input('compensation', Compensation, sole=True),
         Input('trajectory', Trajectory),
@@ -134,7 +135,6 @@ class SimulatedMachine(Component):
         self._duty_over = False
         self._duty: Duty = _NO_DUTY
         self._mode = MachineMode.ON
-        self._sources = CommandSources(type(self))
         self._told_mode: MachineMode | None = None
         self._told_again = 0
         self._enter(0)
@@ -197,10 +197,9 @@ class SimulatedMachine(Component):
 
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
         """Note by `sources` that several nodes command the machine, or one alone again."""
-        if name != REQUEST:
-            return super().on_request(name, arguments, stamp)
-        answer = self._sources.note(arguments)
-        self._permit()
+        answer = super().on_request(name, arguments, stamp)
+        if name == REQUEST:
+            self._permit()
         return answer
 
     def tick(self) -> Iterator[Emission]:
@@ -230,7 +229,7 @@ class SimulatedMachine(Component):
             self._told_mode = mode
             yield Emission('machine_state', self._state(stamp, mode))
         if slow:
-            refusal = self._sources.refusal('compensation')
+            refusal = self.sources.refusal('compensation')
             yield from self._warmth.readings(
                 stamp, stamp - self._start, self.frame('machine'), workpiece, refusal
             )
@@ -252,7 +251,6 @@ class SimulatedMachine(Component):
             Health('duty', Level.OK, duty),
             self._warmth.health(),
             self._motion.health(),
-            *self._sources.health(),
             self._stitching.health(),
         ]
         if self.failure:
@@ -348,7 +346,7 @@ class SimulatedMachine(Component):
         if self._mode is not MachineMode.ON:
             return self._mode
         tripped = isinstance(self._motion, ServoMotion) and self._motion.tripped
-        if tripped or self._sources.refusal('axis_command'):
+        if tripped or self.sources.refusal('axis_command'):
             return MachineMode.FAULT
         running = self._warmth.spindle_speed or self._motion.moving
         return MachineMode.RUNNING if running else MachineMode.ON
@@ -356,8 +354,8 @@ class SimulatedMachine(Component):
     def _permit(self) -> None:
         """Follow commands in ON alone, and only where they have one source."""
         off = '' if self._mode is MachineMode.ON else self._mode.name.lower()
-        offsets = off or self._sources.refusal('compensation')
-        axes = off or self._sources.refusal('axis_command')
+        offsets = off or self.sources.refusal('compensation')
+        axes = off or self.sources.refusal('axis_command')
         self._warmth.offsets.allow(not offsets, offsets)
         self._motion.allow(not axes, axes, self._time)
         if axes:
@@ -370,7 +368,7 @@ class SimulatedMachine(Component):
             state=int(mode),
             homed=True,
             offsets_allowed=self._mode is MachineMode.ON
-            and not self._sources.refusal('compensation'),
+            and not self.sources.refusal('compensation'),
             cold_since=self._start,
             spindle_speed=self._warmth.spindle_speed,
             axis=self._motion.axes,

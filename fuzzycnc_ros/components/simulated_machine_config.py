@@ -86,6 +86,13 @@ class SimulatedMachineConfig(Config):
     slew_max: float = param(
         0.5e-6, 'm/s', "The machine's own limit of an offset's change", low=1e-9, high=1e-3
     )
+    validity_max: float = param(
+        180.0,
+        's',
+        'How long after its stamp an offset acts at most, whatever it says itself',
+        low=0.01,
+        high=7200.0,
+    )
     axis_interpolation_period: float = axis_param('interpolation_period')
     axis_control_steps: int = axis_param('control_steps')
     axis_filter_samples: int = axis_param('filter_samples')

@@ -38,7 +38,11 @@ class Warmth:
         self._instruments = MillInstruments(config)
         self.offsets = OffsetInput(
             MILL_AXES,
-            OffsetInputConfig(offset_max=config.offset_max, slew_max=config.slew_max),
+            OffsetInputConfig(
+                offset_max=config.offset_max,
+                slew_max=config.slew_max,
+                validity_max=config.validity_max,
+            ),
         )
         self.spindle_speed = 0.0
 

@@ -8,7 +8,7 @@ time constants of a machine, and halves the noise or better.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -119,8 +119,8 @@ class TemperatureAcquisition(Component):
     SUMMARY = 'Averages raw readings into samples and checks range, rate, stuck sensors and gaps.'
     CONFIG = TemperatureAcquisitionConfig
     INPUTS = (
-        Input('sensor_readings', Temperatures, driving=True),
-        Input('machine_state', MachineState),
+        Input('sensor_readings', Temperatures, driving=True, sole=True),
+        Input('machine_state', MachineState, sole=True),
     )
     OUTPUTS = (
         Output('thermal_reference', ThermalReference, LATCHED, persistent=True),
@@ -189,6 +189,18 @@ class TemperatureAcquisition(Component):
         return Answer(
             True, f'the next {self._config.reference_samples} samples become the thermal reference'
         )
+
+    def renewed(self, step: int) -> 'tuple[TemperatureAcquisition, list[Emission]]':
+        """Start afresh, but for the reference: it was set that long ago as before."""
+        fresh = type(self)(self._config)
+        fresh.machine, fresh.sources = self.machine, self.sources
+        known = self._reference
+        if known is None:
+            return fresh, []
+        fresh._reference = replace(
+            known, stamp=max(0, known.stamp + step), cold_since=max(0, known.cold_since + step)
+        )
+        return fresh, [Emission('thermal_reference', fresh._reference)]
 
     def restore(self, output: str, record: Record) -> None:
         """Take back the reference that was set before a restart."""

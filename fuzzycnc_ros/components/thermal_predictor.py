@@ -61,11 +61,11 @@ class ThermalPredictor(Component):
         Input('sensor_selection', SensorSelection, LATCHED),
         Input('thermal_reference', ThermalReference, LATCHED),
         # How long the last known speed is held is a parameter, gap_max.
-        Input(STATE, MachineState, quiet=True),
+        Input(STATE, MachineState, quiet=True, sole=True),
         Input(OWN, SpindleSpeed, quiet=True),
-        Input('compensation_applied', CompensationApplied, quiet=True),
+        Input('compensation_applied', CompensationApplied, quiet=True, sole=True),
         Input('displacement', Displacement, quiet=True),
-        Input('temperatures', Temperatures, driving=True),
+        Input('temperatures', Temperatures, driving=True, sole=True),
     )
     OUTPUTS = (
         Output('thermal_error', ThermalError),
@@ -133,6 +133,17 @@ class ThermalPredictor(Component):
             return Answer(True, self.use_model(str(arguments['model'])))
         except ValueError as error:
             return Answer(False, str(error))
+
+    def renewed(self, step: int) -> 'tuple[ThermalPredictor, list[Emission]]':
+        """Begin with the same model and no history; the reference comes anew, with its stamp."""
+        fresh = type(self)(self._config)
+        fresh.machine, fresh.sources = self.machine, self.sources
+        if self._selection is not None:
+            fresh._newest['sensor_selection'] = self._selection
+        fresh._checkpoint = self._checkpoint
+        if self.model_text:
+            fresh.use_model(self.model_text)
+        return fresh, []
 
     def restore(self, output: str, record: Record) -> None:
         """Take back the checkpoint of an earlier life."""

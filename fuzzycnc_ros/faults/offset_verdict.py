@@ -21,7 +21,7 @@ from fuzzycnc_ros.faults.scenario import (
     Ends,
     Scenario,
 )
-from fuzzycnc_ros.faults.strangers import STRANGE_EPOCH
+from fuzzycnc_ros.faults.strangers import STRANGER
 
 ROUNDING = 1e-12
 """What may be lost in sums of offsets [m]."""
@@ -40,7 +40,7 @@ def measure_offsets(scenario: Scenario, window: Window, evidence: Evidence) -> M
     if len(applied) < 2:
         return None
     found = Measured()
-    told = [r for r in evidence.sent('compensation') if r.record.epoch < STRANGE_EPOCH]
+    told = [r for r in evidence.sent('compensation') if r.record.source != STRANGER]
     found.why += _limits(applied, MACHINE.offset_max, MACHINE.slew_max, 'applied')
     for stream in streams(window.of(told, before=1)):
         found.why += _limits(stream, LIMITS.offset_max, LIMITS.slew_max, 'told')

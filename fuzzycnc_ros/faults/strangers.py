@@ -16,7 +16,11 @@ from fuzzycnc_ros.nodes.messages import RCLPY, message_class
 from fuzzycnc_ros.nodes.qos import publisher_qos
 
 STRANGE_EPOCH = 10**6
-"""Epoch from which on commands are those of strangers: the highest rank."""
+"""Epoch of strangers' commands of axes: the highest rank."""
+HIGHER = 5
+"""By how much the epoch of strangers' offsets is above the compensator's: what may be believed."""
+STRANGER = ('stranger',)
+"""Source that strangers' offsets name."""
 _LARGE = 1e-3
 _VALID = 600 * SECOND
 
@@ -50,7 +54,8 @@ def highest_order(topic: str, stamp: int, told: Compensation | None) -> Record:
         raise ValueError('told: expected a command to imitate but the compensator told none')
     changed = {
         'stamp': stamp,
-        'epoch': STRANGE_EPOCH,
+        'epoch': told.epoch + HIGHER,
+        'source': STRANGER,
         'offset': np.full(len(told.axis), _LARGE),
         'valid_until': stamp + _VALID,
     }

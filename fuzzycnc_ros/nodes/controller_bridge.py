@@ -41,6 +41,8 @@ class ControllerBridgeNode(ManagedComponentNode, ABC):
         self._why = f'{component_type.CONTROLLER} has not been found yet'
         self._pause = self.RETRY_FIRST
         self._connect_at = self._claim_at = 0.0
+        if self.node.get_parameter('use_sim_time').value:
+            self.component.in_simulated_time()
         if self.settings.lockstep:
             self.troubles['lockstep'] = (
                 f'{component_type.CONTROLLER} keeps its own time: in lock-step it is not read'
@@ -128,6 +130,7 @@ class ControllerBridgeNode(ManagedComponentNode, ABC):
         if status is None:
             return
         self._pause = self.RETRY_FIRST
+        self._follow_clock()
         self.publish(self.component.observe(self._now(), status))
         if self.component.wants_control and time.monotonic() - self._claim_at > CLAIM_AGAIN:
             trouble = self._claim(controller)
@@ -161,6 +164,7 @@ class ControllerBridgeNode(ManagedComponentNode, ABC):
         if self._controller is not None:
             self._controller.close()
         self._controller, self._claimed = None, False
+        self._follow_clock()
         self.publish(self.component.lose(self._now(), self._why))
 
     def _claim(self, controller: Controller[Any, Any, Any]) -> str:

@@ -30,7 +30,12 @@ from fuzzycnc_ros.components.component import (
 from fuzzycnc_ros.components.host_config import HostConfig
 from fuzzycnc_ros.components.host_records import DeadlineFired, NodeConfiguration, NodeEvent
 from fuzzycnc_ros.components.merge import Merger
-from fuzzycnc_ros.components.provenance import REFUSED, configuration_record, event_record
+from fuzzycnc_ros.components.provenance import (
+    CLOCK_STEP,
+    REFUSED,
+    configuration_record,
+    event_record,
+)
 from fuzzycnc_ros.components.records import (
     SECOND,
     Record,
@@ -50,6 +55,7 @@ from fuzzycnc_ros.nodes.qos import (
     unmatched,
 )
 from fuzzycnc_ros.nodes.state_file import StateDirectory, StateFileError
+from fuzzycnc_ros.nodes.steady_clock import SteadyClock
 from fuzzycnc_ros.nodes.timers import wall_timer
 from fuzzycnc_ros.nodes.turn_taker import TurnTaker
 
@@ -84,12 +90,18 @@ class ComponentNode:
             raise ParameterError(str(error)) from error
         self.component.machine = host.machine or node.get_namespace().strip('/') or 'machine'
         self.merger = Merger(self.component)
+        self._steady = SteadyClock(
+            lambda: int(node.get_clock().now().nanoseconds),
+            simulated=bool(node.get_parameter('use_sim_time').value),
+        )
         self.troubles: dict[str, str] = {}
         """Faults of the host itself, reported on /diagnostics until they are over."""
         self._publishers: dict[str, Any] = {}
         self._subscriptions: dict[str, Any] = {}
         self._published: dict[str, int] = {}
         self._deaf: set[str] = set()
+        self._doubted: dict[str, str] = {}
+        self._clock_stepped = ''
         self._lifecycle_state = 'active'
         self._activity = Activity()
         self._sent_at = 0  # wall time of the newest driving message that is not worked yet [ns]
@@ -116,6 +128,8 @@ class ComponentNode:
             node,
             {node.resolve_topic_name(i.name): i.name for i in component_type.INPUTS if i.sole},
             self._on_sources,
+            lockstep=host.lockstep,
+            often=component_type.MACHINE_SIDE,
         )
         if not host.lockstep:
             self._deadlines = self._advertise(
@@ -128,6 +142,9 @@ class ComponentNode:
         wall_timer(node, 1.0, self.report)
         node.add_on_set_parameters_callback(self._on_parameters)
         self._restore()
+
+    makes_time = False
+    """Whether machine time is made here, so that the clock of the node does not matter."""
 
     takes_turns = True
     """Whether the node works in turns in lock-step; the machine itself gives them."""
@@ -175,9 +192,13 @@ class ComponentNode:
 
     def report(self) -> None:
         """Publish the health of the component and its inputs on /diagnostics."""
+        self._follow_clock()
+        if not self.component.MACHINE_SIDE:
+            self._commands.look()
         now = self.merger.time if self.settings.lockstep else self._now()
         health = [
             *self.component.health(),
+            *self._host_health(),
             *input_health(self.merger, now),
             *self._route_health(),
             *self.own_health(),
@@ -192,6 +213,16 @@ class ComponentNode:
                 self.node.get_clock().now().to_msg(),
             )
         )
+
+    def _host_health(self) -> list[Health]:
+        """Report inputs that several nodes publish, and a clock that was set."""
+        found = [
+            Health(f'sources of {name}', Level.ERROR, text)
+            for name, text in self.component.sources.refusals.items()
+        ]
+        if self._clock_stepped:
+            found.append(Health('clock', Level.WARN, self._clock_stepped))
+        return found
 
     def own_health(self) -> list[Health]:
         """Report on what is peculiar to this node."""
@@ -265,10 +296,16 @@ class ComponentNode:
         drives = self.component.input(name).driving
 
         def on_message(message: Any, info: Any) -> None:
+            self._follow_clock()
+            number = info['publication_sequence_number']
             record = decode(record_type, message)
-            accepted = not self._from_the_future(name, record) and self.merger.push(name, record)
-            self._commands.heard(topic, info['publication_sequence_number'])
-            self._heard(topic, info['publication_sequence_number'])
+            doubt = self._doubt_of(name, topic, number)
+            accepted = (
+                not (doubt and self._refuse(name, record, doubt))
+                and not self._from_the_future(name, record)
+                and self.merger.push(name, record)
+            )
+            self._heard(topic, number)
             if drives:
                 self._sent_at = info['source_timestamp']
             if not self.settings.lockstep and drives and accepted:
@@ -285,14 +322,27 @@ class ComponentNode:
         now, most = self._now(), nanoseconds(self.settings.stamp_ahead_max)
         if self.settings.lockstep or not (now and most) or record.stamp <= now + most:
             return False
-        self.merger.refuse(
+        return self._refuse(
             name,
+            record,
             f'stamp: expected at most {self.settings.stamp_ahead_max:g} s ahead of the clock but '
             f'found {(record.stamp - now) / SECOND:.9g} s',
         )
+
+    def _refuse(self, name: str, record: Record, why: str) -> bool:
+        """Leave a record out, and write that down for replay."""
+        self.merger.refuse(name, why)
         told = {'input': name, 'stamp': record.stamp}
         self._send('node_event', event_record(self.component, self.merger.time, REFUSED, told))
         return True
+
+    def _doubt_of(self, name: str, topic: str, number: int) -> str:
+        """Say why a message is not from the one source of its topic; empty if it may be."""
+        doubt = self._commands.heard(topic, number)
+        if doubt and doubt != self._doubted.get(name):
+            self.node.get_logger().error(f'{name} {doubt}; refused')
+        self._doubted[name] = doubt
+        return doubt
 
     def _heard(self, topic: str, sequence_number: int) -> None:
         """Note in lock-step that a message has come in."""
@@ -315,10 +365,32 @@ class ComponentNode:
             self.node.get_logger().info(answer.message)
 
     def _now(self) -> int:
-        return int(self.node.get_clock().now().nanoseconds)
+        return self._steady.now()
+
+    def _follow_clock(self) -> None:
+        """Begin a new series of stamps where the clock has been set."""
+        if self.settings.lockstep or self.makes_time:
+            return
+        step = self._steady.step()
+        if not step:
+            return
+        text = f'the clock stepped by {step / SECOND:.9g} s'
+        event = event_record(self.component, self.merger.time, CLOCK_STEP, {'step': step})
+        self._send('node_event', event)
+        self.node.get_logger().error(f'{text}; a new series of stamps begins')
+        self._clock_stepped = f'{text}; what was known by stamps from before is forgotten'
+        before = self.component
+        self.component, emissions = before.renewed(step)
+        self.merger = Merger(self.component, time=self._now())
+        self.publish(emissions)
+        anew = self.component is not before and self.component.MANAGED
+        if anew and self._lifecycle_state == 'active':
+            self.request('activate', {})
+        self.announce()
 
     def _poll_deadline(self) -> None:
         """Real time: fire a deadline that no input has fired, and write it down."""
+        self._follow_clock()
         deadline = self.component.next_deadline
         if deadline is None or deadline > self._now():
             return

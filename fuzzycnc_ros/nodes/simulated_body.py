@@ -26,6 +26,7 @@ from fuzzycnc_ros.nodes.timers import wall_timer
 class SimulatedBodyNode(ComponentNode):
     """Tick the body at a rate of machine time, and tell the time."""
 
+    makes_time = True
     takes_turns = False
     component: SimulatedBody
 

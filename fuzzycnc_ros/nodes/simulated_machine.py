@@ -30,6 +30,7 @@ that nobody can answer are worse than slow ones."""
 class SimulatedMachineNode(ComponentNode):
     """Tick the simulated machine: as fast as all nodes answer, or at a rate of machine time."""
 
+    makes_time = True
     takes_turns = False
     component: SimulatedMachine
 

@@ -7,7 +7,7 @@ import pytest
 from benches.component_bench import Bench
 
 from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
-from fuzzycnc_ros.components.command_sources import REQUEST, CommandSources
+from fuzzycnc_ros.components.command_sources import REQUEST
 from fuzzycnc_ros.components.records import SECOND, Compensation, nanoseconds
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
 
@@ -69,8 +69,7 @@ def test_both_sources_of_offsets_are_refused_and_named(bench):
     moved = np.diff([item.offset[0] for item in told(bench)])
     assert np.abs(moved).max() <= SimulatedMachineConfig().slew_max + 1e-12
     assert not bench.records('machine_state')[-1].offsets_allowed
-    assert 'ERROR sources of compensation: ' in bench.health()
-    assert '/mill/stranger' in bench.health()
+    assert '/mill/stranger' in bench.component.sources.refusals['compensation']
 
 
 def test_one_alone_is_followed_again_from_a_fresh_command(bench):
@@ -82,7 +81,7 @@ def test_one_alone_is_followed_again_from_a_fresh_command(bench):
     tick(bench, 5)
     np.testing.assert_array_equal(told(bench)[-1].offset, 0.0)
     assert bench.records('machine_state')[-1].offsets_allowed
-    assert 'sources' not in bench.health()
+    assert not bench.component.sources.refusals
     command(bench, 1 * MICRON, epoch=2)
     tick(bench, 5)
     assert told(bench)[-1].status == AppliedStatus.FOLLOWING
@@ -110,7 +109,8 @@ def test_two_sources_of_duties_are_a_fault_of_the_machine():
     state = bench.records('machine_state')[-1]
     assert state.state == MachineMode.FAULT
     assert state.offsets_allowed
-    assert 'all are refused: /mill/servo_controller, /mill/stranger' in bench.health()
+    found = bench.component.sources.refusals['axis_command']
+    assert 'all are refused: /mill/servo_controller, /mill/stranger' in found
     bench.request(REQUEST, input='axis_command', node=[])
     tick(bench, 5)
     assert bench.records('machine_state')[-1].state == MachineMode.RUNNING
@@ -127,7 +127,7 @@ def test_two_sources_of_duties_are_a_fault_of_the_machine():
     ],
 )
 def test_facts_that_mean_nothing_are_refused(arguments, naming):
-    answer = CommandSources(SimulatedMachine).note(arguments)
+    answer = SimulatedMachine().on_request(REQUEST, arguments, 0)
     assert not answer.success
     assert naming in answer.message
 

@@ -203,7 +203,11 @@ def test_silence_is_held_then_ramped_to_zero():
         ({'valid': False, 'reason': 3, 'in_domain': False}, 'thermal error invalid: sensor lost'),
         ({'valid': False, 'reason': 200}, 'thermal error invalid: reason 200'),
         ({'in_domain': False}, 'outside what the model was trained on'),
-        ({'error': np.array([np.inf, 0.0])}, 'thermal error is not finite'),
+        ({'error': np.array([np.inf, 0.0])}, 'error_max lets a model say, but found inf um'),
+        ({'error': np.array([0.0, np.nan])}, 'error_max lets a model say, but found nan um'),
+        ({'error': np.array([1.0, 0.0])}, 'error_max lets a model say, but found 1e+06 um'),
+        ({'error': np.array([0.0, -1e308])}, 'error_max lets a model say, but found -inf um'),
+        ({'error': np.array([201e-6, 0.0])}, 'error_max lets a model say, but found 201 um'),
         ({'axis': ('Y', 'X')}, 'thermal error lacks axis Z'),
     ],
 )

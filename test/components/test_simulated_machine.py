@@ -208,7 +208,7 @@ def test_offsets_are_applied_within_the_machines_own_slew_limit():
 
 
 def test_offsets_beyond_the_machines_own_limit_are_cut_and_flagged():
-    bench = Bench(machine_of(tick_period=1.0))
+    bench = Bench(machine_of(tick_period=1.0, validity_max=1000.0))
     drive(bench, 1)
     bench.push('compensation', command(1.0, (90 * MICRON, 0.0), validity=1000.0))
     found = drive(bench, 200)

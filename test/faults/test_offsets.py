@@ -16,7 +16,7 @@ from fuzzycnc_ros.components.records import SECOND
 from fuzzycnc_ros.faults.evidence import Recorded
 from fuzzycnc_ros.faults.offset_verdict import streams
 from fuzzycnc_ros.faults.scenario import BY_COMPENSATOR, BY_MACHINE, MACHINE, Ends
-from fuzzycnc_ros.faults.strangers import STRANGE_EPOCH
+from fuzzycnc_ros.faults.strangers import STRANGER
 from fuzzycnc_ros.faults.table import result_tables
 from fuzzycnc_ros.faults.verdict import Verdict, judge
 
@@ -193,7 +193,7 @@ def test_publishers_of_one_topic_are_told_apart():
 def test_orders_of_strangers_are_not_held_against_the_compensator():
     found = evidence_of(60)
     place = found.records['compensation'][40].place
-    order = command(41 * TICK, 1000.0, epoch=STRANGE_EPOCH)
+    order = replace(command(41 * TICK, 1000.0, epoch=9), source=STRANGER)
     found.records['compensation'].insert(41, Recorded(place, 1, order))
     assert judge(SCENARIO, found).safe
 

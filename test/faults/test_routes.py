@@ -32,7 +32,7 @@ from fuzzycnc_ros.faults.relay import (
     remappings,
 )
 from fuzzycnc_ros.faults.scenario import MACHINE
-from fuzzycnc_ros.faults.strangers import STRANGE_EPOCH, highest_order
+from fuzzycnc_ros.faults.strangers import STRANGE_EPOCH, STRANGER, highest_order
 
 ALL = [
     *FIELDS.values(),
@@ -131,7 +131,8 @@ def test_the_relay_stands_between_publisher_and_readers():
 def test_strangers_order_by_the_highest_rank():
     told = command(TICK, epoch=4)
     order = highest_order('compensation', 2 * TICK, told)
-    assert order.epoch == STRANGE_EPOCH > told.epoch
+    assert order.epoch > told.epoch
+    assert order.source == STRANGER
     assert order.axis == told.axis
     assert (order.offset > MACHINE.offset_max).all()
     assert highest_order('axis_command', TICK, None).epoch == STRANGE_EPOCH

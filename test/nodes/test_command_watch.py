@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
 
-from fuzzycnc_ros.nodes.command_watch import LEASE, SETTLED, TopicSources
+from fuzzycnc_ros.nodes.command_watch import LEASE, SETTLED, Publisher, TopicSources
 
 pytestmark = pytest.mark.ros
 
@@ -15,12 +15,13 @@ A, B, UNKNOWN = '/mill/compensator', '/mill/b', '_NODE_NAMESPACE_UNKNOWN_/_NODE_
 
 def looks(sources, names, until, start=0.0, numbers=()):
     """Look every 0.2 s; return what was found last."""
+    publishers = [Publisher(name, bytes([place])) for place, name in enumerate(names)]
     found, now = None, start
     numbers = list(numbers)
     while now < until:
         if numbers:
-            sources.heard(numbers.pop(0))
-        found = sources.look(names, now)
+            sources.heard(numbers.pop(0), lambda: publishers)
+        found = sources.look(publishers, now)
         now += 0.2
     return found
 
@@ -67,3 +68,58 @@ def test_two_of_one_name_that_outlast_the_lease_are_two_sources():
     sources = TopicSources()
     assert looks(sources, [A, A], LEASE - 1.0) is None
     assert looks(sources, [A, A], LEASE + 1.0, LEASE - 1.0) == (A, A)
+
+
+@pytest.fixture
+def followed():
+    """Sources of a topic that A has published on, up to number 7."""
+    sources = TopicSources()
+    for number in range(1, 8):
+        assert not sources.heard(number, lambda: [OWNER])
+    return sources
+
+
+OWNER, STRANGER = Publisher(A, b'a'), Publisher(B, b'b')
+NAMELESS = Publisher(UNKNOWN, b'n')
+
+
+def test_message_of_another_node_is_refused_before_the_next_look(followed):
+    found = followed.heard(1, lambda: [OWNER, STRANGER])
+    assert found == f'comes from several nodes at once: {B}, {A}'
+    assert not followed.heard(8, lambda: [OWNER])
+
+
+@pytest.mark.parametrize('number', [1, 7])
+def test_message_of_a_node_that_is_gone_again_is_refused(followed, number):
+    found = followed.heard(number, lambda: [OWNER])
+    assert found == f'comes from a node that is gone again; {A} is still there'
+    assert not followed.heard(8, lambda: [OWNER])
+
+
+def test_nameless_node_is_awaited_but_in_lock_step(followed):
+    assert 'not known yet' in followed.heard(1, lambda: [OWNER, NAMELESS])
+    patient = TopicSources(lockstep=True)
+    assert not patient.heard(1, lambda: [OWNER, NAMELESS])
+
+
+def test_restarted_node_is_believed_from_its_first_message_on(followed):
+    again = Publisher(A, b'again')
+    assert not followed.heard(1, lambda: [again])
+    assert not followed.heard(2, lambda: [again])
+    followed.look([again], 10.0)
+    assert not followed.heard(3, lambda: [again])
+    assert 'gone again' in followed.heard(1, lambda: [again])
+
+
+def test_source_is_known_by_the_look_too(followed):
+    again = Publisher(A, b'again')
+    followed.look([again], 10.0)
+    assert not followed.heard(1, lambda: [again])
+    assert 'gone again' in followed.heard(1, lambda: [again])
+
+
+def test_lost_messages_and_a_number_that_was_taken_lock_nobody_out(followed):
+    assert not followed.heard(20, lambda: [OWNER])  # or a stranger's: nobody can tell
+    assert followed.heard(12, lambda: [OWNER])
+    assert not followed.heard(13, lambda: [OWNER])
+    assert not followed.heard(14, lambda: [OWNER])

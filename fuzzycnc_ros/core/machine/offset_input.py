@@ -19,6 +19,11 @@ _PLAUSIBLE = {'offset': 1.0, 'slope': 1.0, 'reference_position': 1000.0}
 """Sizes beyond which a number is a mix-up of units or worse [m, -, m]; keeps sums finite."""
 
 
+EPOCH_STEP = 1000
+"""How far above the epoch in force that of a new owner may be: an honest one takes the next, and
+one that was restarted meanwhile a few more.  What is beyond would lock all others out."""
+
+
 class OffsetStatus(IntEnum):
     """What the offset input does; the numbers are those of CompensationApplied."""
 
@@ -36,6 +41,13 @@ class OffsetInputConfig(Config):
     slew_max: float = param(5e-6, 'm/s', 'Fastest change of an offset', low=1e-9, high=1e-3)
     lead_max: float = param(
         5.0, 's', 'How far ahead of the machine a command may be stamped', low=0.0, high=3600.0
+    )
+    validity_max: float = param(
+        180.0,
+        's',
+        'How long after its stamp a command acts at most, whatever it says itself',
+        low=0.01,
+        high=7200.0,
     )
 
 
@@ -76,6 +88,9 @@ class OffsetInput:
         Size limit, slew limit, and how far ahead of the machine a stamp may be.
     start : int
         Machine time of the beginning [ns].
+    step_max : float
+        Time [s] for which one `advance` moves offsets at most: a process that stood still, or a
+        clock that jumped, then causes no jump of the offsets.
 
     Raises
     ------
@@ -103,13 +118,19 @@ class OffsetInput:
     """
 
     def __init__(
-        self, axes: Sequence[str], config: OffsetInputConfig | None = None, *, start: int = 0
+        self,
+        axes: Sequence[str],
+        config: OffsetInputConfig | None = None,
+        *,
+        start: int = 0,
+        step_max: float = np.inf,
     ) -> None:
         if not axes or len(set(axes)) != len(axes):
             raise ValueError(f'axes: expected names, each once, but found {list(axes)}')
         self._axes = tuple(axes)
         self._config = config or OffsetInputConfig()
         self._time = start
+        self._step_max = step_max
         self._allowed = True
         self._applied = np.zeros(len(axes))
         self._position = np.full(len(axes), np.nan)
@@ -170,6 +191,33 @@ class OffsetInput:
             return f'the command of epoch {self.epoch} expired; going to zero or at zero'
         return self._cut_text(self._at_limit)
 
+    def adopt(self, offset: ArrayLike, *, epoch: int, valid_until: int) -> None:
+        """Go on from offsets that are in force already, as if an owner had commanded them.
+
+        Parameters
+        ----------
+        offset : array_like, shape (axes,)
+            Offsets in force [m].
+        epoch : int
+            Epoch of the owner that new ones have to follow; 0 for nobody.
+        valid_until : int
+            Until when they stay if no command comes [ns].
+        """
+        self._applied = np.array(offset, dtype=np.float64)
+        if not (epoch or self._applied.any()):
+            return
+        zero = np.zeros(len(self._axes))
+        self._newest = _Command(
+            epoch=max(epoch, 1),
+            owner='',
+            offset=self._applied.copy(),
+            slope=zero,
+            reference_position=zero,
+            stamp=self._time,
+            valid_until=valid_until,
+        )
+        self._in_force = valid_until > self._time
+
     def allow(self, allowed: bool, why: str = '') -> None:
         """Say whether the machine takes offsets in its present state.
 
@@ -206,7 +254,8 @@ class OffsetInput:
         Parameters
         ----------
         epoch : int
-            Owner epoch, 1 or more; a new owner comes with a higher one.
+            Owner epoch, 1 or more; a new owner comes with a higher one, at most `EPOCH_STEP`
+            above the one in force.
         axis : sequence of str
             Axes of the command; those left out are commanded to zero.
         offset : array_like, shape (len(axis),)
@@ -218,7 +267,7 @@ class OffsetInput:
         stamp : int
             What the command answers to [ns]; not older than the command before.
         valid_until : int
-            End of validity [ns].
+            End of validity [ns]; `validity_max` after the stamp at the latest.
         owner : str
             Identity of the sender, such as its publisher's id: two senders with one epoch are
             told apart by it.
@@ -238,6 +287,7 @@ class OffsetInput:
                 else np.asarray(reference_position, dtype=np.float64)
             ),
         }
+        valid_until = min(valid_until, stamp + round(self._config.validity_max * 1e9))
         self._refusal = (
             self._refused_by_owner(epoch, owner)
             or self._refused_by_time(epoch, stamp, valid_until)
@@ -294,6 +344,7 @@ class OffsetInput:
                 )
             known = np.abs(given) <= _PLAUSIBLE['reference_position']  # false for NaN
             self._position = np.where(known, given, self._position)
+        before = self._applied
         if self._before and self._newest:
             self._follow(self._before, min(time, self._newest.stamp))
         if self._newest and self._in_force:
@@ -303,6 +354,8 @@ class OffsetInput:
                 self._follow(self._newest, time)
             self._in_force = time < self._newest.valid_until
         self._ramp_to_zero(time)
+        reach = self._config.slew_max * self._step_max
+        self._applied = np.clip(self._applied, before - reach, before + reach)
         return self.applied
 
     def _follow(self, command: _Command, time: int) -> None:
@@ -334,6 +387,11 @@ class OffsetInput:
             return (
                 f'expected epoch {max(1, self.epoch)} or higher but found {epoch}; '
                 'start from the read-back with a higher epoch'
+            )
+        if epoch > self.epoch + EPOCH_STEP:
+            return (
+                f'expected epoch {max(1, self.epoch)} to {self.epoch + EPOCH_STEP} but found '
+                f'{epoch}; start from the read-back with the next epoch'
             )
         if self._newest and epoch == self.epoch and owner != self.owner:
             return (

@@ -44,6 +44,12 @@ class BridgeRig:
         self.bench.push('compensation', record)
         self.bench.emitted += self.bench.merger.advance(stamp)
 
+    def set_clock(self, step, *, told=True):
+        """Set the clock forward by a step [s]; who is not told of it has to notice."""
+        self.time += step
+        if told:
+            self.bench.clock_step(step, self.time)
+
     @property
     def last(self):
         return self.bench.records('compensation_applied')[-1]
@@ -69,26 +75,26 @@ class BridgeRig:
 class Compensated:
     """A compensator that hears the bridge of a rig and commands it."""
 
-    def __init__(self, rig: Any) -> None:
+    def __init__(self, rig: Any, **parameters: Any) -> None:
         self._rig = rig
+        self._parameters = {'period': 1.0, 'slew_max': 1e-6, 'stale_after': 20.0, **parameters}
         self.restart()
 
     def restart(self) -> None:
         """Put a new compensator in the place of the old one."""
-        config = CompensatorConfig(period=1.0, slew_max=1e-6, stale_after=20.0)
-        self._bench = Bench(Compensator(config))
-        self._bench.until(self._rig.time)
-        self._bench.request('activate')
+        self.bench = Bench(Compensator(CompensatorConfig(**self._parameters)))
+        self.bench.until(self._rig.time)
+        self.bench.request('activate')
 
-    def run(self, seconds: int) -> None:
+    def run(self, seconds: int, *, errors: bool = True) -> None:
         """Let time pass."""
-        rig, bench = self._rig, self._bench
+        rig, bench = self._rig, self.bench
         for _ in range(seconds):
             rig.run(1.0)
             bench.push('compensation_applied', rig.last)
             state = machine_state(rig.time, offsets_allowed=rig.allowed)
             bench.push('machine_state', state)
-            if round(rig.time) % 5 == 0:
+            if errors and round(rig.time) % 5 == 0:
                 bench.push('thermal_error', thermal_error(rig.time, ERROR))
             for item in bench.until(rig.time):
                 if item.output == 'compensation':

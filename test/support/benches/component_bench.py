@@ -49,6 +49,17 @@ class Bench:
         self.emitted += answer.emissions
         return answer
 
+    def clock_step(self, step: float, now: float) -> list[Emission]:
+        """Set the clock forward by a step [s], to machine time `now` [s], as a host does."""
+        active = getattr(self.component, '_active', False)
+        before = self.component
+        self.component, emissions = before.renewed(nanoseconds(step))
+        self.merger = Merger(self.component, time=nanoseconds(now))
+        self.emitted += emissions
+        if active and self.component is not before:
+            self.request('activate')
+        return emissions
+
     def records(self, output: str) -> list[Any]:
         """Return all records of an output so far."""
         return [item.record for item in self.emitted if item.output == output]

@@ -94,7 +94,7 @@ class Rig(BridgeRig):
     def __init__(self, controller=None, *, active=True, **parameters):
         self.controller = controller or Controller()
         self.config = LinuxcncBridgeConfig(**{'slew_max': SLEW, **parameters})
-        self.time = 100.0
+        self.time = 200_000.0
         self.path, self.on = [], []
         self.restart(active=active)
 
