@@ -21,7 +21,7 @@ unexport LD_LIBRARY_PATH PYTHONHOME PYTHONPATH VIRTUAL_ENV RMW_IMPLEMENTATION
 ROS := AMENT_PREFIX_PATH='$(VENV)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
 TESTS := $(ROS) '$(BIN)/python' tools/run_tests.py
-PARALLEL := --timeout=300 -n auto --maxprocesses=8 --dist worksteal
+PARALLEL := --timeout=600 -n auto --maxprocesses=8 --dist worksteal
 
 # What must be true after every change is what faults are tried on.
 MUTANTS := build/mutants/mutants.json

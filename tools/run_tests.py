@@ -96,7 +96,7 @@ def main(arguments: list[str]) -> int:
     if not arguments or arguments[0] not in TIERS:
         sys.exit(f'run_tests: expected table, {", ".join(TIERS)} but found {arguments[:1]}')
     tier, more = arguments[0], arguments[1:]
-    pytest = [sys.executable, '-m', 'pytest', '--timeout=300', *more]
+    pytest = [sys.executable, '-m', 'pytest', '--timeout=600', *more]
     marks = TIERS[tier]
     before = len(noted())
     parts = ((*ON_ALL_CORES, '-m', f'{marks} and not realtime'), ('-m', f'{marks} and realtime'))
