@@ -163,6 +163,8 @@ class TemperatureAcquisition(Component):
         if reading.stamp - self._read_at > nanoseconds(3.0 * self._config.interval):
             self._start_afresh(reading.stamp)
         self._read_at = reading.stamp
+        if self._reference is not None and self._reference.stamp > reading.stamp:
+            self._reference = None  # the clock was set, or the machine has begun anew: void
         status = self._verdict(reading)
         good = status == Status.OK
         self._sum[good] += reading.temperature[good]

@@ -8,6 +8,7 @@ invalid error.
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,9 @@ class ThermalPredictor(Component):
         self._reference: ThermalReference | None = None
         self._checkpoint: PredictorState | None = None
         self._speeds = SpeedSources()
+        self._told: PredictorState | None = None
+        self._former: ThermalReference | None = None
+        """What the checkpoint of before a step of the clock was meant against."""
 
     @property
     def model(self) -> ThermalModel | None:
@@ -135,12 +139,15 @@ class ThermalPredictor(Component):
             return Answer(False, str(error))
 
     def renewed(self, step: int) -> 'tuple[ThermalPredictor, list[Emission]]':
-        """Begin with the same model and no history; the reference comes anew, with its stamp."""
+        """Begin with the same model; the history goes on once the same reference comes anew."""
         fresh = type(self)(self._config)
         fresh.machine, fresh.sources = self.machine, self.sources
         if self._selection is not None:
             fresh._newest['sensor_selection'] = self._selection
         fresh._checkpoint = self._checkpoint
+        if self._told is not None and self._reference is not None:
+            fresh._former = self._reference
+            fresh._checkpoint = replace(self._told, stamp=max(0, self._told.stamp + step))
         if self.model_text:
             fresh.use_model(self.model_text)
         return fresh, []
@@ -160,7 +167,10 @@ class ThermalPredictor(Component):
         known = self._reference
         if known is not None and known.stamp == reference.stamp:
             return
-        self._reference = reference
+        former, checkpoint = self._former, self._checkpoint
+        if former is not None and checkpoint is not None and _same(former, reference):
+            self._checkpoint = replace(checkpoint, reference_stamp=reference.stamp)
+        self._reference, self._former = reference, None
         self._swap.begin(reference, self._memory, self._checkpoint)
 
     def on_machine_state(self, state: MachineState) -> None:
@@ -191,8 +201,8 @@ class ThermalPredictor(Component):
             yield Emission('thermal_error', self._invalid(sample))
             return
         yield Emission('thermal_error', self._valid(sample, published))
-        frame_id = self.frame('machine')
-        yield Emission('predictor_state', self._swap.state(sample.stamp, frame_id))
+        self._told = self._swap.state(sample.stamp, self.frame('machine'))
+        yield Emission('predictor_state', self._told)
 
     def health(self) -> list[Health]:
         """Report what is predicted with, which sensors are substituted, what probes say."""
@@ -263,3 +273,10 @@ class ThermalPredictor(Component):
             substituted=(),
             substitute=(),
         )
+
+
+def _same(one: ThermalReference, other: ThermalReference) -> bool:
+    """Whether two references are one, told with stamps of two series."""
+    return one.sensor == other.sensor and np.array_equal(
+        one.temperature, other.temperature, equal_nan=True
+    )

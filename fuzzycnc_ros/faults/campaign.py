@@ -28,10 +28,10 @@ _RATE, _SLOW = 300.0, 150.0
 SAYS: Mapping[str, str] = {
     'nan_sensor_readings': 'missing|lost|substitut|sensor',
     'nan_temperatures': 'missing|lost|substitut|sensor',
-    'nan_thermal_error': 'not finite',
+    'nan_thermal_error': 'found nan um',
     'nan_compensation': 'expected finite|refused',
     'jump_compensation': 'cut at the limit',
-    'jump_thermal_error': 'size limit active',
+    'jump_thermal_error': 'error_max',
 }
 """What diagnostics must tell of a wrong value; the others cannot be told from right ones."""
 

@@ -90,17 +90,16 @@ class ComponentNode:
             raise ParameterError(str(error)) from error
         self.component.machine = host.machine or node.get_namespace().strip('/') or 'machine'
         self.merger = Merger(self.component)
-        self._steady = SteadyClock(
-            lambda: int(node.get_clock().now().nanoseconds),
-            simulated=bool(node.get_parameter('use_sim_time').value),
-        )
+        # Simulated time goes at any speed, stands and jumps: that is no fault of a clock.
+        simulated = bool(node.get_parameter('use_sim_time').value)
+        self._steady = None if simulated or self.makes_time else SteadyClock(self._clock_now)
         self.troubles: dict[str, str] = {}
         """Faults of the host itself, reported on /diagnostics until they are over."""
         self._publishers: dict[str, Any] = {}
         self._subscriptions: dict[str, Any] = {}
         self._published: dict[str, int] = {}
         self._deaf: set[str] = set()
-        self._doubted: dict[str, str] = {}
+        self._strangers: dict[str, tuple[int, str]] = {}
         self._clock_stepped = ''
         self._lifecycle_state = 'active'
         self._activity = Activity()
@@ -220,6 +219,9 @@ class ComponentNode:
             Health(f'sources of {name}', Level.ERROR, text)
             for name, text in self.component.sources.refusals.items()
         ]
+        for name, (count, text) in self._strangers.items():
+            told = f'{count} messages refused; the newest {text}'
+            found.append(Health(f'strangers on {name}', Level.WARN, told))
         if self._clock_stepped:
             found.append(Health('clock', Level.WARN, self._clock_stepped))
         return found
@@ -339,9 +341,11 @@ class ComponentNode:
     def _doubt_of(self, name: str, topic: str, number: int) -> str:
         """Say why a message is not from the one source of its topic; empty if it may be."""
         doubt = self._commands.heard(topic, number)
-        if doubt and doubt != self._doubted.get(name):
-            self.node.get_logger().error(f'{name} {doubt}; refused')
-        self._doubted[name] = doubt
+        if doubt:
+            count, before = self._strangers.get(name, (0, ''))
+            if doubt != before:
+                self.node.get_logger().error(f'{name} {doubt}; refused')
+            self._strangers[name] = count + 1, doubt
         return doubt
 
     def _heard(self, topic: str, sequence_number: int) -> None:
@@ -365,13 +369,14 @@ class ComponentNode:
             self.node.get_logger().info(answer.message)
 
     def _now(self) -> int:
-        return self._steady.now()
+        return self._clock_now() if self._steady is None else self._steady.now()
+
+    def _clock_now(self) -> int:
+        return int(self.node.get_clock().now().nanoseconds)
 
     def _follow_clock(self) -> None:
         """Begin a new series of stamps where the clock has been set."""
-        if self.settings.lockstep or self.makes_time:
-            return
-        step = self._steady.step()
+        step = 0 if self.settings.lockstep or self._steady is None else self._steady.step()
         if not step:
             return
         text = f'the clock stepped by {step / SECOND:.9g} s'

@@ -24,33 +24,20 @@ class SteadyClock:
     ----------
     clock : callable
         The clock of the node [ns].
-    simulated : bool
-        Whether that is simulated time: it goes at any speed and stands, but if it goes back it is
-        another run.
     monotonic : callable
         The monotonic clock [ns].
     """
 
     def __init__(
-        self,
-        clock: Callable[[], int],
-        *,
-        simulated: bool,
-        monotonic: Callable[[], int] = time.monotonic_ns,
+        self, clock: Callable[[], int], monotonic: Callable[[], int] = time.monotonic_ns
     ) -> None:
-        self._clock, self._monotonic, self._simulated = clock, monotonic, simulated
+        self._clock, self._monotonic = clock, monotonic
         self._now, self._read_at = self._read()
         self._stepped = 0
 
     def now(self) -> int:
         """Return the time [ns]; it never goes back but by a step, which `step` tells."""
         clock, read_at = self._read()
-        if self._simulated:
-            if clock < self._now - STEP:
-                self._stepped += clock - self._now
-                self._now = clock
-            self._now = max(self._now, clock)
-            return self._now
         elapsed = read_at - self._read_at
         ahead = clock - self._now - elapsed
         self._read_at = read_at

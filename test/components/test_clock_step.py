@@ -9,8 +9,16 @@ import pytest
 from benches.bridge_bench import ERROR, MICRON, Compensated
 from benches.component_bench import Bench, machine_state, readings
 from benches.linuxcnc_rig import CYCLE, SCALE, SLEW, Rig
+from benches.predictor_bench import (
+    START,
+    bench_with_model,
+    predict,
+    recordings,
+    reference_of,
+    sample_of,
+)
 
-from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState
+from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState, Reason
 from fuzzycnc_ros.components.deformation_compensator import DeformationCompensator
 from fuzzycnc_ros.components.records import SECOND, SensorSelection, nanoseconds
 from fuzzycnc_ros.components.sensor_selector import SensorSelector
@@ -112,6 +120,55 @@ def test_reference_stays_as_old_as_it_was(step):
         bench.give('sensor_readings', readings(now + second, [25.0, 25.0]))
     assert bench.records('thermal_reference')[-1] is after
     assert bench.records('temperatures')[-1].stamp >= nanoseconds(now + 60.0)
+
+
+@pytest.mark.parametrize('step', [-4 * HOUR, -HOUR, -7.0, 60.0, HOUR, 24 * HOUR])
+def test_predictor_goes_on_once_the_same_reference_comes_anew(step):
+    """Each node sees a step of its own, so stamps of references differ by a moment."""
+    run = recordings()['T2']
+    wanted = predict(bench_with_model(), run, range(120))
+    bench = bench_with_model()
+    predict(bench, run, range(90))
+    bench.clock_step(step, START + run.time[89] + step)
+    before = bench.give('temperatures', later(sample_of(run, 90), step))
+    assert not before[-1].record.valid
+    bench.push('thermal_reference', later(reference_of(run), step + 0.003))
+    found = []
+    for row in range(91, 120):
+        emitted = bench.give('temperatures', later(sample_of(run, row), step))
+        found += [item.record for item in emitted if item.output == 'thermal_error']
+    for one, other in zip(found, wanted[91:], strict=True):
+        assert one.valid
+        np.testing.assert_allclose(one.error, other.error, atol=0.2 * MICRON)
+
+
+def test_predictor_of_another_reference_says_that_its_history_is_lost():
+    run = recordings()['T2']
+    bench = bench_with_model()
+    predict(bench, run, range(90))
+    bench.clock_step(-HOUR, START + run.time[89] - HOUR)
+    other = replace(reference_of(run), temperature=reference_of(run).temperature + 1.0)
+    bench.push('thermal_reference', later(other, -HOUR))
+    error = bench.give('temperatures', later(sample_of(run, 90), -HOUR))[-1].record
+    assert (error.valid, error.reason) == (False, Reason.STATE_LOST)
+
+
+def test_reference_from_the_future_is_void():
+    """Else it would stay for as long as the clock went back, whatever is asked for."""
+    bench = Bench(TemperatureAcquisition(TemperatureAcquisitionConfig(reference_samples=1)))
+    old = reference_of(recordings()['T2'])
+    bench.component.restore('thermal_reference', old)
+    now = START - HOUR
+    bench.until(now)
+    assert bench.request('set_thermal_reference').success
+    for second in range(0, 121, 10):
+        bench.give('sensor_readings', readings(now + second, [25.0, 25.0]))
+    assert bench.records('thermal_reference')[-1].stamp <= nanoseconds(now + 120)
+
+
+def later(record, seconds):
+    """Return a record with another stamp."""
+    return replace(record, stamp=record.stamp + nanoseconds(seconds))
 
 
 def test_predictor_keeps_its_selection_but_no_history():

@@ -12,11 +12,9 @@ SECOND = 1_000_000_000
 class Clocks:
     """A wall clock and a monotonic one that a test moves."""
 
-    def __init__(self, *, simulated=False):
+    def __init__(self):
         self.wall, self.monotonic = 1_000 * SECOND, 5 * SECOND
-        self.steady = SteadyClock(
-            lambda: self.wall, simulated=simulated, monotonic=lambda: self.monotonic
-        )
+        self.steady = SteadyClock(lambda: self.wall, lambda: self.monotonic)
 
     def pass_time(self, seconds, wall=None):
         """Let time pass, on the wall clock as much unless said otherwise [s]."""
@@ -86,13 +84,3 @@ def test_process_that_was_stopped_between_two_readings_sees_no_step():
     clocks.steady._clock = stopped
     clocks.steady.now()
     assert clocks.steady.step() == 0
-
-
-def test_simulated_time_goes_at_any_speed_and_only_back_is_a_step():
-    clocks = Clocks(simulated=True)
-    for seconds in (0.0, 100.0, 5_000.0, -0.5):
-        clocks.set(seconds)
-        assert clocks.steady.step() == 0
-    clocks.set(-3_000.0)
-    assert clocks.steady.step() == -3_000 * SECOND - SECOND // 2
-    assert clocks.steady.now() == clocks.wall

@@ -57,7 +57,7 @@ class Bench:
         self.merger = Merger(self.component, time=nanoseconds(now))
         self.emitted += emissions
         if active and self.component is not before:
-            self.request('activate')
+            assert self.request('activate').success
         return emissions
 
     def records(self, output: str) -> list[Any]:
