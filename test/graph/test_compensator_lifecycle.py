@@ -2,17 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compensator as a managed node, driven by its services."""
 
+import json
+import sys
+import time
+from dataclasses import replace
 from functools import partial
-from itertools import groupby
+from itertools import count, groupby
 
 import numpy as np
 import pytest
+import rclpy
 from lifecycle_msgs.msg import State, Transition
 from rosgraph_msgs.msg import Clock
 
+from fuzzycnc_ros.cli.graph_processes import NodeSpec, parameter_file, ros_arguments
 from fuzzycnc_ros.components.codes import CompensationState
 from fuzzycnc_ros.components.component import Durability
-from fuzzycnc_ros.components.host_records import NodeConfiguration
+from fuzzycnc_ros.components.host_records import NodeConfiguration, NodeEvent
 from fuzzycnc_ros.components.records import (
     SECOND,
     Compensation,
@@ -34,8 +40,7 @@ OFFSET_MAX, SLEW_MAX = 50e-6, 0.1e-6  # the compensator's defaults
 class Machine:
     """What the compensator reads, published by the test."""
 
-    def __init__(self, observer):
-        self._observer = observer
+    def __init__(self, observer, *, clock=True):
         self._publishers = {
             kind: observer.node.create_publisher(
                 message_class(kind.TYPE), name, publisher_qos(STREAM)
@@ -46,8 +51,8 @@ class Machine:
                 ('thermal_error', ThermalError),
             )
         }
-        self._clock = observer.node.create_publisher(Clock, '/clock', 10)
-        ends = [self._clock, *self._publishers.values()]
+        self._clock = observer.node.create_publisher(Clock, '/clock', 10) if clock else None
+        ends = [*self._publishers.values(), *([self._clock] if clock else [])]
         observer.until(
             lambda: all(end.get_subscription_count() == 1 for end in ends),
             'the compensator reads its inputs',
@@ -55,48 +60,52 @@ class Machine:
 
     def tell_time(self, second):
         """Publish machine time."""
-        self._clock.publish(Clock(clock=RCLPY.time(second * SECOND)))
+        self._clock.publish(Clock(clock=RCLPY.time(int(second * SECOND))))
 
     def send(self, second, error=(10e-6, -20e-6), applied=(0.0, 0.0)):
         """Publish state, read-back and error of one point of machine time."""
-        stamp = second * SECOND
-        records = [
-            MachineState(
-                stamp=stamp,
-                state=3,
-                homed=True,
-                offsets_allowed=True,
-                cold_since=SECOND,
-                spindle_speed=0.0,
-                axis=AXES,
-                position=np.zeros(2),
-            ),
-            CompensationApplied(
-                stamp=stamp,
-                epoch=0,
-                status=0,
-                reason='',
-                axis=AXES,
-                offset=np.array(applied),
-                at_limit=np.zeros(2, bool),
-            ),
-            ThermalError(
-                stamp=stamp,
-                axis=AXES,
-                channel=AXES,
-                error=np.array(error),
-                standard_deviation=np.full(2, 1e-6),
-                valid=True,
-                reason=0,
-                in_domain=True,
-                model='test',
-                substituted=(),
-                substitute=(),
-            ),
-        ]
-        for record in records:
+        for record in records_at(int(second * SECOND), error, applied):
             self._publishers[type(record)].publish(encode(record, RCLPY))
-        self.tell_time(second)
+        if self._clock is not None:
+            self.tell_time(second)
+
+
+def records_at(stamp, error=(10e-6, -20e-6), applied=(0.0, 0.0)):
+    """Return state, read-back and error of a machine [m]."""
+    return [
+        MachineState(
+            stamp=stamp,
+            state=3,
+            homed=True,
+            offsets_allowed=True,
+            cold_since=SECOND,
+            spindle_speed=0.0,
+            axis=AXES,
+            position=np.zeros(2),
+        ),
+        CompensationApplied(
+            stamp=stamp,
+            epoch=0,
+            status=0,
+            reason='',
+            axis=AXES,
+            offset=np.array(applied),
+            at_limit=np.zeros(2, bool),
+        ),
+        ThermalError(
+            stamp=stamp,
+            axis=AXES,
+            channel=AXES,
+            error=np.array(error),
+            standard_deviation=np.full(2, 1e-6),
+            valid=True,
+            reason=0,
+            in_domain=True,
+            model='test',
+            substituted=(),
+            substitute=(),
+        ),
+    ]
 
 
 @pytest.fixture
@@ -177,4 +186,137 @@ def test_autostart(graph, observer, state):
         lambda: observer.told('mill/compensator: state', 'waiting for the read-back'),
         f'says what it waits for, found {observer.statuses}',
     )
+    graph.stop()
+
+
+@pytest.fixture
+def stranger(observer):
+    """Publish a record as a node that has no business to, and leave: `stranger(topic, record)`."""
+
+    def publish(topic, record, *, stays=False):
+        node = rclpy.create_node('stranger', namespace='/mill', context=observer.context)
+        publisher = node.create_publisher(message_class(record.TYPE), topic, publisher_qos(STREAM))
+        observer.until(lambda: publisher.get_subscription_count() >= 1, 'the stranger is heard')
+        publisher.publish(encode(record, RCLPY))
+        observer.settle('compensator')
+        if not stays:
+            node.destroy_node()
+        return node
+
+    return publish
+
+
+@pytest.mark.parametrize('kind', [ThermalError, MachineState, CompensationApplied])
+def test_word_of_a_stranger_is_refused_and_named(graph, observer, stranger, kind):
+    """His error would be followed, his machine state stop it, his read-back end it for ever."""
+    observer.watch_diagnostics()
+    graph.start('compensator', {'use_sim_time': True, 'autostart': True, 'slew_max': 1e-5})
+    commands = observer.records('compensation', Compensation)
+    events = observer.records('node_event', NodeEvent, Durability.HISTORY)
+    machine = Machine(observer)
+    for second in range(60, 561, 10):
+        machine.send(second)
+    observer.until(lambda: commands and commands[-1].stamp >= 560 * SECOND)
+    false = {
+        ThermalError: {'error': np.array([45e-6, 45e-6])},
+        MachineState: {'offsets_allowed': False},
+        CompensationApplied: {'epoch': 2**61, 'status': 1},
+    }[kind]
+    record = next(item for item in records_at(565 * SECOND) if type(item) is kind)
+    topic = {ThermalError: 'thermal_error', MachineState: 'machine_state'}.get(
+        kind, 'compensation_applied'
+    )
+    stranger(topic, replace(record, **false))
+    observer.until(lambda: any(item.name == 'refused' for item in events), 'word of it in a bag')
+    item = f'mill/compensator: strangers on {topic}'
+    observer.until(lambda: observer.told(item, '/mill/stranger'), 'word of it for the operator')
+    for second in range(570, 631, 10):
+        machine.send(second)
+    observer.until(lambda: commands[-1].stamp >= 630 * SECOND)
+    assert commands[-1].state == CompensationState.ACTIVE
+    np.testing.assert_allclose([item.offset for item in commands[-5:]], [(-10e-6, 20e-6)] * 5)
+    assert {item.epoch for item in commands} == {1}
+
+
+def test_second_source_of_errors_is_held_and_named(graph, observer, stranger):
+    observer.watch_diagnostics()
+    graph.start('compensator', {'use_sim_time': True, 'autostart': True, 'slew_max': 1e-5})
+    commands = observer.records('compensation', Compensation)
+    machine = Machine(observer)
+    for second in range(60, 561, 10):
+        machine.send(second)
+    observer.until(lambda: commands and commands[-1].stamp >= 560 * SECOND)
+    other = stranger('thermal_error', records_at(565 * SECOND)[2], stays=True)
+    observer.until(
+        lambda: commands[-1].state == CompensationState.HOLDING, 'holds with two sources'
+    )
+    assert observer.told(
+        'mill/compensator: sources of thermal_error', '/mill/observer, /mill/stranger; end all but'
+    )
+    other.destroy_node()
+    second = count(570, 10)
+
+    def followed():
+        machine.send(next(second))
+        observer.spin_for(0.2)
+        return commands[-1].state == CompensationState.ACTIVE
+
+    observer.until(followed, 'follows the one that is left')
+
+
+SET_CLOCK = """
+import sys
+from pathlib import Path
+from fuzzycnc_ros.nodes import compensator, host
+file = Path(sys.argv.pop(1))
+true = host.ComponentNode._clock_now
+host.ComponentNode._clock_now = lambda self: true(self) + int(file.read_text())
+compensator.main()
+"""
+"""A compensator on a computer whose clock is set by a file [ns]."""
+
+
+@pytest.mark.parametrize('step', [-86_400, -3_600, 3_600])
+def test_clock_that_is_set_is_told_and_held_through(graph, observer, tmp_path, step):
+    observer.watch_diagnostics()
+    clock = tmp_path / 'clock'
+    clock.write_text('0')
+    folder = tmp_path / 'set'
+    folder.mkdir()
+    parameters = {'autostart': True, 'period': 0.1, 'slew_max': 1e-4}
+    own = parameter_file(folder, '/mill', [NodeSpec('compensator', parameters)])
+    command = [sys.executable, '-c', SET_CLOCK, str(clock), *ros_arguments('/mill', [own])]
+    graph.launch('compensator', command, folder)
+    commands = observer.records('compensation', Compensation)
+    events = observer.records('node_event', NodeEvent, Durability.HISTORY)
+    machine = Machine(observer, clock=False)
+
+    def at_work(state, since=0):
+        def found():
+            last = commands[-1].offset if commands else np.zeros(2)
+            machine.send((time.time_ns() + int(clock.read_text())) / SECOND, applied=last)
+            observer.spin_for(0.1)
+            return any(item.state == state for item in commands[since:])
+
+        return found
+
+    observer.until(at_work(CompensationState.ACTIVE), 'follows')
+    settled = [-10e-6, 20e-6]
+    observer.until(
+        lambda: at_work(CompensationState.ACTIVE)() and np.allclose(commands[-1].offset, settled)
+    )
+    before, since = commands[-1], len(commands)
+    other = tmp_path / 'other'
+    other.write_text(str(step * SECOND))
+    other.replace(clock)
+    observer.until(at_work(CompensationState.ACTIVE, since + 2), 'follows in the new series')
+    told = [item for item in events if item.name == 'clock_step']
+    assert len(told) == 1
+    assert json.loads(told[0].request)['step'] / SECOND == pytest.approx(step, abs=2.0)
+    text = f'the clock stepped by {step}'[:23]
+    observer.until(lambda: observer.told('mill/compensator: clock', text), 'told to the operator')
+    fresh = [item for item in commands[since:] if (item.stamp - before.stamp) * step > 0]
+    shift = (fresh[-1].stamp - before.stamp) / SECOND
+    assert shift == pytest.approx(step, abs=120.0)
+    np.testing.assert_allclose([item.offset for item in fresh], [settled] * len(fresh))
     graph.stop()
