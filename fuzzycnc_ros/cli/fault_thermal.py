@@ -26,7 +26,7 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.faults.scenario import Stage
-from fuzzycnc_ros.faults.strangers import STRANGER, Strangers, highest_order
+from fuzzycnc_ros.faults.strangers import FALSE, STRANGER, Strangers, strange_word
 
 DUTY = 'T2'
 AT_WORK = 2e-6
@@ -61,6 +61,7 @@ class ThermalGraph(LiveGraph):
         self._model.write_bytes(model.read_bytes())
         self._applied: CompensationApplied | None = None
         self._told: Compensation | None = None
+        self._imitated: dict[str, Record] = {}
         self._error: ThermalError | None = None
         self._working = 0
         super().__init__(stage, folder)
@@ -118,7 +119,7 @@ class ThermalGraph(LiveGraph):
         """Return nodes that publish a topic which is not theirs."""
 
         def order() -> Record:
-            return highest_order(topic, self._now + SECOND, self._told)
+            return strange_word(topic, self._now + SECOND, self._imitated.get(topic))
 
         return Strangers(self.context, f'/{MACHINE}', topic, names, order)
 
@@ -160,4 +161,6 @@ class ThermalGraph(LiveGraph):
             self._now = record.stamp
         else:
             return
+        if topic == 'compensation' or topic in FALSE:
+            self._imitated[topic] = record
         self._hear(topic, record)

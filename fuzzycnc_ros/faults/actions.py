@@ -161,6 +161,21 @@ def foreign_offsets(live: ThermalLive) -> None:
     strangers.leave()
 
 
+def brief_stranger(topic: str) -> Callable[[ThermalLive], None]:
+    """Return an action: a stranger says one thing and is gone, sooner than anybody looks."""
+
+    def act(live: ThermalLive) -> None:
+        stranger = live.stranger(topic, ('stranger',))
+        live.until(stranger.heard, 'the stranger is heard')
+        live.wait(0.2)  # he knows them now, and they know him
+        stranger.order()
+        live.wait(0.05)
+        stranger.leave()
+        live.run(5.0)
+
+    return act
+
+
 def foreign_axis_commands(live: ThermalLive) -> None:
     """Let two strangers command the drives."""
     strangers = live.stranger('axis_command', ('driver_1', 'driver_2'))

@@ -10,6 +10,7 @@ from fuzzycnc_ros.faults.falsified import FIELDS, KINDS
 from fuzzycnc_ros.faults.moving import MOVING
 from fuzzycnc_ros.faults.relay import CLOCK, THERMAL
 from fuzzycnc_ros.faults.scenario import BY_COMPENSATOR, BY_MACHINE, Ends, Scenario, Stage
+from fuzzycnc_ros.faults.strangers import FALSE
 
 MACHINE = 'simulated_machine'
 ROUTES = {
@@ -103,6 +104,17 @@ def _strangers() -> Stage:
                 actions.foreign_offsets,
                 BY_MACHINE,
                 says='/mill/stranger',
+            ),
+            *(
+                Scenario(
+                    f'brief_{topic}',
+                    f'a stranger publishes one {topic} and is gone at once',
+                    actions.brief_stranger(topic),
+                    BY_MACHINE,
+                    says='from a node that is gone|/mill/stranger',
+                    loses=True,
+                )
+                for topic in ('compensation', *FALSE)
             ),
             Scenario(
                 'two_compensators',

@@ -21,7 +21,7 @@ from fuzzycnc_ros.faults.scenario import (
     Ends,
     Scenario,
 )
-from fuzzycnc_ros.faults.strangers import STRANGER
+from fuzzycnc_ros.faults.strangers import FORGED, STRANGER
 
 ROUNDING = 1e-12
 """What may be lost in sums of offsets [m]."""
@@ -36,7 +36,8 @@ FRESH = LIMITS.stale_after + LIMITS.period + 2.0 * MACHINE.tick_period
 
 def measure_offsets(scenario: Scenario, window: Window, evidence: Evidence) -> Measured | None:
     """Judge what the machine was told and what it applied; None if too little was recorded."""
-    applied = window.of(evidence.sent('compensation_applied'), before=1)
+    read = [r for r in evidence.sent('compensation_applied') if r.record.epoch != FORGED]
+    applied = window.of(read, before=1)
     if len(applied) < 2:
         return None
     found = Measured()

@@ -154,6 +154,9 @@ class ThermalLive(Live, Protocol):
 class Strangers(Protocol):
     """Nodes that publish what they should not."""
 
+    def heard(self) -> bool:
+        """Whether somebody would hear them."""
+
     def order(self) -> None:
         """Send commands of the highest rank."""
 

@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes that publish commands which are not theirs to give."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import rclpy
 
+from fuzzycnc_ros.components.codes import AppliedStatus
 from fuzzycnc_ros.components.component import STREAM
 from fuzzycnc_ros.components.records import SECOND, AxisCommand, Compensation, Record
 from fuzzycnc_ros.convert import encode
@@ -25,22 +26,32 @@ _LARGE = 1e-3
 _VALID = 600 * SECOND
 
 
-def highest_order(topic: str, stamp: int, told: Compensation | None) -> Record:
-    """Return a command of the highest rank that moves by the most.
+FORGED = 2**61
+"""Epoch of a read-back that no machine gives: who believed it could command nothing any more."""
+FALSE: Mapping[str, Mapping[str, Any]] = {
+    'thermal_error': {'error': 45e-6},
+    'machine_state': {'offsets_allowed': False},
+    'compensation_applied': {'epoch': FORGED, 'status': int(AppliedStatus.FOLLOWING)},
+}
+"""What strangers say where they do not command: to be followed, to stop it, to end it for ever."""
+
+
+def strange_word(topic: str, stamp: int, told: Record | None) -> Record:
+    """Return what does most harm on a topic if it is believed.
 
     Parameters
     ----------
     topic : str
-        `axis_command` or `compensation`.
+        `axis_command`, `compensation` or one of `FALSE`.
     stamp : int
         Its stamp [ns].
-    told : Compensation, optional
-        What the compensator has told last: its axes are those that are ordered.
+    told : Record, optional
+        What was told on the topic last, which is imitated; needed but for `axis_command`.
 
     Raises
     ------
     ValueError
-        If offsets are to be ordered before the compensator has told any.
+        If nothing was told yet that could be imitated.
     """
     if topic == 'axis_command':
         return AxisCommand(
@@ -51,7 +62,16 @@ def highest_order(topic: str, stamp: int, told: Compensation | None) -> Record:
             valid_until=stamp + _VALID,
         )
     if told is None:
-        raise ValueError('told: expected a command to imitate but the compensator told none')
+        raise ValueError(f'told: expected a record of {topic} to imitate but found none')
+    if topic in FALSE:
+        changed = {
+            name: np.full_like(getattr(told, name), value)
+            if isinstance(getattr(told, name), np.ndarray)
+            else value
+            for name, value in FALSE[topic].items()
+        }
+        return type(told)(**{**vars(told), 'stamp': stamp, **changed})
+    assert isinstance(told, Compensation), 'the other topics are said above'
     changed = {
         'stamp': stamp,
         'epoch': told.epoch + HIGHER,
@@ -93,6 +113,10 @@ class Strangers:
         self._publishers = [
             node.create_publisher(kind, topic, publisher_qos(STREAM)) for node in self._nodes
         ]
+
+    def heard(self) -> bool:
+        """Whether somebody would hear each of them."""
+        return all(item.get_subscription_count() for item in self._publishers)
 
     def order(self) -> None:
         """Publish, each once."""

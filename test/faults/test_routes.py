@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from fault_records import MICRO, TICK, command
+from fault_records import MICRO, TICK, applied, command
 
 from fuzzycnc_ros.components.component import LATCHED, STREAM
 from fuzzycnc_ros.components.records import SECOND, Compensation, TrajectoryState
@@ -32,7 +32,7 @@ from fuzzycnc_ros.faults.relay import (
     remappings,
 )
 from fuzzycnc_ros.faults.scenario import MACHINE
-from fuzzycnc_ros.faults.strangers import STRANGE_EPOCH, STRANGER, highest_order
+from fuzzycnc_ros.faults.strangers import FORGED, STRANGE_EPOCH, STRANGER, strange_word
 
 ALL = [
     *FIELDS.values(),
@@ -130,14 +130,16 @@ def test_the_relay_stands_between_publisher_and_readers():
 
 def test_strangers_order_by_the_highest_rank():
     told = command(TICK, epoch=4)
-    order = highest_order('compensation', 2 * TICK, told)
+    order = strange_word('compensation', 2 * TICK, told)
     assert order.epoch > told.epoch
     assert order.source == STRANGER
     assert order.axis == told.axis
     assert (order.offset > MACHINE.offset_max).all()
-    assert highest_order('axis_command', TICK, None).epoch == STRANGE_EPOCH
-    with pytest.raises(ValueError, match='told none'):
-        highest_order('compensation', TICK, None)
+    assert strange_word('axis_command', TICK, None).epoch == STRANGE_EPOCH
+    forged = strange_word('compensation_applied', TICK, applied(0, 1.0))
+    assert (forged.epoch, forged.offset.max()) == (FORGED, pytest.approx(1e-6))
+    with pytest.raises(ValueError, match='to imitate but found none'):
+        strange_word('compensation', TICK, None)
 
 
 def test_the_relay_keeps_topics_as_their_readers_do():
