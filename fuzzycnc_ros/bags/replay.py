@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fuzzycnc_ros.bags.canonical import combined_hash, topic_hashes
+from fuzzycnc_ros.bags.playback import stamp_of
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.replay_comparison import TopicComparison, compare_topic
 from fuzzycnc_ros.bags.runs import read_run
@@ -170,6 +171,7 @@ class _Recording:
                         f'the clock of {event.node} was set at {event.stamp / SECOND:.3f} s: what '
                         'came after it is not replayed, as its stamps are a series of their own'
                     )
+                    self._end_at(event.stamp)
                     break
             self.raw[topic].append((kind, payload))
         self.nodes: dict[str, list[NodeConfiguration]] = defaultdict(list)
@@ -181,6 +183,11 @@ class _Recording:
             for record in self.records(topic, NodeConfiguration):
                 if record.node in _replayable():
                     self.nodes[f'{space}/{record.node}'].append(record)
+
+    def _end_at(self, stamp: int) -> None:
+        """Leave out what is stamped later [ns]: others may have seen the step before."""
+        for topic, messages in self.raw.items():
+            self.raw[topic] = [item for item in messages if stamp_of(item[1]) <= stamp]
 
     def records(self, topic: str, record_type: type[Any]) -> list[Any]:
         """Return the messages of a topic as records; none if it was not recorded."""
