@@ -106,7 +106,7 @@ def _declare_fields(node: Node, record: type[Config]) -> dict[str, Any]:
             given = ros_value(default)
             value = node.declare_parameter(item.name, given, _descriptor(item)).value
         except InvalidParameterTypeException as error:
-            raise ParameterError(f'parameter {item.name}: {error}') from error
+            raise ParameterError(f'parameter {item.name}: {error}{_remedy(item)}') from error
         except InvalidParameterValueException:
             found = node._parameter_overrides[item.name].value
             raise ParameterError(
@@ -116,6 +116,15 @@ def _declare_fields(node: Node, record: type[Config]) -> dict[str, Any]:
             ) from None
         values[item.name] = _plain(value)
     return values
+
+
+def _remedy(item: Any) -> str:
+    """Return what to do where YAML reads a name as a switch or a number."""
+    if isinstance(item.default, str):
+        return '; put the word in quotes'
+    if isinstance(item.default, tuple) and all(isinstance(v, str) for v in item.default):
+        return "; put names in quotes, as in ['Y', 'Z']"
+    return ''
 
 
 def _descriptor(item: Any) -> ParameterDescriptor:

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 
 from fuzzycnc_ros.bags.uninterrupted import uninterrupted
+from fuzzycnc_ros.nodes.arguments import initialise
 from fuzzycnc_ros.nodes.ending import Wish, interruptible
 from fuzzycnc_ros.nodes.environment import prepare_environment
 from fuzzycnc_ros.nodes.parameters import ParameterError
@@ -63,7 +64,7 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
     executor: SingleThreadedExecutor | None = None
     try:
         with uninterrupted():  # what is half made could not be stopped
-            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+            initialise(arguments)
             executor = SingleThreadedExecutor()
             for make in makers:
                 host = make()
