@@ -97,7 +97,7 @@ class View:
 
     def tell(self, text: str) -> None:
         """Write a line; above the table if there is one."""
-        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+        self._console.print(text, highlight=False, soft_wrap=True)
 
     def update(self, processes: Sequence[Supervised], monitor: 'Monitor') -> None:
         """Show how all is now."""
