@@ -140,7 +140,7 @@ def test_readings_that_are_not_used_are_counted(graph, observer, plc):
     observer.until(lambda: told('all readings used'), 'good readings')
     observer.until(lambda: told('without a stamp: have its driver', 0.0), 'those without a stamp')
     observer.until(lambda: told('ahead of the clock: compare', second + 1000.0), 'those ahead')
-    observer.until(lambda: told('not newer than the last: have', 50.0), 'those that are old')
+    observer.until(lambda: told('not newer than the last: compare', 50.0), 'those that are old')
     known = len(raw)
     observer.until(lambda: (sends(), len(raw) > known + 2)[1], 'sets go on')
     assert all(99.0 not in item.temperature for item in raw)

@@ -22,7 +22,7 @@ from fuzzycnc_ros.nodes.sources.source import Readings, Source
 UNUSED = {
     'without a stamp': 'have its driver fill in header.stamp',
     'stamped ahead of the clock': 'compare the clocks, and stamp_ahead_max',
-    'not newer than the last': 'have one publisher stamp each reading anew',
+    'not newer than the last': 'compare the clocks, and have one publisher stamp each anew',
 }
 """Why a reading is not used, and the remedy."""
 UNSTAMPED, AHEAD, OLD = UNUSED
