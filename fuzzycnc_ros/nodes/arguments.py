@@ -4,7 +4,8 @@
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -32,8 +33,10 @@ def initialise(arguments: Sequence[str] | None) -> None:
         If they are not understood; the text says which.
     """
     words = sys.argv if arguments is None else arguments
-    with TemporaryDirectory(prefix='fuzzycnc-') as folder:
-        understood = quoted(words, Path(folder))
+    with ExitStack() as stack:
+        understood = quoted(
+            words, lambda: stack.enter_context(TemporaryDirectory(prefix='fuzzycnc-'))
+        )
         # It would tell the same in words of its own.
         set_logger_level('rcl', LoggingSeverity.FATAL)
         try:
@@ -52,29 +55,30 @@ def initialise(arguments: Sequence[str] | None) -> None:
                 set_logger_level('rcl', LoggingSeverity.UNSET)
 
 
-def quoted(arguments: Sequence[str], folder: Path) -> list[str]:
+def quoted(arguments: Sequence[str], new_folder: Callable[[], str]) -> list[str]:
     """Return ROS arguments with bare names in lists of parameters in quotes.
 
     Parameters
     ----------
     arguments : sequence of str
         The arguments.
-    folder : Path
-        Where parameter files go that have such names; the arguments name them instead.
+    new_folder : callable
+        Makes a folder for a parameter file that has such names; the arguments name what is there
+        instead.
     """
     words = list(arguments)
     for place, (flag, value) in enumerate(pairwise(arguments), 1):
         if flag in ('-p', '--param'):
             name, sign, text = value.partition(':=')
             words[place] = name + sign + quoted_yaml(text)
-        elif flag == '--params-file':
+        elif flag == '--params-file' and Path(value).is_file():  # a pipe can be read once
             try:
                 before = Path(value).read_text(encoding='utf-8')
             except (OSError, UnicodeError):
                 continue  # rcl says what is wrong with it
             after = quoted_yaml(before)
             if after != before:
-                copy = folder / f'{place}-{Path(value).name}'
+                copy = Path(new_folder(), Path(value).name)
                 copy.write_text(after, encoding='utf-8')
                 words[place] = str(copy)
     return words

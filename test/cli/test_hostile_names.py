@@ -10,6 +10,7 @@ from pathlib import Path
 
 import fuzzing.raw_bags as raw
 import pytest
+from rich import table as rich_table
 from rich.progress import Progress
 from small_recordings import warm_up
 
@@ -136,6 +137,16 @@ def test_a_table_on_a_terminal(monkeypatch):
     shown = file.getvalue()
     assert shown.count(SHOWN_NAME) == 3
     assert not controls(shown)
+
+
+def test_a_live_table_on_a_terminal():
+    """As that of `fuzzycnc up`, whose cells are plain text for rich to read."""
+    file = io.StringIO()
+    shown = rich_table.Table('trouble', box=None)
+    shown.add_row(NAME, style='red')
+    Terminal(file=file, width=200, color_system=None, force_terminal=True).print(shown)
+    assert r'T1\x1b]0;title\x1b[2J\u202egnp[red' in file.getvalue()
+    assert not controls(file.getvalue())
 
 
 def test_lines_and_bars_on_a_terminal():

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS arguments: axes named Y, what `ros2 param dump` writes, and what is not understood."""
 
+import os
+
 import pytest
 import yaml
 
@@ -15,7 +17,7 @@ rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed here: run `m
 
 from rclpy.node import Node  # noqa: E402
 
-from fuzzycnc_ros.nodes.arguments import initialise, quoted_yaml  # noqa: E402
+from fuzzycnc_ros.nodes.arguments import initialise, quoted, quoted_yaml  # noqa: E402
 from fuzzycnc_ros.nodes.compensator import make  # noqa: E402
 from fuzzycnc_ros.nodes.parameters import declare  # noqa: E402
 from fuzzycnc_ros.nodes.run import run  # noqa: E402
@@ -83,6 +85,13 @@ def test_a_dump_is_loaded_again(component, tmp_path):
 )
 def test_bare_names_in_lists_are_quoted(text, wanted):
     assert quoted_yaml(text) == wanted
+
+
+def test_a_pipe_is_left_to_ros(tmp_path):
+    pipe = tmp_path / 'pipe'
+    os.mkfifo(pipe)
+    arguments = ['--params-file', str(pipe), '-p', 'axes:=[Y]']
+    assert quoted(arguments, tmp_path.mkdir) == [*arguments[:3], "axes:=['Y']"]
 
 
 FILE = '/**:\n  ros__parameters:\n    axes: [Y, on]\n'
