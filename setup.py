@@ -77,9 +77,6 @@ setup(
     description='Measures, predicts and compensates the errors of a CNC machine',
     license='Apache-2.0',
     entry_points={
-        'console_scripts': [
-            'fuzzycnc = fuzzycnc_ros.cli.main:main',
-            *(f'{node} = fuzzycnc_ros.nodes.{node}:main' for node in nodes),
-        ],
+        'console_scripts': [f'{name} = fuzzycnc_ros.start:{name}' for name in executables],
     },
 )

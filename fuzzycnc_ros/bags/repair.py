@@ -60,6 +60,11 @@ class RepairReport:
 
     def __str__(self) -> str:
         """Return the report as lines of text."""
+        return '\n'.join(self.lines)
+
+    @property
+    def lines(self) -> list[str]:
+        """The report, a line for each topic."""
         lines = [f'{self.source} -> {self.path}', *(f'  damage: {d}' for d in self.damage)]
         for name, topic in self.topics.items():
             lost = 'whatever came later' if topic.lost is None else str(topic.lost)
@@ -70,7 +75,7 @@ class RepairReport:
                 'before the last of all)'
             )
             lines.append(f'  {name}: {topic.kept} messages kept{until}; lost: {lost}')
-        return '\n'.join(lines)
+        return lines
 
 
 def repair(

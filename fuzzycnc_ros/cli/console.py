@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 import typer
 
 from fuzzycnc_ros.bags.atomic import write_text as write_whole
+from fuzzycnc_ros.core.visible import visible
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -41,9 +42,9 @@ def show(table: 'Table') -> None:
     if not sys.stdout.isatty():
         print(table.to_text())
         return
-    from rich.console import Console
+    from fuzzycnc_ros.cli.terminal import Terminal
 
-    console = Console()
+    console = Terminal()
     for part in fitting(table, console):
         console.print(part.to_rich())
 
@@ -95,8 +96,8 @@ def _fits(table: 'Table', chosen: list[int], console: 'Console') -> bool:
 
 
 def say(text: str) -> None:
-    """Print a line of the result."""
-    print(text, flush=True)
+    """Print a line of the result; control characters of foreign names are spelt out."""
+    print(visible(text), flush=True)
 
 
 @contextmanager
@@ -105,11 +106,12 @@ def progress_bar(title: str) -> Iterator[Tell]:
     if not sys.stderr.isatty():
         yield lambda text, done, total: None
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TimeElapsedColumn
 
-    columns = (TextColumn('{task.description}'), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    from fuzzycnc_ros.cli.terminal import Description, Terminal
+
+    columns = (Description(), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Terminal(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=None)
 
         def tell(text: str, done: int, total: int) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
-from rich.console import Console
 
 from fuzzycnc_ros.cli.demo_contour import contour_demo
 from fuzzycnc_ros.cli.demo_linuxcnc import linuxcnc_demo
@@ -18,6 +17,7 @@ from fuzzycnc_ros.cli.demo_steps import renew
 from fuzzycnc_ros.cli.demo_thermal import thermal_demo
 from fuzzycnc_ros.cli.graph_processes import GraphError
 from fuzzycnc_ros.cli.program_files import program_lines
+from fuzzycnc_ros.cli.terminal import Terminal
 from fuzzycnc_ros.cli.up import BANNER
 
 
@@ -31,7 +31,7 @@ class Scenario(str, Enum):
     linuxcnc = 'linuxcnc'
 
 
-_RUN: dict[Scenario, Callable[[Console, Path, int], None]] = {
+_RUN: dict[Scenario, Callable[[Terminal, Path, int], None]] = {
     Scenario.thermal: thermal_demo,
     Scenario.contour: contour_demo,
     Scenario.pattern: pattern_demo,
@@ -85,7 +85,7 @@ def demo(
     if program is not None and scenario is not Scenario.shift:
         raise GraphError('--program: expected --scenario shift, which alone cuts a program')
     text = _checked_program(program) if program is not None else ''
-    console = Console()
+    console = Terminal()
     console.print(BANNER, style='yellow')
     renew(out)
     if scenario is Scenario.shift:

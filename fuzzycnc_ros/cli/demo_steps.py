@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, SpinnerColumn, TimeElapsedColumn
 
 from fuzzycnc_ros.cli.console import show
 from fuzzycnc_ros.cli.graph_processes import GraphError
+from fuzzycnc_ros.cli.terminal import Description
 
 RUN_TIMEOUT = 300.0
 """Wall time [s] that a live run may take."""
@@ -55,7 +56,7 @@ def renew(out: Path) -> None:
 @contextmanager
 def progress_of(console: Console) -> Iterator['Steps']:
     """Show steps on a console."""
-    columns = (SpinnerColumn(), TextColumn('{task.description}'), BarColumn(), TimeElapsedColumn())
+    columns = (SpinnerColumn(), Description(), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         yield Steps(console, progress)
 

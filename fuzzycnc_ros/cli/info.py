@@ -62,7 +62,8 @@ def info(
     source = bag
     if repair:
         report = rewrite(bag, out)
-        say(str(report))
+        for line in report.lines:
+            say(line)
         document['repair'] = _repair_document(report)
         source = report.path
     with BagReader(source, strict=False) as reader:

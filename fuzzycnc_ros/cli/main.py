@@ -37,6 +37,7 @@ from fuzzycnc_ros.cli.simulate import simulate
 from fuzzycnc_ros.cli.soak import soak
 from fuzzycnc_ros.cli.train import train
 from fuzzycnc_ros.cli.up import up
+from fuzzycnc_ros.core.visible import visible
 from fuzzycnc_ros.nodes.ending import interruptible
 
 HELP = """Measure, predict and compensate the thermal error of a CNC machine.
@@ -194,8 +195,8 @@ def run(arguments: Sequence[str]) -> int:
         code = INTERRUPTED
     except Exception as error:  # the one place where every error becomes a line for people
         if debug:
-            traceback.print_exc()
-        print(f'error: {_line(error)}', file=sys.stderr)
+            print(visible(traceback.format_exc(), keep='\n'), file=sys.stderr, end='')
+        print(f'error: {visible(_line(error))}', file=sys.stderr)
         return 2
     if code == INTERRUPTED:  # newer versions of typer return it themselves
         print('interrupted', file=sys.stderr)

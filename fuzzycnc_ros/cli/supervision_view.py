@@ -13,6 +13,7 @@ from rich.table import Table
 
 from fuzzycnc_ros.cli.supervision import State, Supervised
 from fuzzycnc_ros.components.component import Level
+from fuzzycnc_ros.core.visible import visible
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.supervision_monitor import Monitor, NodeView
@@ -34,7 +35,7 @@ def row(process: Supervised, node: str, view: 'NodeView', now: float) -> tuple[s
         trouble = '; '.join(view.trouble)
     running = process.state is State.RUNNING and not view.silent(now)
     activity = view.activity if running else {}
-    return (
+    cells = (
         f'{process.graph.machine}/{node}',
         state,
         str(process.restarts or ''),
@@ -42,6 +43,7 @@ def row(process: Supervised, node: str, view: 'NodeView', now: float) -> tuple[s
         activity.get('latency [ms]', ''),
         trouble,
     )
+    return tuple(visible(cell) for cell in cells)  # before the table measures them
 
 
 def table(processes: Sequence[Supervised], monitor: 'Monitor', now: float) -> Table:
@@ -97,7 +99,7 @@ class View:
 
     def tell(self, text: str) -> None:
         """Write a line; above the table if there is one."""
-        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+        self._console.print(text, highlight=False, soft_wrap=True)
 
     def update(self, processes: Sequence[Supervised], monitor: 'Monitor') -> None:
         """Show how all is now."""

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Annotated, Any, Optional
 
 import typer
-from rich.console import Console
 
 from fuzzycnc_ros.cli.console import check_folder, words, write_json
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
 from fuzzycnc_ros.cli.supervision_run import supervise
+from fuzzycnc_ros.cli.terminal import Terminal
 from fuzzycnc_ros.nodes.environment import open_to_network
 
 BANNER = (
@@ -124,8 +124,8 @@ def up(
     simulate: Annotated[
         str,
         typer.Option(
-            help='Duties of the simulated machine, comma-separated (D0, D0b, T1, T2, T3); '
-            'leave it out for a real machine.'
+            help='Duties of the simulated machine, comma-separated (D0, D0b, T1, T2, T3); each '
+            'begins cold, a day later, and nobody waits for that. Leave it out for a real machine.'
         ),
     ] = '',
     model: Annotated[
@@ -200,7 +200,7 @@ def up(
         fuzzycnc up --machine mill_1,mill_2 --compose --model mill.json
     """
     check_folder(json_file)
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     duties = words([simulate])
     chosen = words([nodes]) or THERMAL
     if lockstep and not duties and MACHINE not in chosen:

@@ -13,7 +13,10 @@ class SimulatedMachineConfig(Config):
     """Parameters of `simulated_machine`."""
 
     duties: tuple[str, ...] = param(
-        ('T2',), '-', 'Duties to run, one a day, each from cold: D0, D0b, T1, T2, T3, shift'
+        ('T2',),
+        '-',
+        'Duties to run, one a day, each from cold, without the nights between them: D0, D0b, T1, '
+        'T2, T3, shift',
     )
     paths: tuple[str, ...] = param(
         (), '-', 'Paths to load after the duties, one by one: infinity, trident, butterfly'

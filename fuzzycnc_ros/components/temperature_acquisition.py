@@ -248,7 +248,15 @@ class TemperatureAcquisition(Component):
         if self._sensor:
             gone = sorted(set(self._sensor) - set(names))
             new = sorted(set(names) - set(self._sensor))
-            self._refused = f'sensors changed during the run: missing {gone}, new {new}; restart'
+            what = f'missing {gone}, new {new}'
+            if not gone and not new:
+                place, (was, now) = next(
+                    (place, pair)
+                    for place, pair in enumerate(zip(self._sensor, names, strict=True), start=1)
+                    if pair[0] != pair[1]
+                )
+                what = f'in place {place} expected {was} but found {now}'
+            self._refused = f'sensors changed during the run: {what}; restart'
             return False
         self._sensor = names
         self._refused = ''
@@ -271,7 +279,7 @@ class TemperatureAcquisition(Component):
         self._boundary = None
 
     def _verdict(self, reading: Temperatures) -> Bytes:
-        """Judge every reading; later checks do not overrule earlier ones."""
+        """Judge every reading; where nothing is found, its publisher's own verdict counts."""
         config, value = self._config, reading.temperature
         status = np.zeros(len(value), np.uint8)
         with np.errstate(invalid='ignore'):
@@ -283,6 +291,8 @@ class TemperatureAcquisition(Component):
         if config.stuck_time > 0.0:
             still = reading.stamp - self._changed >= nanoseconds(config.stuck_time)
             status[still & (status == Status.OK)] = Status.STUCK
+        told = np.where(reading.status <= max(Status), reading.status, int(Status.MISSING))
+        status = np.where(status == Status.OK, told, status).astype(np.uint8)
         status[~np.isfinite(value)] = Status.MISSING
         good = status == Status.OK
         self._trusted[good] = value[good]

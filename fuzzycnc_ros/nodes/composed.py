@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from fuzzycnc_ros.nodes import run
+from fuzzycnc_ros.nodes.visible_log import tell_error
 
 _MACHINE = 'simulated_machine'
 
@@ -52,7 +53,7 @@ def main() -> None:
     try:
         code = run_composed(sys.argv[1:split], sys.argv[split:])
     except ValueError as error:
-        print(f'error: {error}', file=sys.stderr)
+        tell_error(error)
         code = 2
     sys.exit(code)
 

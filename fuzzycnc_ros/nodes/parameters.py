@@ -17,6 +17,13 @@ from rclpy.parameter import Parameter
 
 from fuzzycnc_ros.core.config import Config
 
+CLOCK = 'use_sim_time'
+"""Parameter of ROS by which a node chooses its clock."""
+KEEPS_ITS_CLOCK = (
+    f'{CLOCK}: a running node keeps its clock, as all that it has taken is stamped by that; '
+    'end the node and start it with the other one'
+)
+
 
 class ParameterError(ValueError):
     """A parameter is unknown, of the wrong type or out of bounds; the text names it."""
@@ -24,6 +31,8 @@ class ParameterError(ValueError):
 
 def declare(node: Node, *records: type[Config]) -> tuple[Config, ...]:
     """Declare every field of the records; return the filled records.
+
+    From here on the node keeps its clock.
 
     Raises
     ------
@@ -45,6 +54,7 @@ def declare(node: Node, *records: type[Config]) -> tuple[Config, ...]:
         raise ParameterError(
             f'unknown parameter {", ".join(unknown)}; expected one of {", ".join(sorted(known))}'
         )
+    node.add_on_set_parameters_callback(lambda parameters: _keeps_clock(node, parameters))
     try:
         return tuple(record(**_declare_fields(node, record)) for record in records)
     except ParameterError:
@@ -60,8 +70,11 @@ def changed(config: Config, parameters: list[Parameter]) -> Config:
     Raises
     ------
     ValueError
-        If a value is out of bounds.
+        If a value is out of bounds, or the clock is to be changed with it.
     """
+    # Alone it is refused by `_keeps_clock`, which comes too late for what is set with it.
+    if len(parameters) > 1 and any(item.name == CLOCK for item in parameters):
+        raise ValueError(KEEPS_ITS_CLOCK)
     names = {item.name for item in fields(config)}
     values = {item.name: _plain(item.value) for item in parameters if item.name in names}
     return replace(config, **values)
@@ -70,6 +83,14 @@ def changed(config: Config, parameters: list[Parameter]) -> Config:
 def refusal(reason: str) -> SetParametersResult:
     """Return the answer to a parameter change that is refused."""
     return SetParametersResult(successful=False, reason=reason)
+
+
+def _keeps_clock(node: Node, parameters: list[Parameter]) -> SetParametersResult:
+    """Refuse to exchange wall time and machine time in a node that runs."""
+    now = node.get_parameter(CLOCK).value
+    if any(item.name == CLOCK and item.value != now for item in parameters):
+        return refusal(KEEPS_ITS_CLOCK)
+    return SetParametersResult(successful=True)
 
 
 def ros_value(value: Any) -> Any:
@@ -106,7 +127,7 @@ def _declare_fields(node: Node, record: type[Config]) -> dict[str, Any]:
             given = ros_value(default)
             value = node.declare_parameter(item.name, given, _descriptor(item)).value
         except InvalidParameterTypeException as error:
-            raise ParameterError(f'parameter {item.name}: {error}') from error
+            raise ParameterError(f'parameter {item.name}: {error}{_remedy(item)}') from error
         except InvalidParameterValueException:
             found = node._parameter_overrides[item.name].value
             raise ParameterError(
@@ -116,6 +137,15 @@ def _declare_fields(node: Node, record: type[Config]) -> dict[str, Any]:
             ) from None
         values[item.name] = _plain(value)
     return values
+
+
+def _remedy(item: Any) -> str:
+    """Return what to do where YAML reads a name as a switch or a number."""
+    if isinstance(item.default, str):
+        return '; put the word in quotes'
+    if isinstance(item.default, tuple) and all(isinstance(v, str) for v in item.default):
+        return "; put names in quotes, as in ['Y', 'Z']"
+    return ''
 
 
 def _descriptor(item: Any) -> ParameterDescriptor:

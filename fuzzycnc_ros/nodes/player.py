@@ -8,7 +8,6 @@ one tick per recorded stamp, the next as soon as all nodes have answered.
 
 import json
 import posixpath
-import sys
 import time
 from typing import Any
 
@@ -36,6 +35,7 @@ from fuzzycnc_ros.nodes.parameters import ParameterError
 from fuzzycnc_ros.nodes.qos import publisher_qos, routes_matched
 from fuzzycnc_ros.nodes.sequencer import Sequencer
 from fuzzycnc_ros.nodes.timers import wall_timer
+from fuzzycnc_ros.nodes.visible_log import tell_error
 
 POLL = 0.005
 """Wall time [s] between two looks at what is due, at a rate."""
@@ -299,7 +299,7 @@ class PlayerNode(BagNode[PlayerConfig]):
             self.node.get_logger().warning('some readers did not acknowledge the last messages')
         if self._playback.error:
             self.exit_code = 1
-            print(f'error: {self._playback.error}', file=sys.stderr, flush=True)
+            tell_error(self._playback.error)
         outcome: dict[str, Any] = {'messages': self._sent}
         if self._sequencer is not None:
             outcome['ticks'] = self._sequencer.tick

@@ -8,7 +8,6 @@ The callback only queues; a thread writes.  In a lock-step run the recorder take
 
 import re
 import struct
-import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -28,6 +27,7 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.convert import encode
 from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.core.visible import visible
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.bag_node import BagNode, bag_refused, closed_on_failure, pattern
 from fuzzycnc_ros.nodes.messages import RCLPY, message_class
@@ -35,6 +35,7 @@ from fuzzycnc_ros.nodes.parameters import ParameterError
 from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, routes_matched
 from fuzzycnc_ros.nodes.timers import wall_timer
 from fuzzycnc_ros.nodes.turn_taker import TurnTaker
+from fuzzycnc_ros.nodes.visible_log import tell_error
 
 DEPTH = 5000
 """What the subscription may hold while the process is stopped."""
@@ -102,11 +103,11 @@ class RecorderNode(BagNode[RecorderConfig]):
             self._release(self._newest)
             progress = self._thread.close()
         except BagError as error:
-            print(f'error: {error}', file=sys.stderr)
+            tell_error(error)
             self.exit_code = 1
         else:
             print(
-                f'{self._config.output}: {progress.written} messages on '
+                f'{visible(self._config.output)}: {progress.written} messages on '
                 f'{len(progress.topics)} topics, {progress.lost} lost',
                 flush=True,
             )

@@ -12,9 +12,11 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 
 from fuzzycnc_ros.bags.uninterrupted import uninterrupted
+from fuzzycnc_ros.nodes.arguments import initialise
 from fuzzycnc_ros.nodes.ending import Wish, interruptible
 from fuzzycnc_ros.nodes.environment import prepare_environment
 from fuzzycnc_ros.nodes.parameters import ParameterError
+from fuzzycnc_ros.nodes.visible_log import spell_out_logs, tell_error
 
 
 class Served(Protocol):
@@ -49,6 +51,7 @@ def main(make: HostFactory, arguments: Sequence[str] | None = None) -> None:
 def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -> int:
     """Run several nodes in one process; return the exit code."""
     prepare_environment()
+    spell_out_logs()
     try:
         with interruptible() as wish:
             return _spin(makers, arguments, wish)
@@ -63,7 +66,7 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
     executor: SingleThreadedExecutor | None = None
     try:
         with uninterrupted():  # what is half made could not be stopped
-            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+            initialise(arguments)
             executor = SingleThreadedExecutor()
             for make in makers:
                 host = make()
@@ -84,7 +87,7 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
             raise
         return 0
     except ParameterError as error:
-        print(f'error: {error}', file=sys.stderr)
+        tell_error(error)
         return 2
     finally:
         for host in reversed(hosts):

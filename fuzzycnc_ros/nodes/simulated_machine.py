@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from fuzzycnc_ros.components.component import STREAM
+from fuzzycnc_ros.components.records import SECOND, nanoseconds
 from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
 from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.host import ComponentNode
@@ -20,6 +21,7 @@ from fuzzycnc_ros.nodes.qos import publisher_qos
 from fuzzycnc_ros.nodes.sequencer import Sequencer
 from fuzzycnc_ros.nodes.timers import wall_timer
 
+HOUR = 3600 * SECOND
 CATCH_UP = 0.02
 """Wall time [s] for which late ticks are caught up before messages get their turn again."""
 SLIP_DRIVEN = 5e-4
@@ -142,8 +144,26 @@ class SimulatedMachineNode(ComponentNode):
             self._pace.count(stamp, now)
             self._tick()
             now = time.monotonic()
+            self._leave_out_night(self._pace, stamp, now)
         following = self.component.next_tick
         self._wake(0.0 if following is None else self._pace.due(following) - now)
+
+    def _leave_out_night(self, pace: Pace, stamp: int, now: float) -> None:
+        """Go on to the next duty at once, for which the machine stands until it is cold.
+
+        The other nodes hear of it a tick before its first message, so that none is refused as
+        one from the future.
+        """
+        config, following = self.component.configuration, self.component.next_tick
+        assert isinstance(config, SimulatedMachineConfig)
+        begin = 0 if following is None else following - nanoseconds(config.tick_period)
+        if begin <= stamp:
+            return
+        pace.resume(begin, now)
+        self._clock.publish(ClockMessage(clock=RCLPY.time(begin)))
+        self.node.get_logger().info(
+            f'the next duty begins, cold, {(begin - stamp) / HOUR:.1f} h of machine time later'
+        )
 
     def _lets_commands_in(self, pace: Pace, now: float) -> bool:
         """Whether a late tick waits once for the commands that have come in meanwhile.

@@ -58,6 +58,7 @@ _STYLE = {
     'lines.linewidth': 1.4,
     'lines.solid_capstyle': 'round',
     'text.color': INK,
+    'text.parse_math': False,  # a name with $ is no formula
     'xtick.color': MUTED,
     'xtick.major.width': 0.6,
     'ytick.color': MUTED,

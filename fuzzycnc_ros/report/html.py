@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
+from fuzzycnc_ros.core.visible import visible
 from fuzzycnc_ros.report.requirement import require
 from fuzzycnc_ros.report.svg import to_inline_svg
 
@@ -64,7 +65,8 @@ def render_template(name: str, **values: Any) -> str:
         lstrip_blocks=True,
         loader=jinja2.FunctionLoader(_source),
     )
-    return str(environment.get_template(name).render(**values))
+    # Control characters, also in figures, would go into the page as they are.
+    return visible(environment.get_template(name).render(**values), keep='\n')
 
 
 def _source(name: str) -> str:

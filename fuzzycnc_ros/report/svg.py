@@ -3,10 +3,13 @@
 """Figures as SVG text that can stand in an HTML page and follows its light or dark theme."""
 
 import re
+import warnings
 from io import StringIO
 from typing import Any
 
+from fuzzycnc_ros.core.visible import visible
 from fuzzycnc_ros.report.drawing import ACCENT, FAINT, GRID, INK, MUTED, plot_style
+from fuzzycnc_ros.report.requirement import require
 
 _THEME = {
     INK: '--ink',
@@ -38,7 +41,13 @@ def to_inline_svg(figure: Any, name: str) -> str:
         accent are the page's CSS variables, numbers have two decimals.
     """
     stream = StringIO()
-    with plot_style():
+    for item in figure.findobj(require('matplotlib.text').Text):
+        shown = visible(item.get_text(), keep='\n')
+        if shown != item.get_text():
+            item.set_text(shown)
+    with plot_style(), warnings.catch_warnings():
+        # The page's fonts show the text; matplotlib only measures it by its own.
+        warnings.filterwarnings('ignore', 'Glyph .* missing from font')
         figure.savefig(stream, format='svg', metadata={'Date': None, 'Creator': None})
     text = stream.getvalue()
     svg = text[text.index('<svg') :]

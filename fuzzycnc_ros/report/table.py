@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A table once, shown in the terminal, as plain text, as Markdown and in HTML."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
 
+from fuzzycnc_ros.core.visible import visible
 from fuzzycnc_ros.report.requirement import require
 
 
@@ -26,6 +27,8 @@ class Column:
 @dataclass(frozen=True)
 class Table:
     """Cells as text with headings, an explanation and emphasis.
+
+    Control characters are spelt out everywhere: names may come from anywhere.
 
     Parameters
     ----------
@@ -68,6 +71,13 @@ class Table:
                     f'row {number} of table {self.title!r}: expected {len(self.columns)} cells '
                     f'but found {len(row)}'
                 )
+        shown = tuple(
+            replace(column, heading=visible(column.heading), group=visible(column.group))
+            for column in self.columns
+        )
+        object.__setattr__(self, 'title', visible(self.title))
+        object.__setattr__(self, 'columns', shown)
+        object.__setattr__(self, 'rows', tuple(tuple(map(visible, row)) for row in self.rows))
 
     def groups(self) -> list[tuple[str, int]]:
         """Return the groups of columns, each with its number of columns."""

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Temperature acquisition: averaging, verdicts on sensors, the thermal reference."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benches.component_bench import Bench, machine_state, readings
@@ -202,6 +204,43 @@ def test_sensors_that_change_during_a_run_are_refused(names):
         bench.give('sensor_readings', readings(12.0 * number, values, names))
     assert len(bench.emitted) == before
     assert 'sensors changed during the run' in bench.health()
+
+
+def test_a_changed_order_is_named():
+    bench = bench_of()
+    bench.give('sensor_readings', readings(12.0, [1.0, 2.0, 3.0], ('T1', 'T2', 'T3')))
+    bench.give('sensor_readings', readings(24.0, [1.0, 2.0, 3.0], ('T1', 'T3', 'T2')))
+    assert 'in place 2 expected T2 but found T3; restart' in bench.health()
+
+
+@pytest.mark.parametrize(
+    ('told', 'verdict'),
+    [
+        (Status.MISSING, Status.MISSING),
+        (Status.DRIFT, Status.DRIFT),
+        (Status.STUCK, Status.STUCK),
+        (77, Status.MISSING),
+    ],
+)
+def test_what_the_publisher_says_against_a_reading_counts(told, verdict):
+    """A gateway knows of a broken sensor what no value shows."""
+    bench = bench_of()
+    for number in range(1, 6):
+        given = readings(PERIOD * number, [20.0 + 0.01 * number, 21.0 + 0.01 * number])
+        bench.give('sensor_readings', replace(given, status=np.array([0, told], np.uint8)))
+    (sample,) = bench.records('temperatures')
+    assert statuses(sample) == [Status.OK, verdict]
+    assert f'bad sensors: T2 {verdict.name.lower()}' in bench.health()
+
+
+def test_our_own_verdict_is_the_more_exact_one():
+    bench = bench_of()
+    for number in range(1, 6):
+        given = readings(PERIOD * number, [500.0, np.nan])
+        status = np.array([Status.DRIFT, Status.DRIFT], np.uint8)
+        bench.give('sensor_readings', replace(given, status=status))
+    (sample,) = bench.records('temperatures')
+    assert statuses(sample) == [Status.OUT_OF_RANGE, Status.MISSING]
 
 
 def test_values_that_do_not_fit_the_names_are_refused():

@@ -37,6 +37,7 @@ RINGS = {
         'components',
         'core',
     },
+    'start': set(),
 }
 ROS = {
     'action_msgs',

@@ -104,6 +104,21 @@ def test_every_constant_belongs_to_an_enum(path):
     assert declared == used
 
 
+@for_each([*MESSAGES, *CALLS], file_name)
+def test_constants_stand_directly_above_their_field(path):
+    """Viewers such as Foxglove and Lichtblick name a field's values by the constants above it."""
+    for part in interfaces.parts(path):
+        above: list[Field] = []
+        for item in part:
+            if item.value is not None:
+                above.append(item)
+                continue
+            named = (item.tag or '').startswith(('enum ', 'flags '))
+            assert {i.tag for i in above} == ({item.tag} if named else set()), item.name
+            above = []
+        assert not above
+
+
 @for_each(MESSAGES, file_name)
 def test_message_begins_with_a_header_that_says_stamp_and_frame(path):
     first = interfaces.parts(path)[0]

@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from fuzzycnc_ros import start
+
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / 'fuzzycnc_ros'
 
@@ -85,10 +87,10 @@ def dependencies(folder: str) -> set[str]:
     return {item.text or '' for item in manifest(folder) if item.tag.endswith('depend')}
 
 
-def entry_points(arguments: dict) -> dict[str, str]:
-    """Return the console scripts of setup.py: name to module."""
+def entry_points(arguments: dict) -> set[str]:
+    """Return the names of the console scripts of setup.py."""
     lines = arguments['entry_points']['console_scripts']
-    return dict(re.fullmatch(r'(\w+) = ([\w.]+):main', line).groups() for line in lines)
+    return {re.fullmatch(r'(\w+) = fuzzycnc_ros\.start:\1', line).group(1) for line in lines}
 
 
 def requirement_name(requirement: str) -> str:
@@ -196,8 +198,8 @@ def test_message_build_uses_what_the_lock_holds():
 
 
 def test_every_entry_point_has_its_module(setup_arguments):
-    for name, module in entry_points(setup_arguments).items():
-        path = ROOT.joinpath(*module.split('.')).with_suffix('.py')
+    for name in entry_points(setup_arguments):
+        path = PACKAGE / ('cli/main.py' if name == start.COMMAND else f'nodes/{name}.py')
         functions = [
             item.name
             for item in ast.parse(path.read_text()).body
@@ -208,11 +210,7 @@ def test_every_entry_point_has_its_module(setup_arguments):
 
 def test_every_node_is_an_entry_point_with_params(setup_arguments):
     """Node = module = executable = params file = one word."""
-    nodes = {
-        module.rpartition('.')[2]
-        for module in entry_points(setup_arguments).values()
-        if module.startswith('fuzzycnc_ros.nodes.')
-    }
+    nodes = entry_points(setup_arguments) - {start.COMMAND}
     assert nodes == {path.stem for path in (ROOT / 'params').glob('*.yaml')}
     for node in nodes:
         content = yaml.safe_load((ROOT / 'params' / f'{node}.yaml').read_text())
@@ -270,7 +268,7 @@ def test_launch_file_names_what_exists(path, setup_arguments):
         for item in ast.walk(tree)
         if isinstance(item, ast.Constant) and isinstance(item.value, str)
     }
-    nodes = {name for name in entry_points(setup_arguments) if name != 'fuzzycnc'}
+    nodes = entry_points(setup_arguments) - {start.COMMAND}
     executables = {
         item.args[0].value
         for item in ast.walk(tree)

@@ -103,6 +103,51 @@ def test_topics_become_one_record(graph, observer, plc):
     graph.stop()
 
 
+def test_readings_that_are_not_used_are_counted(graph, observer, plc):
+    """A reading without a stamp, or ahead of the clock, takes nothing from those that are good."""
+    graph.start(
+        'temperature_acquisition',
+        {
+            'source': 'temperature_topics',
+            'temperature_topics': ['T1=/plc/bearing', 'T2=/plc/motor'],
+            'reading_period': PERIOD,
+            'interval': 4.0,
+            'use_sim_time': True,
+            'stamp_ahead_max': 60.0,
+        },
+    )
+    observer.watch_diagnostics()
+    raw = observer.records('sensor_readings', Temperatures)
+    observer.until(lambda: plc.connected() and observer.hears('sensor_readings'))
+    item = 'mill/temperature_acquisition: topic /plc/bearing'
+    observer.until(lambda: observer.told(item, 'nothing received yet'), 'silence is told')
+
+    second = 100
+
+    def sends(*wrong):
+        nonlocal second
+        second += 1
+        plc.tell_time(second)
+        for stamp in wrong:
+            plc.read('bearing', stamp, 99.0)
+        plc.read('bearing', second, 20.0)
+        plc.read('motor', second, 30.0)
+
+    def told(text, *wrong):
+        sends(*wrong)
+        return observer.told(item, text)
+
+    observer.until(lambda: told('all readings used'), 'good readings')
+    observer.until(lambda: told('without a stamp: have its driver', 0.0), 'those without a stamp')
+    observer.until(lambda: told('ahead of the clock: compare', second + 1000.0), 'those ahead')
+    observer.until(lambda: told('not newer than the last: compare', 50.0), 'those that are old')
+    known = len(raw)
+    observer.until(lambda: (sends(), len(raw) > known + 2)[1], 'sets go on')
+    assert all(99.0 not in item.temperature for item in raw)
+    assert raw[-1].stamp <= second * SECOND
+    graph.stop()
+
+
 CSV = """time,T1,T2
 {rows}
 """

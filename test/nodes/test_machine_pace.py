@@ -58,3 +58,37 @@ def test_where_others_drive_the_axes_next_to_nothing_is_caught_up(pace_of):
     assert pace.due(2_000_000) == pytest.approx(100.002)
     pace.count(2_000_000, 100.0027)
     assert pace.due(3_000_000) == pytest.approx(100.0037)
+
+
+def test_nights_between_duties_are_left_out(domain, monkeypatch):
+    """Nodes hear of the next duty's time before its first message, and nobody waits for it."""
+    rclpy = pytest.importorskip('rclpy')
+    from fuzzycnc_ros.nodes import simulated_machine as module
+
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    words = "duties:=['T2', 'T3']", 'duty_duration:=600.0', 'rate:=600.0'
+    rclpy.init(args=['--ros-args', *(word for text in words for word in ('-p', text))])
+    machine = module.make()
+    now, sent = [100.0], []
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(module.time, 'monotonic', lambda: now[0])
+            patch.setattr(machine._gate, 'open', lambda: True)
+            patch.setattr(machine, '_wake', lambda wait: now.append(now.pop() + max(wait, 1e-6)))
+            patch.setattr(
+                machine, 'publish', lambda found: sent.extend(item.record for item in found)
+            )
+            patch.setattr(machine._clock, 'publish', lambda message: sent.append(message.clock))
+            while not machine.done:
+                machine._tick_in_time()
+    finally:
+        machine.stop()
+        rclpy.shutdown()
+    assert now[0] - 100.0 == pytest.approx(2 * 600.0 / 600.0, abs=0.1)
+    times = [getattr(item, 'stamp', None) or item.sec * SECOND + item.nanosec for item in sent]
+    assert times == sorted(times)
+    second = 30 * 3600 * SECOND  # six in the morning of day two
+    first = next(place for place, time in enumerate(times) if time >= second)
+    assert times[first] == second
+    assert not hasattr(sent[first], 'stamp'), 'the clock comes first'
+    assert times[first + 1] > second

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from fuzzycnc_ros.bridges.opcua_session import (
+    MESSAGE_MAX,
     NODES_MAX,
     UNKNOWN_NODE,
     OpcUaSession,
@@ -24,6 +25,11 @@ from fuzzycnc_ros.nodes.sources.registers import scaled
 if TYPE_CHECKING:
     from asyncua import ua
 
+TOO_LARGE = (
+    'BadRequestTooLarge',  # what the library calls any message beyond our own limit
+    'BadResponseTooLarge',
+    'BadTcpMessageTooLarge',
+)
 RESOLVE_AGAIN = 2.0
 """Time between two looks for nodes that a server does not have [s]: some fill up after their
 start."""
@@ -95,6 +101,12 @@ class OpcUaLink:
                     found[index] = reading_of(self._device.channels[index], value)
         except ua.UaStatusCodeError as error:
             name = ua.StatusCode(error.code).name
+            if name in TOO_LARGE:
+                raise LinkError(
+                    f'expected numbers but an answer is larger than {MESSAGE_MAX >> 20} MiB '
+                    f'({name}): one of the nodes holds a long text or list; look at each with a '
+                    'browser for OPC UA'
+                ) from error
             raise LinkError(f'the server refuses to be read ({name})') from error
         except Exception:
             self._session.well = False

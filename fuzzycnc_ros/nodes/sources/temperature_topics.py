@@ -11,11 +11,21 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Temperature
 
+from fuzzycnc_ros.components.component import Health, Level
+from fuzzycnc_ros.components.records import nanoseconds
 from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisitionConfig
 from fuzzycnc_ros.convert import stamp_of
 from fuzzycnc_ros.nodes.parameters import ParameterError
 from fuzzycnc_ros.nodes.qos import SUBSCRIPTION_DEPTH
 from fuzzycnc_ros.nodes.sources.source import Readings, Source
+
+UNUSED = {
+    'without a stamp': 'have its driver fill in header.stamp',
+    'stamped ahead of the clock': 'compare the clocks, and stamp_ahead_max',
+    'not newer than the last': 'compare the clocks, and have one publisher stamp each anew',
+}
+"""Why a reading is not used, and the remedy."""
+UNSTAMPED, AHEAD, OLD = UNUSED
 
 
 class TemperatureTopics(Source):
@@ -25,7 +35,8 @@ class TemperatureTopics(Source):
     stay in step also after a message was lost; clocks of the sensors must agree to within the
     time between two of their messages.  A sensor that is slow or dead does not hold up the
     others: after `reading_period` of the node's clock a set goes without it, and it counts as
-    missing there.  The stamp is that of the newest message.
+    missing there.  The stamp is that of the newest message.  A message without a stamp is not
+    used, nor one that is stamped ahead of the clock: all others would be old after it.
 
     Raises
     ------
@@ -35,6 +46,9 @@ class TemperatureTopics(Source):
 
     def __init__(self, node: Node, config: TemperatureAcquisitionConfig, frame_id: str) -> None:
         topics = _named_topics(config.temperature_topics)
+        self._node, self._topics = node, topics
+        self._ahead_max = nanoseconds(node.get_parameter('stamp_ahead_max').value)
+        self._counts: dict[str, Counter[str]] = {name: Counter() for name in topics}
         self._readings = Readings(node, list(topics), frame_id)
         self._index = {name: index for index, name in enumerate(topics)}
         self._value = np.full(len(topics), np.nan)
@@ -46,12 +60,18 @@ class TemperatureTopics(Source):
             node.create_subscription(Temperature, topic, self._handler(name), qos)
         self._timer = node.create_timer(config.reading_period, self._send)
 
+    def health(self) -> list[Health]:
+        """Report on each topic: what came, and what of it is not used."""
+        return [topic_health(topic, self._counts[name]) for name, topic in self._topics.items()]
+
     def _handler(self, name: str) -> Any:
         index = self._index[name]
 
         def on_temperature(message: Temperature) -> None:
             stamp = stamp_of(message.header.stamp)
-            if stamp <= self._stamp[index]:
+            trouble = self._trouble(stamp, int(self._stamp[index]))
+            self._counts[name][trouble] += 1
+            if trouble:
                 return
             self._stamp[index] = stamp
             self._value[index] = message.temperature
@@ -61,6 +81,15 @@ class TemperatureTopics(Source):
 
         return on_temperature
 
+    def _trouble(self, stamp: int, last: int) -> str:
+        """Return why a reading is not used; empty if it is."""
+        now = int(self._node.get_clock().now().nanoseconds)
+        if stamp <= 0:
+            return UNSTAMPED
+        if now and self._ahead_max and stamp > now + self._ahead_max:
+            return AHEAD
+        return OLD if stamp <= last else ''
+
     def _send(self) -> None:
         """Publish what is newer than the last set, if anything is."""
         fresh = self._stamp > self._sent
@@ -68,6 +97,19 @@ class TemperatureTopics(Source):
             return
         self._sent = int(self._stamp.max())
         self._readings.publish(self._sent, np.where(fresh, self._value, np.nan))
+
+
+def topic_health(topic: str, counts: Counter[str]) -> Health:
+    """Return a line on a topic; `counts` holds readings by trouble, empty for those used."""
+    name, received = f'topic {topic}', counts.total()
+    values = {'received': str(received), **{kind: str(counts[kind]) for kind in UNUSED}}
+    if not received:
+        return Health(name, Level.WARN, 'nothing received yet', values)
+    unused = [f'{counts[kind]} {kind}: {UNUSED[kind]}' for kind in UNUSED if counts[kind]]
+    if unused:
+        text = f'not used of {received} readings: {"; ".join(unused)}'
+        return Health(name, Level.WARN, text, values)
+    return Health(name, Level.OK, 'all readings used', values)
 
 
 def _named_topics(items: Sequence[str]) -> dict[str, str]:

@@ -239,6 +239,16 @@ def test_opc_ua_nodes_are_found_in_all_ways_and_missing_ones_named(field, poll):
     assert tasks() <= before
 
 
+def test_a_value_beyond_all_sizes_is_told(field, poll):
+    server = field.add(OpcUaServer({'T1': 20.5, 'T2': 7.0}))
+    poller = poll(OPC_UA, server, '{T1: ns=2;s=T1, T2: ns=2;s=T2}')
+    wait(poller, good)
+    server.values['T2'] = 'long' * (1 << 19)
+    assert 'one of the nodes holds a long text or list' in wait(poller, lost).trouble
+    server.values['T2'] = [8.0]
+    assert wait(poller, good).readings[0] == 20.5
+
+
 def test_wrong_node_id_is_refused_before_any_connection(tmp_path):
     path = tmp_path / 'devices.yaml'
     path.write_text(

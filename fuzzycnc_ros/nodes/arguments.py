@@ -1,0 +1,112 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""ROS arguments as they are meant, and a line on those that are not understood."""
+
+import re
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import rclpy
+import yaml
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
+from rclpy.signals import SignalHandlerOptions
+
+from fuzzycnc_ros.nodes.parameters import ParameterError
+
+BARE = frozenset('yYnN')
+"""Names, such as that of an axis, to YAML 1.2, to PyYAML and to `ros2 param dump`, which writes
+them bare; switches to rcl, which refuses them beside other names."""
+_PLACE_IN_RCL = re.compile(r', at /\S+:\d+')
+
+
+def initialise(arguments: Sequence[str] | None) -> None:
+    """Initialise ROS with command line arguments, those of the process if there are none.
+
+    Raises
+    ------
+    ParameterError
+        If they are not understood; the text says which.
+    """
+    words = sys.argv if arguments is None else arguments
+    with ExitStack() as stack:
+        understood = quoted(
+            words, lambda: stack.enter_context(TemporaryDirectory(prefix='fuzzycnc-'))
+        )
+        # It would tell the same in words of its own.
+        set_logger_level('rcl', LoggingSeverity.FATAL)
+        try:
+            rclpy.init(args=understood, signal_handler_options=SignalHandlerOptions.NO)
+        except (
+            rclpy_implementation.RCLError,
+            rclpy_implementation.RCLInvalidROSArgsError,
+            rclpy_implementation.UnknownROSArgsError,
+        ) as error:
+            text = str(error)
+            for given, used in zip(words, understood, strict=True):
+                text = text.replace(used, given)
+            raise ParameterError(_line(error, text)) from error
+        finally:
+            if get_logger_level('rcl') == LoggingSeverity.FATAL:  # nobody has chosen another
+                set_logger_level('rcl', LoggingSeverity.UNSET)
+
+
+def quoted(arguments: Sequence[str], new_folder: Callable[[], str]) -> list[str]:
+    """Return ROS arguments with bare names in lists of parameters in quotes.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        The arguments.
+    new_folder : callable
+        Makes a folder for a parameter file that has such names; the arguments name what is there
+        instead.
+    """
+    words = list(arguments)
+    for place, (flag, value) in enumerate(pairwise(arguments), 1):
+        if flag in ('-p', '--param'):
+            name, sign, text = value.partition(':=')
+            words[place] = name + sign + quoted_yaml(text)
+        elif flag == '--params-file' and Path(value).is_file():  # a pipe can be read once
+            try:
+                before = Path(value).read_text(encoding='utf-8')
+            except (OSError, UnicodeError):
+                continue  # rcl says what is wrong with it
+            after = quoted_yaml(before)
+            if after != before:
+                copy = Path(new_folder(), Path(value).name)
+                copy.write_text(after, encoding='utf-8')
+                words[place] = str(copy)
+    return words
+
+
+def quoted_yaml(text: str) -> str:
+    """Return YAML with bare y and n in lists in quotes; no parameter is a list of switches."""
+    depth, places = 0, []
+    try:
+        for event in yaml.parse(text):
+            depth += isinstance(event, yaml.SequenceStartEvent)
+            depth -= isinstance(event, yaml.SequenceEndEvent)
+            if not (depth and isinstance(event, yaml.ScalarEvent) and event.start_mark):
+                continue
+            if event.style is None and event.value in BARE:
+                places.append(event.start_mark.index)
+    except yaml.YAMLError:
+        return text  # rcl says what is wrong with it
+    for place in reversed(places):
+        text = f"{text[:place]}'{text[place]}'{text[place + 1 :]}"
+    return text
+
+
+def _line(error: Exception, text: str) -> str:
+    """Return why ROS arguments are refused, in one line with the remedy."""
+    text = _PLACE_IN_RCL.sub('', ' '.join(text.split()))
+    if isinstance(error, rclpy_implementation.UnknownROSArgsError):
+        return f'unknown ROS arguments {text}'
+    if 'Sequence should be of same type' in text:
+        text += "; put names such as on, yes and 1 in quotes: ['on', 'X']"
+    return f'ROS arguments: {text}'

@@ -1,0 +1,38 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Text reaches terminals at few places, each of which spells control characters out."""
+
+import ast
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[2] / 'fuzzycnc_ros'
+PRINTS = {
+    'cli/console.py': 'lines and tables',
+    'cli/main.py': 'errors',
+    'nodes/visible_log.py': 'errors of nodes',
+    'nodes/player.py': 'JSON',
+    'nodes/recorder.py': 'what came of a recording',
+    'nodes/simulated_body.py': 'JSON',
+    'nodes/simulated_machine.py': 'JSON',
+}
+CONSOLES = {'Console', 'TextColumn', 'echo', 'secho'}
+"""What would show text as it comes; `fuzzycnc_ros/cli/terminal.py` has what commands use."""
+
+
+def called() -> list[tuple[str, str]]:
+    """Return the file and the function of every call, as it is written there."""
+    return [
+        (path.relative_to(PACKAGE).as_posix(), ast.unparse(node.func))
+        for path in PACKAGE.rglob('*.py')
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call)
+    ]
+
+
+def test_only_known_places_print():
+    assert {path for path, name in called() if name == 'print'} == set(PRINTS)
+
+
+def test_consoles_are_those_that_spell_out():
+    found = [(path, name.rpartition('.')[2]) for path, name in called()]
+    assert not [item for item in found if item[1] in CONSOLES]
