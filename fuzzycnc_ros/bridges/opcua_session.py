@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from fuzzycnc_ros.bridges.link import LinkError
+from fuzzycnc_ros.bridges.opcua_pins import check_pin
 
 if TYPE_CHECKING:
-    from asyncua import ua
+    from asyncua import Client, ua
 
 NODES_MAX = 100
 """Most nodes in one request; small servers take no more."""
@@ -39,6 +40,8 @@ class Security:
     certificate: Path
     private_key: Path
     server_certificate: Path
+    pinned: bool
+    """Whether `server_certificate` is what the server showed first, made when it does."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,20 +107,24 @@ class OpcUaSession:
         application: str,
         login: Callable[[Path], tuple[str, str]],
     ) -> None:
+        self._server, self._application, self._login = server, application, login
+        self.client = self._new_client()
+        self.well = False
+        """Whether the server still hears us: then it is told when we go."""
+
+    def _new_client(self) -> 'Client':
         from asyncua import Client
 
-        self._server, self._login = server, login
+        server = self._server
         client = Client(
             server.url,
             timeout=server.timeout,
             watchdog_intervall=max(WATCHDOG, server.timeout),
         )
-        client.name = application
+        client.name = self._application
         client.session_timeout = SESSION_TIMEOUT
         client.max_messagesize, client.max_chunkcount = MESSAGE_MAX, CHUNKS_MAX
-        self.client = client
-        self.well = False
-        """Whether the server still hears us: then it is told when we go."""
+        return client
 
     async def open(self) -> None:
         """Connect and log in.
@@ -125,13 +132,12 @@ class OpcUaSession:
         Raises
         ------
         LinkError
-            If the server refuses, or the files of security and login are of no use.
+            If the server refuses, shows another certificate than before, or the files of security
+            and login are of no use.
         """
         from asyncua import ua
 
         server = self._server
-        if server.security is not None:
-            await self._secure(server.security)
         if server.credentials is not None:
             try:
                 user, password = self._login(server.credentials)
@@ -140,6 +146,11 @@ class OpcUaSession:
             self.client.set_user(user)
             self.client.set_password(password)
         try:
+            if server.security is not None:
+                if server.security.pinned:
+                    # Before anything else is said: a password must not reach a stranger.
+                    check_pin(server.security.server_certificate, await self._shown())
+                await self._secure(server.security)
             await self.client.connect()
         except ua.UaStatusCodeError as error:
             name = ua.StatusCode(error.code).name
@@ -198,6 +209,21 @@ class OpcUaSession:
         if uri not in namespaces:
             raise LookupError(f'no namespace {uri}')
         return ua.NodeId.from_string(f'ns={list(namespaces).index(uri)};{identifier}')
+
+    async def _shown(self) -> bytes:
+        """Return the certificate that the server shows to whoever asks, DER."""
+        from asyncua import ua
+        from asyncua.crypto import security_policies
+
+        security = self._server.security
+        assert security is not None
+        client = self._new_client()
+        endpoint = client.find_endpoint(
+            await client.connect_and_get_server_endpoints(),
+            getattr(ua.MessageSecurityMode, security.mode),
+            getattr(security_policies, f'SecurityPolicy{security.policy}').URI,
+        )
+        return bytes(endpoint.ServerCertificate or b'')
 
     async def _secure(self, security: Security) -> None:
         """Set policy, mode and certificates."""

@@ -31,6 +31,8 @@ from fuzzycnc_ros.cli.position import position
 from fuzzycnc_ros.cli.record import record
 from fuzzycnc_ros.cli.replay import replay
 from fuzzycnc_ros.cli.schedule import schedule
+from fuzzycnc_ros.cli.security import COMMANDS as SECURITY_COMMANDS
+from fuzzycnc_ros.cli.security import HELP as SECURITY_HELP
 from fuzzycnc_ros.cli.servo import COMMANDS as SERVO_COMMANDS
 from fuzzycnc_ros.cli.servo import HELP as SERVO_HELP
 from fuzzycnc_ros.cli.simulate import simulate
@@ -110,6 +112,7 @@ COMMANDS: dict[str, Callable[..., Any] | CommandGroup] = {
     'servo': CommandGroup(SERVO_HELP, SERVO_COMMANDS),
     'foam': CommandGroup(FOAM_HELP, FOAM_COMMANDS),
     'import-csv': import_csv,
+    'security': CommandGroup(SECURITY_HELP, SECURITY_COMMANDS),
     'soak': soak,
     'info': info,
 }

@@ -164,14 +164,23 @@ def set_values(
 
 def reference(
     by: Annotated[str, typer.Option(help='Who says so; kept in recordings.')] = 'operator',
+    force: Annotated[
+        bool,
+        typer.Option(
+            '--force', help='Also while offsets are in force, which then change their zero.'
+        ),
+    ] = False,
     machine: MachineName = 'mill',
 ) -> None:
     """Declare the machine thermally at rest: what follows is counted from now on.
 
-    fuzzycnc operate reference --by anna
+    Refused while offsets are in force: they would go to what the rises against the new reference
+    say. Deactivate the compensator first, or say --force.
+
+        fuzzycnc operate reference --by anna
     """
     with _operator(machine, 'temperature_acquisition', managed=False) as operator:
-        say(operator.set_reference(by))
+        say(operator.set_reference(by, force=force))
 
 
 def probe(

@@ -176,15 +176,17 @@ class Operator:
         request = parameter_request(values)
         return refusals(self._call(SetParameters, f'{node}/set_parameters', request))
 
-    def set_reference(self, by: str) -> str:
+    def set_reference(self, by: str, *, force: bool = False) -> str:
         """Declare the machine thermally at rest; return what will happen.
+
+        While offsets are in force it has to be forced.
 
         Raises
         ------
         GraphError
             If it is refused.
         """
-        request = SetThermalReference.Request(set_by=by)
+        request = SetThermalReference.Request(set_by=by, force=force)
         answer = self._call(SetThermalReference, 'set_thermal_reference', request)
         if not answer.success:
             raise GraphError(f'set_thermal_reference: {answer.message}')

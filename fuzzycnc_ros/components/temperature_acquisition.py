@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.components.codes import Status
+from fuzzycnc_ros.components.compensator import NEGLIGIBLE
 from fuzzycnc_ros.components.component import (
     LATCHED,
     Answer,
@@ -24,10 +25,12 @@ from fuzzycnc_ros.components.component import (
     Level,
     Output,
 )
+from fuzzycnc_ros.components.controller_status import describe
 from fuzzycnc_ros.components.records import (
     SECOND,
     Bools,
     Bytes,
+    CompensationApplied,
     Floats,
     MachineState,
     Record,
@@ -121,6 +124,7 @@ class TemperatureAcquisition(Component):
     INPUTS = (
         Input('sensor_readings', Temperatures, driving=True, sole=True),
         Input('machine_state', MachineState, sole=True),
+        Input('compensation_applied', CompensationApplied, quiet=True, sole=True),
     )
     OUTPUTS = (
         Output('thermal_reference', ThermalReference, LATCHED, persistent=True),
@@ -140,6 +144,7 @@ class TemperatureAcquisition(Component):
         self._reference: ThermalReference | None = None
         self._cold_since: int | None = None
         self._asked_by = ''
+        self._forced = False
         self._collected: list[Temperatures] = []
         self._refused = ''
         self._read_at = 0
@@ -155,6 +160,11 @@ class TemperatureAcquisition(Component):
             return
         if self._cold_since is None or state.cold_since > self._cold_since:
             self._collect_reference(state.cold_since, self.NAME)
+
+    def on_compensation_applied(self, applied: CompensationApplied) -> None:
+        """Note that offsets have come to zero: a forced reference moves none of them any more."""
+        if not _standing(applied):
+            self._forced = False
 
     def on_sensor_readings(self, reading: Temperatures) -> Iterator[Emission]:
         """Check one set of readings; publish a sample when an interval is full."""
@@ -184,13 +194,32 @@ class TemperatureAcquisition(Component):
         yield Emission('temperatures', sample)
 
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
-        """`set_thermal_reference`: the next samples become the reference."""
+        """`set_thermal_reference`: the next samples become the reference.
+
+        It would move the offsets that are in force with the zero that they are counted from, so
+        then it has to be forced.
+        """
         if name != 'set_thermal_reference':
             return super().on_request(name, arguments, stamp)
+        count, standing = self._config.reference_samples, self._offsets
+        # Recordings from before there was `force` hold only requests that were carried out.
+        if standing and not arguments.get('force', True):
+            return Answer(
+                False,
+                f'expected a machine without offsets but {standing} are in force: the next '
+                f'{count} samples would become their zero, and they would go to what the rises '
+                'against it say; deactivate the compensator and wait until they are zero, or '
+                'force it',
+            )
         self._collect_reference(stamp, str(arguments.get('set_by') or 'operator'))
-        return Answer(
-            True, f'the next {self._config.reference_samples} samples become the thermal reference'
-        )
+        self._forced = bool(standing)
+        text = f'the next {count} samples become the thermal reference'
+        if standing:
+            text += (
+                f' although {standing} are in force: these go to what the rises against the new '
+                'reference say, which begin at zero'
+            )
+        return Answer(True, text)
 
     def renewed(self, step: int) -> 'tuple[TemperatureAcquisition, list[Emission]]':
         """Start afresh, but for the reference: it was set that long ago as before."""
@@ -230,7 +259,19 @@ class TemperatureAcquisition(Component):
         else:
             text = f'set by {self._reference.set_by} at {self._reference.stamp / SECOND:.0f} s'
             items.append(Health('reference', Level.OK, text))
+        if self._forced:
+            text = (
+                f'reference forced by {self._asked_by} while offsets are in force, now '
+                f'{self._offsets}: they go to what the rises against it say'
+            )
+            items.append(Health('forced reference', Level.WARN, text))
         return items
+
+    @property
+    def _offsets(self) -> str:
+        """Offsets in force as far as the machine has told, in words; empty if there are none."""
+        applied = self._newest.get('compensation_applied')
+        return _standing(applied) if isinstance(applied, CompensationApplied) else ''
 
     def _accept_sensors(self, reading: Temperatures) -> bool:
         """Refuse readings that do not fit the sensors of the run; set up at the first ones."""
@@ -332,6 +373,7 @@ class TemperatureAcquisition(Component):
     def _collect_reference(self, cold_since: int, asked_by: str) -> None:
         self._cold_since = cold_since
         self._asked_by = asked_by
+        self._forced = False
         self._collected = []
 
     def _reference_from(self, sample: Temperatures) -> Iterator[Emission]:
@@ -364,3 +406,8 @@ class TemperatureAcquisition(Component):
         )
         self._collected = []
         yield Emission('thermal_reference', self._reference)
+
+
+def _standing(applied: CompensationApplied) -> str:
+    """Return the offsets that a read-back says are not zero, in words."""
+    return describe(applied.axis, applied.offset, ~(np.abs(applied.offset) <= NEGLIGIBLE))

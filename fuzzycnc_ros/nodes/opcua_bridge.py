@@ -51,7 +51,8 @@ class OpcuaBridgeNode(ControllerBridgeNode):
         if library_trouble():
             raise ParameterError(library_trouble())
         try:
-            file = read_control(Path(config.control_file).expanduser())
+            path = Path(config.control_file).expanduser()
+            file = read_control(path, self.settings.state_directory)
             if file.server.credentials is not None:
                 read_credentials(file.server.credentials)
         except ParameterError as error:

@@ -64,8 +64,15 @@ _AXIS = {
 }
 
 
-def read_control(path: Path) -> ControlFile:
+def read_control(path: Path, state_directory: str = '') -> ControlFile:
     """Read and check a control file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    state_directory : str
+        Where a certificate is pinned on first use; empty: beside the file.
 
     Raises
     ------
@@ -74,7 +81,7 @@ def read_control(path: Path) -> ControlFile:
         file, line and field.
     """
     whole = Section.read(path, 'a file of a control')
-    server = read_server(whole)
+    server = read_server(whole, state_directory)
     words = tuple(LENGTHS)
     units = {
         'unit': LENGTHS[whole.word('unit', words)],

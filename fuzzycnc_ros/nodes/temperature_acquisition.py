@@ -44,7 +44,8 @@ class TemperatureAcquisitionNode(ComponentNode):
     def _on_reference(
         self, request: SetThermalReference.Request, response: SetThermalReference.Response
     ) -> SetThermalReference.Response:
-        answer = self.request('set_thermal_reference', {'set_by': request.set_by})
+        arguments = {'set_by': request.set_by, 'force': request.force}
+        answer = self.request('set_thermal_reference', arguments)
         response.success, response.message = answer.success, answer.message
         return response
 

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control files, and the adapter to a control against a real OPC UA server, without a node."""
 
+import hashlib
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ pytest.importorskip('asyncua')
 
 from equipment.field_servers import Field, Route
 from equipment.opcua_machine import FILE, ControlServer, LineControl, control_file
-from equipment.secured_server import SECURITY, secured, user_file
+from equipment.secured_server import PINNING, SECURITY, secured, user_file
 
 from fuzzycnc_ros.bridges.link import LinkError
 from fuzzycnc_ros.bridges.opcua_control import OpcUaControl
@@ -246,6 +248,7 @@ def edited(tmp_path, old, new):
         ('timeout: {timeout}', 'timeout: 0', 'timeout: expected a number from 0.05 to 60 s'),
         ('unit: um', 'security: {{policy: None}}\nunit: um', 'policy: expected one of Basic256'),
         ('unit: um', 'credentials: nobody.yaml\nunit: um', 'expected a file but nothing is at'),
+        ('unit: um', 'allow_plain_password: yes\nunit: um', 'expected one of true, false but'),
     ],
 )
 def test_wrong_files_are_refused(tmp_path, old, new, text):
@@ -291,11 +294,78 @@ def test_sign_and_unit_of_a_control_that_counts_the_other_way(server, tmp_path):
         assert status.lines.offset[0] == pytest.approx(12e-6)
 
 
+def in_a_template(text):
+    return text.replace('{', '{{').replace('}', '}}')
+
+
+@pytest.mark.parametrize('security', ['', PINNING.replace('{', '{mode: Sign, ')])
+def test_a_password_that_everybody_could_read_is_refused_with_the_remedy(tmp_path, security):
+    for name in ('own.der', 'own-key.pem'):
+        (tmp_path / name).touch()
+    user = user_file(tmp_path)
+    text = in_a_template(f'credentials: user.yaml\n{security}\n') + FILE
+    with pytest.raises(ParameterError) as error:
+        read_control(control_file(tmp_path, 4840, text))
+    assert 'line 1: credentials: expected security with mode SignAndEncrypt' in str(error.value)
+    assert 'or say allow_plain_password: true' in str(error.value)
+    allowed = f'allow_plain_password: true\n{text}'
+    assert read_control(control_file(tmp_path, 4840, allowed)).server.credentials == user
+    plain = text.replace('credentials: user.yaml', 'allow_plain_password: false')
+    assert read_control(control_file(tmp_path, 4840, plain)).server.credentials is None
+
+
+def test_a_certificate_is_pinned_in_the_state_directory_or_beside_the_file(tmp_path):
+    for name in ('own.der', 'own-key.pem', 'control.der'):
+        (tmp_path / name).touch()
+    path = control_file(tmp_path, 4840, in_a_template(f'{PINNING}\n') + FILE)
+    beside = read_control(path).server.security
+    assert beside.pinned
+    assert beside.server_certificate == tmp_path / 'opcua-127.0.0.1-4840.pem'
+    state = read_control(path, '/var/lib/mill').server.security
+    assert state.server_certificate == Path('/var/lib/mill/opcua-127.0.0.1-4840.pem')
+    path = control_file(tmp_path, 4840, in_a_template(f'{SECURITY}\n') + FILE)
+    given = read_control(path, '/var/lib/mill').server.security
+    assert not given.pinned
+    assert given.server_certificate == tmp_path / 'control.der'
+
+
+def test_the_first_certificate_of_a_server_is_pinned_and_another_refused(field, tmp_path):
+    """Who takes its place gets no password."""
+    server = field.add(ControlServer(LineControl(), secured(tmp_path)))
+    user_file(tmp_path)
+    text = in_a_template(f'{PINNING}\ncredentials: user.yaml\n') + FILE
+    path = control_file(tmp_path, server.port, text)
+    pin = tmp_path / f'opcua-127.0.0.1-{server.port}.pem'
+    assert not pin.exists()
+    with connected(path) as adapter:
+        assert adapter.read().limits.slew_max == pytest.approx(20e-6)
+    first = pin.read_text()
+    with connected(path):
+        pass
+    assert pin.read_text() == first
+    # Another server takes its place, with a certificate of its own and ears for passwords.
+    asked, other = [], tmp_path / 'other'
+    other.mkdir()
+    field.call(server.stop())
+    server._secure = secured(other, asked.append)
+    field.call(server.start())
+    with pytest.raises(LinkError) as error, connected(path):
+        pass
+    assert f'the server shows another certificate than {pin}' in str(error.value)
+    assert 'delete that file' in str(error.value)
+    assert hashlib.sha256((other / 'control.der').read_bytes()).hexdigest() in str(error.value)
+    assert asked == []
+    pin.unlink()
+    with connected(path):
+        pass
+    assert asked == ['joe']
+    assert pin.read_text() != first
+
+
 @pytest.mark.slow
 def test_secured_server_with_credentials(field, tmp_path):
     server = field.add(ControlServer(LineControl(), secured(tmp_path)))
-    security = SECURITY.replace('{', '{{').replace('}', '}}')
-    text = f'{security}\ncredentials: user.yaml\n{FILE}'
+    text = in_a_template(f'{SECURITY}\ncredentials: user.yaml\n') + FILE
     user = user_file(tmp_path, 'wrong')
     path = control_file(tmp_path, server.port, text, timeout=5.0)
     with pytest.raises(LinkError) as error, connected(path):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benches.component_bench import Bench, machine_state, readings
+from benches.component_bench import Bench, applied, machine_state, readings
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -359,6 +359,77 @@ def test_operator_can_declare_the_machine_at_rest():
     assert reference.set_by == 'operator'
     assert reference.samples == 2
     assert reference.temperature[0] == pytest.approx(23.0, abs=0.01)
+
+
+def compensated(offset=(-13.7e-6, 0.0)) -> Bench:
+    """Return an acquisition with a reference of 22 degC beside a machine with offsets [m]."""
+    bench = bench_of(reference_samples=2)
+    feed(bench, 30, [22.0])
+    assert bench.request('set_thermal_reference', set_by='anna', force=False).success
+    feed(bench, 10, [22.0], start=360.0)
+    bench.push('compensation_applied', applied(481.0, offset))
+    feed(bench, 5, [30.0], start=480.0)
+    return bench
+
+
+def test_a_reference_over_offsets_is_refused_however_often_it_is_asked_for():
+    bench = compensated()
+    for number in range(50):
+        answer = bench.request('set_thermal_reference', set_by='bob', force=False)
+        assert not answer.success
+        feed(bench, 10, [30.0], start=540.0 + 120.0 * number)
+    assert 'Y -13.70 um are in force' in answer.message
+    assert 'deactivate the compensator' in answer.message
+    (reference,) = bench.records('thermal_reference')
+    assert reference.set_by == 'anna'
+    assert 'forced' not in bench.health()
+
+
+def test_a_forced_reference_over_offsets_says_what_becomes_of_them_until_they_are_zero():
+    bench = compensated()
+    answer = bench.request('set_thermal_reference', set_by='bob', force=True)
+    assert answer.success
+    assert answer.message == (
+        'the next 2 samples become the thermal reference although Y -13.70 um are in force: '
+        'these go to what the rises against the new reference say, which begin at zero'
+    )
+    told = 'WARN forced reference: reference forced by bob while offsets are in force, now Y '
+    assert told + '-13.70 um' in bench.health()
+    bench.push('compensation_applied', applied(550.0, (-6e-6, 0.0)))
+    feed(bench, 10, [30.0], start=540.0)
+    assert bench.records('thermal_reference')[-1].set_by == 'bob'
+    assert told + '-6.00 um' in bench.health()
+    bench.push('compensation_applied', applied(670.0))
+    feed(bench, 5, [30.0], start=660.0)
+    bench.push('compensation_applied', applied(730.0, (1e-6, 0.0)))
+    feed(bench, 5, [30.0], start=720.0)
+    assert 'forced' not in bench.health()
+
+
+def test_a_cold_start_ends_the_warning_of_a_forced_reference():
+    bench = compensated()
+    assert bench.request('set_thermal_reference', set_by='bob', force=True).success
+    bench.push('machine_state', machine_state(601.0, cold_since=nanoseconds(600.0)))
+    feed(bench, 5, [30.0], start=600.0)
+    assert 'forced' not in bench.health()
+
+
+@pytest.mark.parametrize('offset', [(0.0, 0.0), (-0.9e-8, 0.9e-8)])
+def test_a_reference_over_offsets_at_zero_needs_no_force(offset):
+    bench = compensated(offset)
+    answer = bench.request('set_thermal_reference', set_by='bob', force=False)
+    assert answer.success
+    assert answer.message == 'the next 2 samples become the thermal reference'
+
+
+def test_an_offset_that_is_not_told_as_a_number_may_be_in_force():
+    answer = compensated((np.nan, 0.0)).request('set_thermal_reference', force=False)
+    assert not answer.success
+
+
+def test_a_request_of_a_recording_from_before_there_was_force_is_repeated():
+    bench = compensated()
+    assert bench.request('set_thermal_reference', set_by='bob').success
 
 
 def test_unknown_request_is_refused():

@@ -11,8 +11,9 @@ pytest.importorskip('asyncua')
 
 
 from equipment.bridge_rig import ACTIVATE, CONFIGURE, DEACTIVATE, MICRON, BridgeRig
-from equipment.field_servers import Field, Route
+from equipment.field_servers import LOCAL, Field, Route
 from equipment.opcua_machine import AXES, FILE, ControlServer, LineControl, control_file
+from equipment.secured_server import PINNING, secured, user_file
 
 from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
 from fuzzycnc_ros.components.records import (
@@ -283,3 +284,33 @@ def test_server_starts_anew_with_offsets_standing(rig):
 def test_wrong_node_id_is_named(rig):
     rig.start(active=False, text=FILE.replace('ns=2;s=Z.limit', 'ns=2;s=Z.limmit'))
     rig.refused('Z.limit: node ns=2;s=Z.limmit: the server has no such node')
+
+
+DEVICES = """\
+devices:
+  - name: control
+    protocol: opc_ua
+    url: opc.tcp://{host}:{port}/
+    timeout: 30
+    {security}
+    credentials: user.yaml
+    sensors: {{T1: ns=2;s=X.applied}}
+"""
+
+
+@pytest.mark.parametrize('node', ['opcua_bridge', 'temperature_acquisition'])
+def test_certificates_are_pinned_in_the_state_directory(graph, observer, shop, tmp_path, node):
+    server = shop.field.add(ControlServer(LineControl(), secured(tmp_path)))
+    user_file(tmp_path)
+    state = tmp_path / 'state'
+    if node == 'opcua_bridge':
+        text = f'{PINNING}\ncredentials: user.yaml\n'.replace('{', '{{').replace('}', '}}') + FILE
+        path = control_file(tmp_path, server.port, text)
+        parameters = {'control_file': str(path), 'axes': list(AXES)}
+    else:
+        path = tmp_path / 'devices.yaml'
+        path.write_text(DEVICES.format(host=LOCAL, port=server.port, security=PINNING))
+        parameters = {'source': 'devices', 'device_file': str(path)}
+    graph.start(node, {**parameters, 'state_directory': str(state)})
+    pin = state / f'opcua-{LOCAL}-{server.port}.pem'
+    observer.until(pin.exists, 'the certificate is pinned')

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc operate` on running nodes: what it shows and changes, and what it refuses."""
 
+import itertools
 import threading
 from contextlib import contextmanager
 
@@ -12,7 +13,12 @@ from fuzzycnc_ros.cli import operate
 from fuzzycnc_ros.cli.main import run
 from fuzzycnc_ros.components.codes import AppliedStatus
 from fuzzycnc_ros.components.component import Durability
-from fuzzycnc_ros.components.records import SECOND, CompensationApplied, Displacement
+from fuzzycnc_ros.components.records import (
+    SECOND,
+    CompensationApplied,
+    Displacement,
+    Temperatures,
+)
 from fuzzycnc_ros.convert import encode
 from fuzzycnc_ros.nodes.messages import RCLPY, message_class
 from fuzzycnc_ros.nodes.qos import publisher_qos
@@ -73,6 +79,27 @@ def applied(observer, offset):
     )
     message = encode(record, RCLPY)
     observer.node.create_timer(0.1, lambda: publisher.publish(message))
+
+
+def warm(observer):
+    """Tell one temperature ten times a second, from a machine time on that is past the first."""
+    publisher = observer.node.create_publisher(
+        message_class(Temperatures.TYPE), 'sensor_readings', publisher_qos(Durability.STREAM)
+    )
+    stamps = itertools.count(2 * SECOND, SECOND // 10)
+
+    def tell():
+        record = Temperatures(
+            stamp=next(stamps),
+            frame_id='mill/machine',
+            sensor=('T1',),
+            temperature=np.array([30.0]),
+            status=np.zeros(1, np.uint8),
+            readings=1,
+        )
+        publisher.publish(encode(record, RCLPY))
+
+    observer.node.create_timer(0.1, tell)
 
 
 def test_a_compensator_is_looked_at_limited_activated_and_put_to_rest(
@@ -141,6 +168,28 @@ def test_a_reference_is_asked_for(graph, observer, command):
     code, out, err = command('reference', '--by', 'anna')
     assert (code, err) == (0, '')
     assert 'thermal reference' in out
+
+
+def test_a_reference_over_offsets_is_asked_for_with_force(graph, observer, command):
+    graph.start('temperature_acquisition', {'interval': 1.0})
+    observer.watch_diagnostics()
+    applied(observer, -13.7e-6)
+    item = 'mill/temperature_acquisition: compensation_applied'
+    observer.until(
+        lambda: any(text != 'nothing received yet' for _, text in observer.statuses.get(item, ())),
+        'the read-back is heard',
+    )
+    sampled = observer.records('temperatures', Temperatures)
+    warm(observer)
+    observer.until(lambda: sampled, 'machine time has passed the read-back')
+    with working(observer):
+        code, _, err = command('reference', '--by', 'anna')
+        assert code == 2
+        assert 'set_thermal_reference: expected a machine without offsets but Y -13.70 um' in err
+        assert len(err.splitlines()) == 1
+        code, out, _ = command('reference', '--by', 'anna', '--force')
+        assert code == 0
+        assert 'although Y -13.70 um are in force' in out
 
 
 @pytest.mark.parametrize(('offset', 'includes'), [(None, False), (0.0, False), (4e-6, True)])

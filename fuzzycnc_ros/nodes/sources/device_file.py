@@ -32,8 +32,15 @@ INHERITED = ('table', 'type', 'word_order', 'byte_order', 'scale', 'offset', 'op
 _HOST = re.compile(r'[A-Za-z0-9._:%-]+')
 
 
-def read_devices(path: Path) -> tuple[AnyDevice, ...]:
+def read_devices(path: Path, state_directory: str = '') -> tuple[AnyDevice, ...]:
     """Read and check a device file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    state_directory : str
+        Where certificates are pinned on first use; empty: beside the file.
 
     Raises
     ------
@@ -47,7 +54,7 @@ def read_devices(path: Path) -> tuple[AnyDevice, ...]:
     whole.done()
     seen: dict[str, str] = {}
     for section in sections:
-        device = _device(section)
+        device = _device(section, state_directory)
         for channel in device.channels:
             spindle = device.has_spindle and channel is device.channels[-1]
             name = f'the {SPINDLE}' if spindle else f'sensor {channel.name}'
@@ -64,14 +71,14 @@ def read_devices(path: Path) -> tuple[AnyDevice, ...]:
     return tuple(devices)
 
 
-def _device(section: Section) -> AnyDevice:
+def _device(section: Section, state_directory: str) -> AnyDevice:
     name = section.text('name')
     section.label = f'device {name}'
     kind = section.word('protocol', tuple(_KINDS))
-    return _KINDS[kind](section, name)
+    return _KINDS[kind](section, name, state_directory)
 
 
-def _modbus(section: Section, name: str) -> ModbusDevice:
+def _modbus(section: Section, name: str, state_directory: str) -> ModbusDevice:
     host = section.text('host')
     if not _HOST.fullmatch(host):
         raise section.line_error('host', f'expected a name or address but found {host!r}')
@@ -92,9 +99,9 @@ def _modbus(section: Section, name: str) -> ModbusDevice:
     )
 
 
-def _opc_ua(section: Section, name: str) -> OpcUaDevice:
+def _opc_ua(section: Section, name: str, state_directory: str) -> OpcUaDevice:
     period, _ = _times(section)
-    server = read_server(section)
+    server = read_server(section, state_directory)
     channels, has_spindle = _channels(section, _variable, 'node')
     section.done()
     return OpcUaDevice(
@@ -102,7 +109,7 @@ def _opc_ua(section: Section, name: str) -> OpcUaDevice:
     )
 
 
-_KINDS: dict[str, Callable[[Section, str], AnyDevice]] = {
+_KINDS: dict[str, Callable[[Section, str, str], AnyDevice]] = {
     'modbus_tcp': _modbus,
     'opc_ua': _opc_ua,
 }

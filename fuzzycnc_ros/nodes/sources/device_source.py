@@ -52,8 +52,9 @@ class DeviceSource(Source):
         if not config.device_file:
             raise ParameterError('parameter device_file: expected a file for the source devices')
         path = Path(config.device_file).expanduser()
+        state_directory = str(node.get_parameter('state_directory').value)
         try:
-            self._devices = read_devices(path)
+            self._devices = read_devices(path, state_directory)
             for device in self._devices:
                 _check(device, config)
         except ParameterError as error:

@@ -6,18 +6,33 @@ import re
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from fuzzycnc_ros.bridges.opcua_pins import pin_file
 from fuzzycnc_ros.bridges.opcua_session import Address, Security, Server
 from fuzzycnc_ros.nodes.parameters import ParameterError
 from fuzzycnc_ros.nodes.sources.yaml_section import Section
 
 POLICIES = ('Basic256Sha256', 'Aes128Sha256RsaOaep', 'Aes256Sha256RsaPss')
-MODES = ('Sign', 'SignAndEncrypt')
+ENCRYPTED = 'SignAndEncrypt'
+MODES = ('Sign', ENCRYPTED)
 
 _NODE = re.compile(r'((ns=[0-9]+|nsu=[^;]+);)?(i=[0-9]+|[sgb]=.+)')
 
 
-def read_server(section: Section) -> Server:
-    """Return the server that the fields url, timeout, security and credentials describe."""
+def read_server(section: Section, state_directory: str = '') -> Server:
+    """Return the server that the fields url, timeout, security and credentials describe.
+
+    Parameters
+    ----------
+    section : Section
+        The fields.
+    state_directory : str
+        Where a certificate is pinned on first use; empty: beside the file.
+
+    Raises
+    ------
+    ParameterError
+        If something is missing or wrong, or a password would be readable on the network.
+    """
     url = section.text('url')
     try:
         parts = urlsplit(url)
@@ -32,11 +47,14 @@ def read_server(section: Section) -> Server:
         raise section.line_error(
             'url', 'expected no user and password here; put them into the file credentials'
         )
+    folder = Path(state_directory).expanduser() if state_directory else section.path.parent
+    pin = pin_file(folder, parts.hostname, port)
+    security = _security(section.section('security'), pin)
     return Server(
         url=url,
         timeout=section.number('timeout', 0.05, 60.0, 2.0, unit='s'),
-        security=_security(section.section('security')),
-        credentials=_file(section, 'credentials') if 'credentials' in section else None,
+        security=security,
+        credentials=_credentials(section, security),
     )
 
 
@@ -89,23 +107,41 @@ def read_credentials(path: Path) -> tuple[str, str]:
     return found
 
 
-def _security(section: Section | None) -> Security | None:
+def _credentials(section: Section, security: Security | None) -> Path | None:
+    """Return the file with user name and password, unless everybody could read them."""
+    plain = section.word('allow_plain_password', ('true', 'false'), 'false') == 'true'
+    if 'credentials' not in section:
+        return None
+    path = _file(section, 'credentials')
+    if not plain and (security is None or security.mode != ENCRYPTED):
+        raise section.line_error(
+            'credentials',
+            f'expected security with mode {ENCRYPTED} beside it, since without it the password '
+            'may be sent so that everybody on the network can read it; add it, or say '
+            'allow_plain_password: true',
+        )
+    return path
+
+
+def _security(section: Section | None, pin: Path) -> Security | None:
     if section is None:
         return None
+    given = 'server_certificate' in section
     security = Security(
         policy=section.word('policy', POLICIES),
-        mode=section.word('mode', MODES, 'SignAndEncrypt'),
+        mode=section.word('mode', MODES, ENCRYPTED),
         certificate=_file(section, 'certificate'),
         private_key=_file(section, 'private_key'),
-        # Without it any server could pass itself off as this one.
-        server_certificate=_file(section, 'server_certificate'),
+        # Without either any server could pass itself off as this one.
+        server_certificate=_file(section, 'server_certificate') if given else pin,
+        pinned=not given,
     )
     section.done()
     return security
 
 
 def _file(section: Section, name: str) -> Path:
-    """Return a file that a field names, relative to the device file."""
+    """Return a file that a field names, relative to the file that it stands in."""
     path = section.path.parent / Path(section.text(name)).expanduser()
     if not path.is_file():
         raise section.line_error(name, f'expected a file but nothing is at {path}')

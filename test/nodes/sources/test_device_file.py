@@ -142,6 +142,7 @@ def test_wrong_modbus_files_are_refused(read, old, new, line, text):
             'certificate: expected a file but nothing is at',
         ),
         ('period: 0.5', 'credentials: user.yaml', 5, 'credentials: expected a file but nothing'),
+        ('period: 0.5', 'credentials: devices.yaml', 5, 'or say allow_plain_password: true'),
     ],
 )
 def test_wrong_opc_ua_files_are_refused(read, old, new, line, text):

@@ -15,7 +15,7 @@ pytest.importorskip('pymodbus')
 
 from asyncua import ua
 from equipment.field_servers import LOCAL, Field, HostileServer, ModbusServer, OpcUaServer, Route
-from equipment.secured_server import SECURITY, secured, user_file
+from equipment.secured_server import PINNING, SECURITY, secured, user_file
 
 from fuzzycnc_ros.bridges import opcua_session
 from fuzzycnc_ros.nodes.parameters import ParameterError
@@ -257,6 +257,27 @@ def test_wrong_node_id_is_refused_before_any_connection(tmp_path):
     (device,) = read_devices(path)
     with pytest.raises(ParameterError, match="sensor T1: expected a node id but found 'ns=2;g=12"):
         opc_ua.check(device)
+
+
+def test_the_first_certificate_of_a_server_is_pinned_and_another_refused(field, poll, tmp_path):
+    server = field.add(OpcUaServer({'T1': 20.5}, secured(tmp_path)))
+    user_file(tmp_path)
+    more = f'credentials: user.yaml\n    {PINNING}'
+    poller = poll(OPC_UA, server, '{T1: ns=2;s=T1}', more=more)
+    assert wait(poller, good).readings == [20.5]
+    pin = tmp_path / f'opcua-127.0.0.1-{server.port}.pem'
+    assert pin.exists()
+    asked, other = [], tmp_path / 'other'
+    other.mkdir()
+    field.call(server.stop())
+    server._secure = secured(other, asked.append)
+    field.call(server.start())
+    changed = f'the server shows another certificate than {pin}; if it was given a new one'
+    assert wait(poller, lambda found: changed in found.trouble).readings is None
+    assert asked == []
+    # The new one is accepted without a restart.
+    pin.unlink()
+    assert wait(poller, good).readings == [20.5]
 
 
 @pytest.mark.slow

@@ -28,8 +28,17 @@ def certificate(folder: Path, name: str, uri: str, usage: Any) -> tuple[Path, Pa
     return made
 
 
-def secured(folder: Path) -> Callable[[Server], Any]:
-    """Make certificates of both sides; return what secures a server with them."""
+PINNING = SECURITY.replace(', server_certificate: control.der', '')
+"""The same without the certificate of the server."""
+
+
+def secured(
+    folder: Path, heard: Callable[[Any], Any] = lambda name: None
+) -> Callable[[Server], Any]:
+    """Make certificates of both sides; return what secures a server with them.
+
+    `heard` is told the name of everybody who sends a password.
+    """
     theirs = certificate(folder, 'control', 'urn:control', ExtendedKeyUsageOID.SERVER_AUTH)
     certificate(folder, 'own', 'urn:fuzzycnc:mill', ExtendedKeyUsageOID.CLIENT_AUTH)
 
@@ -40,7 +49,7 @@ def secured(folder: Path) -> Callable[[Server], Any]:
         await server.load_certificate(str(theirs[0]))
         await server.load_private_key(str(theirs[1]))
         server.set_identity_tokens([ua.UserNameIdentityToken])
-        server.iserver.user_manager = Users()
+        server.iserver.user_manager = Users(heard)
 
     return secure
 
@@ -56,8 +65,12 @@ def user_file(folder: Path, password: str = PASSWORD) -> Path:
 class Users:
     """One user may log in."""
 
+    def __init__(self, heard: Callable[[Any], Any]) -> None:
+        self._heard = heard
+
     def get_user(
         self, iserver: Any, username: Any = None, password: Any = None, certificate: Any = None
     ) -> User | None:
+        self._heard(username)
         allowed = (username, password) == ('joe', PASSWORD)
         return User(role=UserRole.User, name=username) if allowed else None

@@ -73,7 +73,7 @@ class AcquisitionTarget(CopiedTarget):
     """An acquisition that gets a reading of four sensors every 12 s."""
 
     component = 'temperature_acquisition'
-    inputs = ('sensor_readings', 'machine_state')
+    inputs = ('sensor_readings', 'machine_state', 'compensation_applied')
     step = 12 * SECOND
     start = 1200 * SECOND
     names = ('T1', 'T2', 'T3', 'T4')
@@ -92,6 +92,8 @@ class AcquisitionTarget(CopiedTarget):
         time = stamp / SECOND
         if name == 'machine_state':
             return replace(machine_state(time), stamp=stamp)
+        if name == 'compensation_applied':
+            return replace(applied(time, (2e-6, 0.0)), stamp=stamp)
         values = [20.0 + 0.1 * rng.random() + k for k in range(4)]
         return replace(readings(time, values), stamp=stamp)
 
