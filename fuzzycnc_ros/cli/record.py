@@ -21,7 +21,9 @@ from fuzzycnc_ros.cli.console import (
     write_json,
 )
 from fuzzycnc_ros.cli.graph_processes import GraphError
+from fuzzycnc_ros.cli.machine_names import machine_name
 from fuzzycnc_ros.nodes.ending import child_set_up
+from fuzzycnc_ros.nodes.environment import prepare_environment
 
 STOP_TIMEOUT = 30.0
 """Time [s] that the recorder gets to close its bag."""
@@ -57,9 +59,11 @@ def record(
         fuzzycnc record --out axes --topics '/(joint_states|tf)$' --duration 60
     """
     check_at_least('--duration', duration, 0.0)
+    machine = machine_name(machine) if machine.strip('/') else ''
     check_new(out)
     check_folder(json_file)
     check_ros('recording')
+    prepare_environment()
     code = _run_recorder(_arguments(out, machine, topics, lockstep), out, duration)
     if code == 0 and json_file is not None:
         write_json(json_file, _figures(out))
@@ -69,7 +73,7 @@ def record(
 
 def _arguments(out: Path, machine: str, topics: str, lockstep: bool) -> list[str]:
     parameters = {'output': str(out), 'topics': topics, 'lockstep': lockstep}
-    arguments = ['--ros-args', '-r', f'__ns:=/{machine.strip("/")}']
+    arguments = ['--ros-args', '-r', f'__ns:=/{machine}']
     for name, value in parameters.items():
         # JSON is YAML: a bag named 2024 stays a text.
         arguments += ['-p', f'{name}:={json.dumps(value)}']

@@ -9,11 +9,10 @@ from enum import Enum
 from typing import Protocol
 
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec, process_name
+from fuzzycnc_ros.nodes.ending import REFUSED
 
 TIME_SOURCES = ('simulated_machine', 'simulated_body', 'player')
 """Nodes that make machine time: a run is over when its one ends, and cannot be resumed."""
-REFUSED = 2
-"""What a node ends with that does not take its parameters."""
 
 Tell = Callable[[str], None]
 

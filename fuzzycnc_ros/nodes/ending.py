@@ -14,6 +14,8 @@ from fuzzycnc_ros.bags.uninterrupted import interrupt
 
 WISHES = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a process to end; the last one says that its terminal is gone."""
+REFUSED = 2
+"""What a node ends with that does not take its parameters: to start it again would be in vain."""
 ONE_WISH = 1.0
 """Wall time [s] within which signals are one wish: some senders signal a process and its group."""
 _PR_SET_PDEATHSIG = 1

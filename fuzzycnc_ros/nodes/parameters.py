@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS parameters from a component's configuration record, declared once."""
 
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from typing import Any
 
@@ -11,7 +14,9 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -20,6 +25,30 @@ from fuzzycnc_ros.core.config import Config
 
 class ParameterError(ValueError):
     """A parameter is unknown, of the wrong type or out of bounds; the text names it."""
+
+
+_ARGUMENT = re.compile(r"Couldn't parse ([^:]+): '(?:\S+ )?(.*)'\. Error: (.*?)(?:, at /|$)")
+"""What rcl says of an argument: its kind, the argument, what is wrong, where in its source."""
+
+
+@contextmanager
+def arguments_refused() -> Iterator[None]:
+    """Refuse ROS arguments and parameter files that rcl cannot read as wrong parameters."""
+    set_logger_level('rcl', LoggingSeverity.FATAL)  # it would say the same in many lines
+    try:
+        yield
+    except UnknownROSArgsError as error:
+        raise ParameterError(f'expected ROS arguments but found {error}') from error
+    except RCLError as error:
+        found = _ARGUMENT.search(str(error))
+        if found is None:
+            raise  # not a matter of arguments
+        kind, argument, reason = found.groups()
+        if kind == 'params file':
+            kind = 'a parameter file of ROS (YAML, see params/*.yaml)'
+        raise ParameterError(f'{argument}: expected {kind} but: {reason}') from error
+    finally:
+        set_logger_level('rcl', LoggingSeverity.UNSET)
 
 
 def declare(node: Node, *records: type[Config]) -> tuple[Config, ...]:

@@ -12,9 +12,9 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 
 from fuzzycnc_ros.bags.uninterrupted import uninterrupted
-from fuzzycnc_ros.nodes.ending import Wish, interruptible
+from fuzzycnc_ros.nodes.ending import REFUSED, Wish, interruptible
 from fuzzycnc_ros.nodes.environment import prepare_environment
-from fuzzycnc_ros.nodes.parameters import ParameterError
+from fuzzycnc_ros.nodes.parameters import ParameterError, arguments_refused
 
 
 class Served(Protocol):
@@ -48,7 +48,11 @@ def main(make: HostFactory, arguments: Sequence[str] | None = None) -> None:
 
 def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -> int:
     """Run several nodes in one process; return the exit code."""
-    prepare_environment()
+    try:
+        prepare_environment()
+    except ValueError as error:
+        print(f'error: {error}', file=sys.stderr)
+        return REFUSED
     try:
         with interruptible() as wish:
             return _spin(makers, arguments, wish)
@@ -63,7 +67,8 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
     executor: SingleThreadedExecutor | None = None
     try:
         with uninterrupted():  # what is half made could not be stopped
-            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+            with arguments_refused():
+                rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
             executor = SingleThreadedExecutor()
             for make in makers:
                 host = make()
@@ -85,7 +90,7 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
         return 0
     except ParameterError as error:
         print(f'error: {error}', file=sys.stderr)
-        return 2
+        return REFUSED
     finally:
         for host in reversed(hosts):
             host.stop()
