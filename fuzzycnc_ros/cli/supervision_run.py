@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bring graphs up in order, watch them until they are over or interrupted, take them down."""
 
+import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from fuzzycnc_ros.cli.graph_processes import GraphProcesses, NodeSpec, process_name
+from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec, process_name
 from fuzzycnc_ros.cli.supervision import TIME_SOURCES, State, Supervised, Supervisor
 from fuzzycnc_ros.cli.supervision_view import View
 
@@ -20,33 +21,86 @@ ACTIVE_TIMEOUT = 20.0
 GIVEN_UP = 1
 """Exit code where a node was given up."""
 
+RIVALS = (
+    frozenset(TIME_SOURCES),
+    frozenset({'simulated_machine', 'linuxcnc_bridge', 'opcua_bridge'}),
+)
+"""Nodes of which a machine has one: what makes its time, and what stands for it."""
+DECIDED = 4.0
+"""Wall time [s] after which who is in the graph but does not speak counts as dead."""
+SPOKE = 2.0
+"""Wall time [s] since its newest report for a node that is alive: it reports every second."""
+
 Plan = Sequence[tuple[NodeSpec, ...]]
 """Processes of one machine, each with one node or several composed ones."""
 
 
+def check_free(monitor: 'Monitor', plans: Mapping[str, Plan]) -> None:
+    """Refuse to start nodes beside others of the same name, or beside another machine.
+
+    Who is in the graph only may be dead: what was killed stays there for 20 s more.  So those
+    count that go on speaking.
+
+    Parameters
+    ----------
+    monitor : Monitor
+        Listens to these machines.
+    plans : mapping of str to Plan
+        What is to be started, by machine.
+
+    Raises
+    ------
+    GraphError
+        If somebody works there; the text names the nodes.
+    """
+    # Here, so that `fuzzycnc --help` works where ROS is not installed.
+    from fuzzycnc_ros.cli.operator import SETTLED
+
+    taken = {
+        (machine, name)
+        for machine, plan in plans.items()
+        for name in _in_the_way({spec.name for group in plan for spec in group})
+    }
+    monitor.spin_until(SETTLED)
+    while (present := monitor.present() & taken) and monitor.age < DECIDED:
+        monitor.spin()
+    now = time.monotonic()
+    speaking = sorted(key for key in present if now - monitor.view(*key).heard_at < SPOKE)
+    if speaking:
+        raise GraphError(
+            f'expected nobody at {", ".join(sorted({machine for machine, _ in speaking}))} but '
+            f'found {", ".join(f"/{machine}/{node}" for machine, node in speaking)} at work in '
+            f'ROS domain {os.environ.get("ROS_DOMAIN_ID") or 0}: end them, choose another '
+            '--machine or ROS_DOMAIN_ID, or add --takeover to run beside them'
+        )
+
+
+def _in_the_way(names: set[str]) -> set[str]:
+    """Return the nodes that cannot run beside some others; recorders disturb nobody."""
+    found = set(names)
+    for rivals in RIVALS:
+        if names & rivals:
+            found |= rivals
+    return found - {'recorder'}
+
+
 def supervise(
     console: Console,
+    monitor: 'Monitor',
     graphs: Sequence[GraphProcesses],
     plans: Sequence[Plan],
 ) -> dict[str, Any]:
     """Run the processes of some graphs until they are over or interrupted; return how it went."""
-    # Here, so that `fuzzycnc --help` works where ROS is not installed.
-    from fuzzycnc_ros.cli.supervision_monitor import Monitor
-
-    monitor = Monitor([graph.machine for graph in graphs])
-    try:
-        with View(console) as view:
-            supervisor = Supervisor(view.tell, monitor)
-            try:
-                _bring_up(supervisor, monitor, view, graphs, plans)
-                view.tell(f'all started: {_names(supervisor)}; Ctrl-C ends them')
-                while not supervisor.over:
-                    _watch(supervisor, monitor, view)
-            except KeyboardInterrupt:
-                view.tell('ending all nodes')
-            _end(graphs)
-    finally:
-        monitor.close()
+    with View(console) as view:
+        supervisor = Supervisor(view.tell, monitor)
+        try:
+            _bring_up(supervisor, monitor, view, graphs, plans)
+            view.tell(f'all started: {_names(supervisor)}; Ctrl-C ends them')
+            while not supervisor.over:
+                _watch(supervisor, monitor, view)
+        except KeyboardInterrupt:
+            view.tell('ending all nodes')
+        _end(graphs)
     document: dict[str, Any] = {
         'nodes': [spec.name for group in plans[0] for spec in group],
         'exit_code': GIVEN_UP if supervisor.given_up else 0,
