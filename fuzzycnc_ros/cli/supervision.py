@@ -67,6 +67,8 @@ class Supervised:
     ----------
     resume : set of str
         Managed nodes that are to become active when the process is started again.
+    ends : list of str
+        Why it ended each time that nobody had asked it to.
     begun : list of float
         When it was started anew [s of wall time], as far back as that counts.
     restarts : int
@@ -77,6 +79,7 @@ class Supervised:
     specs: tuple[NodeSpec, ...]
     resume: set[str]
     state: State = State.RUNNING
+    ends: list[str] = field(default_factory=list)
     begun: list[float] = field(default_factory=list)
     restarts: int = 0
     start_at: float = 0.0
@@ -174,6 +177,7 @@ class Supervisor:
     def _ended(self, process: Supervised, code: int, now: float) -> None:
         words = process.graph.last_words(process.name)
         process.reason = _cause(code) if code <= 0 else f'{_cause(code)}: {words}'
+        process.ends.append(process.reason)
         if process.makes_time:
             if code:
                 raise GraphError(f'{process.title} {process.reason}')

@@ -5,11 +5,13 @@
 import os
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec, process_name
+from fuzzycnc_ros.cli.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.supervision import TIME_SOURCES, State, Supervised, Supervisor
 from fuzzycnc_ros.cli.supervision_view import View
 
@@ -101,11 +103,15 @@ def supervise(
         except KeyboardInterrupt:
             view.tell('ending all nodes')
         _end(graphs)
+        lacking = _lacking(supervisor)
+        for text in lacking:
+            view.tell(f'error: {text}')
     document: dict[str, Any] = {
         'nodes': [spec.name for group in plans[0] for spec in group],
-        'exit_code': GIVEN_UP if supervisor.given_up else 0,
+        'exit_code': GIVEN_UP if supervisor.given_up else LACKING if lacking else 0,
         'restarts': supervisor.restarts,
         'given_up': supervisor.given_up,
+        'lacking': lacking,
     }
     told = {
         graph.machine: _outcome(graph, plan) for graph, plan in zip(graphs, plans, strict=True)
@@ -177,6 +183,33 @@ def _end(graphs: Sequence[GraphProcesses]) -> None:
         ]
         for graph, names in asked:
             graph.wait_ended(names)
+
+
+def _lacking(supervisor: Supervisor) -> list[str]:
+    """Return in words what the recordings of a run lack."""
+    found = []
+    for process in supervisor.processes:
+        if not any(spec.name == 'recorder' for spec in process.specs):
+            continue
+        code = process.graph.poll().get(process.name)
+        reasons = list(process.ends)
+        if code and process.state is State.RUNNING:  # it was asked to end, and failed
+            reasons.append(f'ended with code {code}: {process.graph.last_words(process.name)}')
+        if reasons:
+            found.append(f'{process.title} {reasons[0]}: the recording lacks what came then')
+        found += _losses(process)
+    return found
+
+
+def _losses(process: Supervised) -> list[str]:
+    """Return what the newest bag of a recorder says that it lacks."""
+    from fuzzycnc_ros.bags.errors import BagError
+
+    bags = [spec.parameters['output'] for spec in process.specs if spec.name == 'recorder']
+    try:
+        return [text for text in (loss(Path(str(bag))) for bag in bags) if text]
+    except BagError:
+        return []  # torn or not begun; why was said above
 
 
 def _names(supervisor: Supervisor) -> str:

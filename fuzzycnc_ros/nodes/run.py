@@ -65,6 +65,7 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
     hosts: list[Served] = []
     # The multi-threaded and the events executor stalled or hung in trials on Jazzy.
     executor: SingleThreadedExecutor | None = None
+    refused = 0
     try:
         with uninterrupted():  # what is half made could not be stopped
             with arguments_refused():
@@ -79,21 +80,21 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
             install_signal_handlers(SignalHandlerOptions.ALL)
         while rclpy.ok() and not any(host.done for host in hosts):
             executor.spin_once()
-        return max((host.exit_code for host in hosts), default=0)
     except (KeyboardInterrupt, ExternalShutdownException):
-        return 0
+        pass  # the wish is carried out below
     except RuntimeError:
         # A signal that arrives while the executor builds its wait set, or a message is made of
         # what was received, ends up here.
         if not wish.number:
             raise
-        return 0
     except ParameterError as error:
         print(f'error: {error}', file=sys.stderr)
-        return REFUSED
+        refused = REFUSED
     finally:
         for host in reversed(hosts):
             host.stop()
         if executor is not None:
             executor.shutdown()
         rclpy.try_shutdown()
+    # Only now: what a node holds may fail to be written to its end.
+    return max([refused, *(host.exit_code for host in hosts)])
