@@ -48,9 +48,9 @@ def fill_disk(pid, size):
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (size, hard))
 
 
-def up(command, bag, folder):
+def up(command, bag, folder, rate=600):
     return command(
-        *('up', '--simulate', 'T2', '--rate', '600', '--nodes', NODES),
+        *('up', '--simulate', 'T2', '--rate', rate, '--nodes', NODES),
         *('--record', bag, '--json', folder / 'outcome.json'),
     )
 
@@ -127,8 +127,9 @@ def test_samples_that_are_lost(command, observer, tmp_path):
 
 
 def test_a_whole_recording_is_a_success(command, observer, tmp_path):
-    states = observer.records('machine_state', MachineState)
-    running = up(command, tmp_path / 'bag', tmp_path)
-    observer.until(lambda: len(states) > 100, 'the machine runs')
+    """So slow that a busy computer loses nothing either."""
+    samples = observer.records('temperatures', Temperatures)
+    running = up(command, tmp_path / 'bag', tmp_path, rate=60)
+    observer.until(lambda: len(samples) > 4, 'temperatures come')
     assert running.interrupt(signal.SIGTERM) == 0, running.output
     assert json.loads((tmp_path / 'outcome.json').read_text())['lacking'] == []
