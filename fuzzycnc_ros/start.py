@@ -13,7 +13,7 @@ from importlib import import_module
 from types import FrameType
 
 COMMAND = 'fuzzycnc'
-_CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
+_CODES = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 
 
 def __getattr__(name: str) -> Callable[[], None]:
@@ -35,7 +35,8 @@ def __getattr__(name: str) -> Callable[[], None]:
             os._exit(_CODES[signal.Signals(number)] if name == COMMAND else 0)
 
         for number in _CODES:
-            signal.signal(number, end)
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # `nohup`
+                signal.signal(number, end)
         module = 'fuzzycnc_ros.cli.main' if name == COMMAND else f'fuzzycnc_ros.nodes.{name}'
         import_module(module).main()
 

@@ -5,9 +5,9 @@
 import json
 import threading
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fuzzycnc_ros.bags.errors import BagError, BagTopicError, BagTypeError
 from fuzzycnc_ros.bags.metadata import Profiles, Qos
@@ -283,8 +283,13 @@ class RecordingThread:
         if self._error is not None:
             raise self._error
 
-    def close(self) -> Progress:
+    def close(self, facts: Mapping[str, Any] | None = None) -> Progress:
         """Write what is queued, put the counts into the bag, and close it.
+
+        Parameters
+        ----------
+        facts : mapping, optional
+            What else the bag is to say of its recording.
 
         Returns
         -------
@@ -305,13 +310,16 @@ class RecordingThread:
             self._closed = True
             with self._writing:
                 if self._error is None:
-                    self._writer.attach(REPORT_NAME, self._report(progress), 'application/json')
+                    self._writer.attach(
+                        REPORT_NAME, self._report(progress, facts or {}), 'application/json'
+                    )
                 self._writer.close()
         self.check()
         return progress
 
-    def _report(self, progress: Progress) -> str:
+    def _report(self, progress: Progress, facts: Mapping[str, Any]) -> str:
         content = {
+            **facts,
             'topics': {name: vars(topic) for name, topic in progress.topics.items()},
             'unknown_types': self._unknown_types,
         }

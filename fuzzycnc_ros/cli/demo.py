@@ -13,7 +13,7 @@ from fuzzycnc_ros.cli.demo_contour import contour_demo
 from fuzzycnc_ros.cli.demo_linuxcnc import linuxcnc_demo
 from fuzzycnc_ros.cli.demo_pattern import pattern_demo
 from fuzzycnc_ros.cli.demo_shift import shift_demo
-from fuzzycnc_ros.cli.demo_steps import renew
+from fuzzycnc_ros.cli.demo_steps import renewed
 from fuzzycnc_ros.cli.demo_thermal import thermal_demo
 from fuzzycnc_ros.cli.graph_processes import GraphError
 from fuzzycnc_ros.cli.program_files import program_lines
@@ -87,11 +87,11 @@ def demo(
     text = _checked_program(program) if program is not None else ''
     console = Terminal()
     console.print(BANNER, style='yellow')
-    renew(out)
-    if scenario is Scenario.shift:
-        shift_demo(console, out, seed, text)
-    else:
-        _RUN[scenario](console, out, seed)
+    with renewed(out):
+        if scenario is Scenario.shift:
+            shift_demo(console, out, seed, text)
+        else:
+            _RUN[scenario](console, out, seed)
 
 
 def _checked_program(path: Path) -> str:

@@ -5,6 +5,7 @@
 import contextlib
 import json
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import typer
 from rich.console import Console
 
 from fuzzycnc_ros.bridges.linuxcnc import LinuxcncError
@@ -20,6 +22,7 @@ from fuzzycnc_ros.cli.demo_steps import RUN_TIMEOUT, Steps, print_files, progres
 from fuzzycnc_ros.cli.free_domain import own_domain
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
 from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation, exclusive
+from fuzzycnc_ros.cli.recording_loss import LACKING, loss
 
 MACHINE = 'mill'
 DUTY = 'T2'
@@ -87,6 +90,10 @@ def linuxcnc_demo(console: Console, out: Path, seed: int, rate: float = RATE) ->
         f'{result.wall_s:.0f} s in all'
     )
     print_files(console, out)
+    lacking = loss(out / 'bag')
+    if lacking:
+        print(f'error: {lacking}', file=sys.stderr)
+        raise typer.Exit(LACKING)
     if not result.program_ran:
         raise GraphError('the part program did not run to the end of the duty; see the report')
 

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the scenarios of `fuzzycnc demo` share: their folder, their steps, their closing lines."""
 
+import fcntl
 import json
+import os
 import shutil
 import time
 from collections.abc import Iterator, Sequence
@@ -24,13 +26,14 @@ ANSWER_TIMEOUT = 10.0
 """Wall time [s] after which a silent node of a live run is lost: a busy host is no fault."""
 
 
-def renew(out: Path) -> None:
-    """Empty a demo's folder, but nothing that is not a demo's.
+@contextmanager
+def renewed(out: Path) -> Iterator[None]:
+    """Empty a demo's folder, but nothing that is not a demo's, and hold it against other demos.
 
     Raises
     ------
     GraphError
-        If something else lies there.
+        If something else lies there, or another demo writes there.
     """
     known = {
         'summary.json',
@@ -41,16 +44,31 @@ def renew(out: Path) -> None:
         'quilt',
         'alone',
         'foam.json',
+        'foam_trained.json',
+        'trained',
         'calibration',
         'log',
         'latency',
     }
-    if out.exists():
-        strange = sorted(item.name for item in out.iterdir() if item.name not in known)
+    out.mkdir(parents=True, exist_ok=True)
+    # The lock is on the folder itself: nothing of it is left, however this process ends.
+    folder = os.open(out, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise GraphError(
+                f'--out {out}: another demo is writing there; wait for it or name another folder'
+            ) from error
+        found = sorted(out.iterdir())
+        strange = [item.name for item in found if item.name not in known]
         if strange:
             raise GraphError(f'--out {out}: expected an empty folder but found {strange[0]}')
-        shutil.rmtree(out)
-    out.mkdir(parents=True)
+        for item in found:
+            shutil.rmtree(item) if item.is_dir() and not item.is_symlink() else item.unlink()
+        yield
+    finally:
+        os.close(folder)
 
 
 @contextmanager

@@ -124,6 +124,13 @@ class GraphProcesses:
         if self._temporary is not None:
             self._temporary.cleanup()
 
+    def arguments(self, *specs: NodeSpec) -> list[str]:
+        """Write the parameters of a process; return its ROS arguments."""
+        folder = self.folder / process_name(specs)
+        folder.mkdir(exist_ok=True)
+        own = parameter_file(folder, self._namespace, specs)
+        return ros_arguments(self._namespace, [*self._params, own]) + self._remap
+
     def start(self, *specs: NodeSpec) -> None:
         """Start one node, or several composed in one process.
 
@@ -131,13 +138,10 @@ class GraphProcesses:
         again adds to it.
         """
         name = process_name(specs)
-        folder = self.folder / name
-        folder.mkdir(exist_ok=True)
-        own = parameter_file(folder, self._namespace, specs)
         command = [sys.executable, '-m', f'fuzzycnc_ros.nodes.{name}']
         if name == COMPOSED:
             command += [spec.name for spec in specs]
-        command += ros_arguments(self._namespace, [*self._params, own]) + self._remap
+        command += self.arguments(*specs)
         self._asked.discard(name)
         with self.log(name).open('ab' if name in self._processes else 'wb') as log:
             self._processes[name] = subprocess.Popen(

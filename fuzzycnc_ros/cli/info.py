@@ -2,9 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc info`: what is in a bag, what is wrong with it, and its repair."""
 
-import json
 from collections import Counter
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -19,11 +17,11 @@ from fuzzycnc_ros.cli.console import (
     show,
     write_json,
 )
+from fuzzycnc_ros.cli.recording_loss import holes, lost_messages
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.bags.reader import BagReader
     from fuzzycnc_ros.bags.repair import RepairReport
-    from fuzzycnc_ros.bags.storage import Attachment
 
 
 def info(
@@ -113,9 +111,11 @@ def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
     attachments = reader.attachments()
     for name, item in attachments.items():
         say(f'attachment {name}: {len(item.data)} bytes, {item.media_type}')
-    lost = _lost_while_recording(attachments)
+    lost, holed = lost_messages(attachments), holes(attachments)
     for topic, count in lost.items():
         say(f'lost while recording: {count} messages of {topic}')
+    for topic, text in holed.items():
+        say(f'holes while recording: {topic} has {text}')
     for problem in reader.problems:
         say(f'problem: {problem}')
     return {
@@ -130,24 +130,9 @@ def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
         },
         'attachments': {name: len(item.data) for name, item in attachments.items()},
         'lost_while_recording': lost,
+        'holes_while_recording': holed,
         'problems': reader.problems,
     }
-
-
-def _lost_while_recording(attachments: 'Mapping[str, Attachment]') -> dict[str, int]:
-    """Return what the recorder counted as lost, by topic."""
-    from fuzzycnc_ros.bags.recorder import REPORT_NAME
-
-    if REPORT_NAME not in attachments:
-        return {}
-    try:
-        topics = json.loads(attachments[REPORT_NAME].data)['topics']
-        lost = {str(name): int(item['missing'] + item['dropped']) for name, item in topics.items()}
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
-        raise ValueError(
-            f'{REPORT_NAME}: expected what the recorder counted but found {error!r}'
-        ) from error
-    return {name: count for name, count in lost.items() if count}
 
 
 def _latched(profiles: list[dict[str, Any]]) -> bool:

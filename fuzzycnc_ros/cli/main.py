@@ -3,10 +3,10 @@
 """Entry point of the command `fuzzycnc`: its subcommands, and what becomes of their errors."""
 
 import inspect
-import signal
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -14,6 +14,7 @@ import typer
 from typer.core import TyperGroup
 
 from fuzzycnc_ros import __version__
+from fuzzycnc_ros.cli.background_output import background_output
 from fuzzycnc_ros.cli.compare import compare
 from fuzzycnc_ros.cli.curve import curve
 from fuzzycnc_ros.cli.demo import demo
@@ -80,9 +81,9 @@ Patterns on soft material, straightened beforehand:
 
 EPILOG = (
     'Exit codes: 0 done; 1 done, and something differs; 2 refused, with one line on standard '
-    'error; 130 interrupted, 143 if by SIGTERM. --debug, anywhere on the line, shows the '
-    'traceback of an error. Not a safety function: e-stop, limit switches and drive limits stay '
-    'in hardware.'
+    'error; 130 interrupted, 143 if by SIGTERM, 129 if by SIGHUP. --debug, anywhere on the line, '
+    'shows the traceback of an error. Not a safety function: e-stop, limit switches and drive '
+    'limits stay in hardware.'
 )
 
 
@@ -118,7 +119,12 @@ COMMANDS: dict[str, Callable[..., Any] | CommandGroup] = {
 }
 """The subcommands in the order of the help; each one's docstring is its manual."""
 
-INTERRUPTED, TERMINATED = 130, 143
+WATCHING = ('demo', 'up', 'faults', 'record', 'soak')
+"""Commands that watch over nodes, and so must never wait for the reader of their output."""
+
+INTERRUPTED = 130
+ENDED_BY = 128
+"""A command that a signal has ended ends with this and the number of the signal."""
 
 # What the command line itself refuses; typer keeps the classes in different places.
 _Refusal: type[Exception] = next(
@@ -208,10 +214,12 @@ def run(arguments: Sequence[str]) -> int:
 
 def main() -> None:
     """Run the command line of this process."""
-    with interruptible() as wish:
+    words, _ = _without_debug(sys.argv[1:])
+    watching = bool(words) and words[0] in WATCHING
+    with interruptible() as wish, background_output() if watching else nullcontext():
         code = run(sys.argv[1:])
-    if code == INTERRUPTED and wish.number == signal.SIGTERM:
-        code = TERMINATED
+    if code == INTERRUPTED and wish.number:
+        code = ENDED_BY + wish.number
     sys.exit(code)
 
 

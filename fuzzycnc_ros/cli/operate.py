@@ -12,6 +12,7 @@ import typer
 
 from fuzzycnc_ros.cli.console import JsonFile, check_ros, say, show, words, write_json
 from fuzzycnc_ros.cli.graph_processes import GraphError
+from fuzzycnc_ros.cli.machine_names import machine_name
 from fuzzycnc_ros.cli.options import node_parameters
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 
@@ -53,6 +54,7 @@ def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
     from fuzzycnc_ros.cli.supervision_monitor import Monitor
     from fuzzycnc_ros.report import Column, Table
 
+    machine = machine_name(machine)
     monitor = Monitor([machine])
     try:
         monitor.spin(LISTENING)
@@ -277,6 +279,8 @@ def _operator(machine: str, node: str, *, managed: bool = True) -> 'Operator':
     names = [name for name, item in COMPONENTS.items() if item.MANAGED or not managed]
     if node not in names:
         raise ValueError(f'expected a node of {", ".join(names)} but found {node!r}')
+
+    machine = machine_name(machine)
 
     def alive() -> None:
         if time.monotonic() - began > PATIENCE / 2 and node not in seen():

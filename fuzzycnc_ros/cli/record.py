@@ -21,7 +21,10 @@ from fuzzycnc_ros.cli.console import (
     write_json,
 )
 from fuzzycnc_ros.cli.graph_processes import GraphError
+from fuzzycnc_ros.cli.machine_names import machine_name
+from fuzzycnc_ros.cli.recording_loss import LACKING, loss
 from fuzzycnc_ros.nodes.ending import child_set_up
+from fuzzycnc_ros.nodes.environment import prepare_environment
 
 STOP_TIMEOUT = 30.0
 """Time [s] that the recorder gets to close its bag."""
@@ -50,26 +53,34 @@ def record(
     """Record the topics of a live machine, undecoded, until Ctrl-C.
 
     The bag is one that `ros2 bag info` and `ros2 bag play` read. Topics are taken up as they
-    appear. Lost messages are counted and written into the bag; if this process is killed, at most
-    the last second is lost, and `fuzzycnc info BAG --repair` makes the bag whole.
+    appear. Lost messages and holes in samples are counted, written into the bag, and end the
+    command with code 1; if this process is killed, at most the last second is lost, and
+    `fuzzycnc info BAG --repair` makes the bag whole.
 
         fuzzycnc record --machine mill_1 --out monday
         fuzzycnc record --out axes --topics '/(joint_states|tf)$' --duration 60
     """
     check_at_least('--duration', duration, 0.0)
+    machine = machine_name(machine) if machine.strip('/') else ''
     check_new(out)
     check_folder(json_file)
     check_ros('recording')
+    prepare_environment()
     code = _run_recorder(_arguments(out, machine, topics, lockstep), out, duration)
     if code == 0 and json_file is not None:
         write_json(json_file, _figures(out))
+    if code == 0:
+        lacking = loss(out)
+        if lacking:
+            print(f'error: {lacking}', file=sys.stderr)
+            code = LACKING
     if code:
         raise typer.Exit(code)
 
 
 def _arguments(out: Path, machine: str, topics: str, lockstep: bool) -> list[str]:
     parameters = {'output': str(out), 'topics': topics, 'lockstep': lockstep}
-    arguments = ['--ros-args', '-r', f'__ns:=/{machine.strip("/")}']
+    arguments = ['--ros-args', '-r', f'__ns:=/{machine}']
     for name, value in parameters.items():
         # JSON is YAML: a bag named 2024 stays a text.
         arguments += ['-p', f'{name}:={json.dumps(value)}']

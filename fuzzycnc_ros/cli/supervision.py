@@ -9,11 +9,10 @@ from enum import Enum
 from typing import Protocol
 
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec, process_name
+from fuzzycnc_ros.nodes.ending import REFUSED
 
 TIME_SOURCES = ('simulated_machine', 'simulated_body', 'player')
 """Nodes that make machine time: a run is over when its one ends, and cannot be resumed."""
-REFUSED = 2
-"""What a node ends with that does not take its parameters."""
 
 Tell = Callable[[str], None]
 
@@ -68,6 +67,8 @@ class Supervised:
     ----------
     resume : set of str
         Managed nodes that are to become active when the process is started again.
+    ends : list of str
+        Why it ended each time that nobody had asked it to.
     begun : list of float
         When it was started anew [s of wall time], as far back as that counts.
     restarts : int
@@ -78,6 +79,7 @@ class Supervised:
     specs: tuple[NodeSpec, ...]
     resume: set[str]
     state: State = State.RUNNING
+    ends: list[str] = field(default_factory=list)
     begun: list[float] = field(default_factory=list)
     restarts: int = 0
     start_at: float = 0.0
@@ -175,6 +177,7 @@ class Supervisor:
     def _ended(self, process: Supervised, code: int, now: float) -> None:
         words = process.graph.last_words(process.name)
         process.reason = _cause(code) if code <= 0 else f'{_cause(code)}: {words}'
+        process.ends.append(process.reason)
         if process.makes_time:
             if code:
                 raise GraphError(f'{process.title} {process.reason}')

@@ -57,6 +57,7 @@ class Monitor:
 
     def __init__(self, machines: Sequence[str]) -> None:
         self.views: dict[tuple[str, str], NodeView] = {}
+        self._began = time.monotonic()
         self._operator = Operator('')
         node = self._operator.node
         node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 1000)
@@ -81,6 +82,20 @@ class Monitor:
     def spin(self, duration: float = _SPIN) -> None:
         """Listen for some wall time [s]."""
         self._operator.pause(duration)
+
+    @property
+    def age(self) -> float:
+        """Wall time [s] since it began to listen."""
+        return time.monotonic() - self._began
+
+    def spin_until(self, age: float) -> None:
+        """Listen until it is so old [s]."""
+        self.spin(age - self.age)
+
+    def present(self) -> set[tuple[str, str]]:
+        """Return machines and nodes that are in the graph, or died in it a while ago."""
+        found = self._operator.node.get_node_names_and_namespaces()
+        return {(where.strip('/'), name) for name, where in found}
 
     def view(self, machine: str, node: str) -> NodeView:
         """Return what a node says of itself."""

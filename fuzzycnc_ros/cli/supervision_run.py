@@ -2,13 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bring graphs up in order, watch them until they are over or interrupted, take them down."""
 
+import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from fuzzycnc_ros.cli.graph_processes import GraphProcesses, NodeSpec, process_name
+from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec, process_name
+from fuzzycnc_ros.cli.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.supervision import TIME_SOURCES, State, Supervised, Supervisor
 from fuzzycnc_ros.cli.supervision_view import View
 
@@ -20,38 +23,95 @@ ACTIVE_TIMEOUT = 20.0
 GIVEN_UP = 1
 """Exit code where a node was given up."""
 
+RIVALS = (
+    frozenset(TIME_SOURCES),
+    frozenset({'simulated_machine', 'linuxcnc_bridge', 'opcua_bridge'}),
+)
+"""Nodes of which a machine has one: what makes its time, and what stands for it."""
+DECIDED = 4.0
+"""Wall time [s] after which who is in the graph but does not speak counts as dead."""
+SPOKE = 2.0
+"""Wall time [s] since its newest report for a node that is alive: it reports every second."""
+
 Plan = Sequence[tuple[NodeSpec, ...]]
 """Processes of one machine, each with one node or several composed ones."""
 
 
+def check_free(monitor: 'Monitor', plans: Mapping[str, Plan]) -> None:
+    """Refuse to start nodes beside others of the same name, or beside another machine.
+
+    Who is in the graph only may be dead: what was killed stays there for 20 s more.  So those
+    count that go on speaking.
+
+    Parameters
+    ----------
+    monitor : Monitor
+        Listens to these machines.
+    plans : mapping of str to Plan
+        What is to be started, by machine.
+
+    Raises
+    ------
+    GraphError
+        If somebody works there; the text names the nodes.
+    """
+    # Here, so that `fuzzycnc --help` works where ROS is not installed.
+    from fuzzycnc_ros.cli.operator import SETTLED
+
+    taken = {
+        (machine, name)
+        for machine, plan in plans.items()
+        for name in _in_the_way({spec.name for group in plan for spec in group})
+    }
+    monitor.spin_until(SETTLED)
+    while (present := monitor.present() & taken) and monitor.age < DECIDED:
+        monitor.spin()
+    now = time.monotonic()
+    speaking = sorted(key for key in present if now - monitor.view(*key).heard_at < SPOKE)
+    if speaking:
+        raise GraphError(
+            f'expected nobody at {", ".join(sorted({machine for machine, _ in speaking}))} but '
+            f'found {", ".join(f"/{machine}/{node}" for machine, node in speaking)} at work in '
+            f'ROS domain {os.environ.get("ROS_DOMAIN_ID") or 0}: end them, choose another '
+            '--machine or ROS_DOMAIN_ID, or add --takeover to run beside them'
+        )
+
+
+def _in_the_way(names: set[str]) -> set[str]:
+    """Return the nodes that cannot run beside some others; recorders disturb nobody."""
+    found = set(names)
+    for rivals in RIVALS:
+        if names & rivals:
+            found |= rivals
+    return found - {'recorder'}
+
+
 def supervise(
     console: Console,
+    monitor: 'Monitor',
     graphs: Sequence[GraphProcesses],
     plans: Sequence[Plan],
 ) -> dict[str, Any]:
     """Run the processes of some graphs until they are over or interrupted; return how it went."""
-    # Here, so that `fuzzycnc --help` works where ROS is not installed.
-    from fuzzycnc_ros.cli.supervision_monitor import Monitor
-
-    monitor = Monitor([graph.machine for graph in graphs])
-    try:
-        with View(console) as view:
-            supervisor = Supervisor(view.tell, monitor)
-            try:
-                _bring_up(supervisor, monitor, view, graphs, plans)
-                view.tell(f'all started: {_names(supervisor)}; Ctrl-C ends them')
-                while not supervisor.over:
-                    _watch(supervisor, monitor, view)
-            except KeyboardInterrupt:
-                view.tell('ending all nodes')
-            _end(graphs)
-    finally:
-        monitor.close()
+    with View(console) as view:
+        supervisor = Supervisor(view.tell, monitor)
+        try:
+            _bring_up(supervisor, monitor, view, graphs, plans)
+            view.tell(f'all started: {_names(supervisor)}; Ctrl-C ends them')
+            while not supervisor.over:
+                _watch(supervisor, monitor, view)
+        except KeyboardInterrupt:
+            view.tell('ending all nodes')
+        _end(graphs)
+        lacking = _lacking(supervisor)
+        for text in lacking:
+            view.tell(f'error: {text}')
     document: dict[str, Any] = {
         'nodes': [spec.name for group in plans[0] for spec in group],
-        'exit_code': GIVEN_UP if supervisor.given_up else 0,
+        'exit_code': GIVEN_UP if supervisor.given_up else LACKING if lacking else 0,
         'restarts': supervisor.restarts,
         'given_up': supervisor.given_up,
+        'lacking': lacking,
     }
     told = {
         graph.machine: _outcome(graph, plan) for graph, plan in zip(graphs, plans, strict=True)
@@ -123,6 +183,33 @@ def _end(graphs: Sequence[GraphProcesses]) -> None:
         ]
         for graph, names in asked:
             graph.wait_ended(names)
+
+
+def _lacking(supervisor: Supervisor) -> list[str]:
+    """Return in words what the recordings of a run lack."""
+    found = []
+    for process in supervisor.processes:
+        if not any(spec.name == 'recorder' for spec in process.specs):
+            continue
+        code = process.graph.poll().get(process.name)
+        reasons = list(process.ends)
+        if code and process.state is State.RUNNING:  # it was asked to end, and failed
+            reasons.append(f'ended with code {code}: {process.graph.last_words(process.name)}')
+        if reasons:
+            found.append(f'{process.title} {reasons[0]}: the recording lacks what came then')
+        found += _losses(process)
+    return found
+
+
+def _losses(process: Supervised) -> list[str]:
+    """Return what the newest bag of a recorder says that it lacks."""
+    from fuzzycnc_ros.bags.errors import BagError
+
+    bags = [spec.parameters['output'] for spec in process.specs if spec.name == 'recorder']
+    try:
+        return [text for text in (loss(Path(str(bag))) for bag in bags) if text]
+    except BagError:
+        return []  # torn or not begun; why was said above
 
 
 def _names(supervisor: Supervisor) -> str:

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from fuzzycnc_ros.cli.background_output import BackgroundOutput
 from fuzzycnc_ros.cli.supervision import State, Supervised
 from fuzzycnc_ros.components.component import Level
 from fuzzycnc_ros.core.visible import visible
@@ -101,12 +102,18 @@ class View:
         """Write a line; above the table if there is one."""
         self._console.print(text, highlight=False, soft_wrap=True)
 
+    @property
+    def _behind(self) -> bool:
+        """Whether the reader has not taken the last table yet: it then waits for a newer one."""
+        file = self._console.file
+        return isinstance(file, BackgroundOutput) and file.behind
+
     def update(self, processes: Sequence[Supervised], monitor: 'Monitor') -> None:
         """Show how all is now."""
         now = time.monotonic()
         if self._live is None:
             self._tell_changes(processes, monitor)
-        elif now - self._drawn_at > 1.0 / REFRESH:
+        elif now - self._drawn_at > 1.0 / REFRESH and not self._behind:
             self._drawn_at = now
             self._live.update(table(processes, monitor, now), refresh=True)
 

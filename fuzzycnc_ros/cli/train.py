@@ -30,10 +30,11 @@ from fuzzycnc_ros.cli.options import (
     Start,
     names_of,
 )
+from fuzzycnc_ros.cli.recording_loss import hole_text
 from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, STANDARD
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.thermal import ThermalModel
+    from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun
     from fuzzycnc_ros.report import Table
 
 
@@ -110,6 +111,10 @@ def train(
         )
     text = trained.to_json()
     write_text(out, text)
+    holed = {run.name: hole_words(run) for run in runs}
+    for name, found in holed.items():
+        if found:
+            say(f'{name}: {found}, filled by straight lines; record it anew for a better model')
     say(f'trained on {", ".join(trained.runs)}, a sample every {trained.interval:g} s')
     say(f'sensors: {", ".join(trained.inputs)}')
     if trained.selection.dropped:
@@ -120,7 +125,21 @@ def train(
     say(f'in use: {default_text(trained)}')
     say(f'spindle speed: {speed_text(trained)}')
     say(f'{out}: written, hash {trained.hash[:16]}')
-    write_json(json_file, _document(trained, out, trained.hash))
+    write_json(json_file, {**_document(trained, out, trained.hash), 'holes': holed})
+
+
+def hole_words(run: 'ThermalRun') -> str:
+    """Return how many holes the temperatures of a run have, and the longest; empty if none."""
+    from fuzzycnc_ros.bags.holes import HoleCounter
+
+    counter = HoleCounter()
+    for time in run.time:
+        counter.update(round(1e9 * time))
+    if not counter.holes:
+        return ''
+    longest = max(counter.holes, key=lambda hole: hole.stop - hole.start)
+    length = 1e-9 * (longest.stop - longest.start)
+    return hole_text(len(counter.holes), length, 1e-9 * longest.start)
 
 
 def candidate_table(model: 'ThermalModel') -> 'Table':

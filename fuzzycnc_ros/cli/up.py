@@ -4,15 +4,16 @@
 
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
 import typer
 
-from fuzzycnc_ros.cli.console import check_folder, words, write_json
+from fuzzycnc_ros.cli.console import check_folder, check_ros, words, write_json
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
-from fuzzycnc_ros.cli.supervision_run import supervise
+from fuzzycnc_ros.cli.machine_names import machine_name
+from fuzzycnc_ros.cli.supervision_run import check_free, supervise
 from fuzzycnc_ros.cli.terminal import Terminal
 from fuzzycnc_ros.nodes.environment import open_to_network
 
@@ -176,6 +177,10 @@ def up(
     network: Annotated[
         bool, typer.Option(help='Let other hosts of the network find the graph.')
     ] = False,
+    takeover: Annotated[
+        bool,
+        typer.Option('--takeover', help='Start even where nodes of these names are at work.'),
+    ] = False,
     json_file: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option('--json', help='Write how the run ended to this file.'),
@@ -205,14 +210,22 @@ def up(
     chosen = words([nodes]) or THERMAL
     if lockstep and not duties and MACHINE not in chosen:
         raise GraphError('--lockstep needs a simulated machine; add --simulate T2')
-    machines = tuple(dict.fromkeys(name.strip('/') for name in words([machine])))
+    machines = tuple(dict.fromkeys(machine_name(name) for name in words([machine])))
     if not machines:
         raise GraphError('--machine: expected a name but found none')
+    check_ros('up')
     if network:
         open_to_network()
+    # Here, so that `fuzzycnc --help` works where ROS is not installed.
+    from fuzzycnc_ros.cli.parameter_check import check_files, check_parameters
+    from fuzzycnc_ros.cli.supervision_monitor import Monitor
+
     files = _parameter_files(params)
+    check_files(files)
     started = time.monotonic()
     with ExitStack() as stack:
+        # It listens while the parameters are checked.
+        monitor = stack.enter_context(closing(Monitor(machines)))
         graphs = []
         plans = []
         bags = []
@@ -223,7 +236,7 @@ def up(
             graphs.append(graph)
             bag = record
             if bag is not None and len(machines) > 1:
-                bag = bag.with_name(f'{bag.name}_{name}')
+                bag = bag.with_name(f'{bag.name}_{name.replace("/", "_")}')
             bags += [str(bag)] if bag is not None else []
             specs = node_specs(
                 nodes=chosen,
@@ -237,8 +250,11 @@ def up(
                 machine_parameters={'rate': rate} if duties else None,
             )
             plans.append([tuple(specs)] if compose else [(spec,) for spec in specs])
+        check_parameters(graphs, plans)
+        if not takeover:
+            check_free(monitor, dict(zip(machines, plans, strict=True)))
         console.print(BANNER, style='yellow', soft_wrap=True)
-        outcome = supervise(console, graphs, plans)
+        outcome = supervise(console, monitor, graphs, plans)
     outcome['wall_s'] = round(time.monotonic() - started, 3)
     console.print(
         f'ended after {outcome["wall_s"]:.0f} s'

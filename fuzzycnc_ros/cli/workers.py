@@ -242,9 +242,10 @@ def _environment(variables: dict[str, str]) -> Iterator[None]:
 def _interrupts_held() -> Iterator[None]:
     """Hold Ctrl-C back for a while; what is started meanwhile never gets one.
 
-    A terminal sends it to the workers too, and each would print its traceback.
+    A terminal sends it to the workers too, and each would print its traceback.  So it does with
+    its own end.
     """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
     finally:

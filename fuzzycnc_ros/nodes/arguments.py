@@ -4,8 +4,8 @@
 
 import re
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -32,22 +32,34 @@ def initialise(arguments: Sequence[str] | None) -> None:
     ParameterError
         If they are not understood; the text says which.
     """
-    words = sys.argv if arguments is None else arguments
+    with understood(sys.argv if arguments is None else arguments) as words:
+        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+
+
+@contextmanager
+def understood(arguments: Sequence[str]) -> Iterator[list[str]]:
+    """Yield ROS arguments as they are meant; what rcl refuses is told in one line.
+
+    Raises
+    ------
+    ParameterError
+        If what is done with them finds that they are not understood.
+    """
     with ExitStack() as stack:
-        understood = quoted(
-            words, lambda: stack.enter_context(TemporaryDirectory(prefix='fuzzycnc-'))
+        words = quoted(
+            arguments, lambda: stack.enter_context(TemporaryDirectory(prefix='fuzzycnc-'))
         )
         # It would tell the same in words of its own.
         set_logger_level('rcl', LoggingSeverity.FATAL)
         try:
-            rclpy.init(args=understood, signal_handler_options=SignalHandlerOptions.NO)
+            yield words
         except (
             rclpy_implementation.RCLError,
             rclpy_implementation.RCLInvalidROSArgsError,
             rclpy_implementation.UnknownROSArgsError,
         ) as error:
             text = str(error)
-            for given, used in zip(words, understood, strict=True):
+            for given, used in zip(arguments, words, strict=True):
                 text = text.replace(used, given)
             raise ParameterError(_line(error, text)) from error
         finally:

@@ -6,9 +6,13 @@ They reach the component as requests with their whole text, which the node publi
 so a bag of the run holds what its replay needs.
 """
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
+from fuzzycnc_ros.components.component import Answer
 from fuzzycnc_ros.components.deformation_compensator import (
     DeformationCompensator,
     DeformationCompensatorConfig,
@@ -18,6 +22,8 @@ from fuzzycnc_ros.nodes import run
 from fuzzycnc_ros.nodes.files import file_text
 from fuzzycnc_ros.nodes.managed import ManagedComponentNode
 from fuzzycnc_ros.nodes.parameters import ParameterError, changed, refusal
+
+Request = Callable[[str, Mapping[str, Any]], Answer]
 
 FILES = {'model': model_file.SIZE_MAX, 'offsets': offset_file.SIZE_MAX}
 """Parameters that name files, and how long these may be [characters]."""
@@ -39,13 +45,7 @@ class DeformationCompensatorNode(ManagedComponentNode):
         ParameterError
             If a file cannot be read or is none of its kind.
         """
-        config = self.component.configuration
-        assert isinstance(config, DeformationCompensatorConfig)
-        for name, file in (('model', config.model), ('offsets', config.offsets)):
-            if file:
-                problem = self._load(name, file)
-                if problem:
-                    raise ParameterError(f'parameter {name}: {problem}')
+        use_files(self.component, self.request)
         super().start()
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
@@ -58,19 +58,44 @@ class DeformationCompensatorNode(ManagedComponentNode):
         if len(files) > 1:
             return refusal('model and offsets: expected one at a time but found both')
         for name, file in files.items():
-            problem = self._load(name, file)
+            problem = _load(name, file, self.request)
             if problem:
                 return refusal(f'{name}: {problem}')
         return super()._on_parameters(parameters)
 
-    def _load(self, name: str, file: str) -> str:
-        """Put a file to use, none if its name is empty; return what is wrong with it."""
-        try:
-            text = file_text(file, FILES[name]) if file else ''
-        except ValueError as error:
-            return f'{file}: {error}'
-        answer = self.request(f'use_{name}', {name: text})
-        return '' if answer.success else f'{file}: {answer.message}'
+
+def use_files(component: DeformationCompensator, request: Request | None = None) -> None:
+    """Put the files to use that the configuration names.
+
+    Parameters
+    ----------
+    component : DeformationCompensator
+        The component.
+    request : callable, optional
+        Carries a request out and writes it down; the component's own way if left out.
+
+    Raises
+    ------
+    ParameterError
+        If a file cannot be read or is none of its kind.
+    """
+    config = component.configuration
+    assert isinstance(config, DeformationCompensatorConfig)
+    ask = request or (lambda name, arguments: component.on_request(name, arguments, 0))
+    for name, file in (('model', config.model), ('offsets', config.offsets)):
+        problem = _load(name, file, ask) if file else ''
+        if problem:
+            raise ParameterError(f'parameter {name}: {problem}')
+
+
+def _load(name: str, file: str, request: Request) -> str:
+    """Put a file to use, none if its name is empty; return what is wrong with it."""
+    try:
+        text = file_text(file, FILES[name]) if file else ''
+    except ValueError as error:
+        return f'{file}: {error}'
+    answer = request(f'use_{name}', {name: text})
+    return '' if answer.success else f'{file}: {answer.message}'
 
 
 def make() -> DeformationCompensatorNode:

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""How processes end: by SIGINT and SIGTERM whatever they inherited, and with their parent."""
+"""How processes end: by a signal, whatever they inherited, and with their parent."""
 
 import ctypes
 import os
@@ -12,8 +12,10 @@ from types import FrameType
 
 from fuzzycnc_ros.bags.uninterrupted import interrupt
 
-WISHES = (signal.SIGINT, signal.SIGTERM)
-"""Signals that ask a process to end."""
+WISHES = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that ask a process to end; the last one says that its terminal is gone."""
+REFUSED = 2
+"""What a node ends with that does not take its parameters: to start it again would be in vain."""
 ONE_WISH = 1.0
 """Wall time [s] within which signals are one wish: some senders signal a process and its group."""
 _PR_SET_PDEATHSIG = 1
@@ -41,16 +43,23 @@ class Wish:
             interrupt()
 
 
+def heard_wishes() -> list[signal.Signals]:
+    """Return the signals that this process heeds: `nohup` means that SIGHUP is none of them."""
+    deaf = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return [number for number in WISHES if not (deaf and number is signal.SIGHUP)]
+
+
 @contextmanager
 def interruptible() -> Iterator[Wish]:
-    """Let SIGINT and SIGTERM raise `Interrupted`, a KeyboardInterrupt, in the main thread alone.
+    """Let the wishes to end raise `Interrupted`, a KeyboardInterrupt, in the main thread alone.
 
     A shell starts what runs in its background with SIGINT ignored, and a parent may hold signals
     back; Python takes both as they are.  That would leave nothing but SIGKILL to end a process.
     """
     wish = Wish()
-    before = {number: signal.signal(number, wish.hear) for number in WISHES}
-    mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, WISHES)
+    wishes = heard_wishes()
+    before = {number: signal.signal(number, wish.hear) for number in wishes}
+    mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, wishes)
     try:
         yield wish
     finally:
@@ -65,14 +74,14 @@ def child_set_up() -> Callable[[], None]:
     Signals reach it from its first moment on, and the kernel ends it when this process, or the
     thread that starts it, is gone, even if that was killed (Linux).
     """
-    parent = os.getpid()
+    parent, wishes = os.getpid(), heard_wishes()
     # Elsewhere a killed parent leaves its children running.
     tell_kernel = getattr(ctypes.CDLL(None), 'prctl', lambda *_: 0)
 
     def set_up() -> None:
-        for number in WISHES:
+        for number in wishes:
             signal.signal(number, signal.SIG_DFL)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, WISHES)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, wishes)
         tell_kernel(_PR_SET_PDEATHSIG, signal.SIGTERM)
         if os.getppid() != parent:
             os._exit(128 + signal.SIGTERM)  # it went before the kernel was told

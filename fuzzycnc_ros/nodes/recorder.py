@@ -9,13 +9,15 @@ The callback only queues; a thread writes.  In a lock-step run the recorder take
 import re
 import struct
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
-from fuzzycnc_ros.bags.errors import BagError
+from fuzzycnc_ros.bags.errors import BagError, BagWriteError
+from fuzzycnc_ros.bags.holes import HoleCounter, not_explained
 from fuzzycnc_ros.bags.metadata import Qos
 from fuzzycnc_ros.bags.recorder import Progress, RecordingThread
 from fuzzycnc_ros.bags.writer import BagWriter
@@ -24,6 +26,9 @@ from fuzzycnc_ros.components.host_config import RecorderConfig
 from fuzzycnc_ros.components.host_records import NodeConfiguration, RecorderProgress
 from fuzzycnc_ros.components.records import (
     SECOND,
+    Displacement,
+    MachineState,
+    Temperatures,
 )
 from fuzzycnc_ros.convert import encode
 from fuzzycnc_ros.core.text_hash import text_hash
@@ -41,6 +46,9 @@ DEPTH = 5000
 """What the subscription may hold while the process is stopped."""
 DISCOVERY_PERIOD = 0.2
 """Wall time [s] between two looks for new topics."""
+_STATE = 'machine_state'
+_SAMPLED = (Temperatures.TYPE, Displacement.TYPE, MachineState.TYPE)
+"""Types of what is sampled evenly; the last one tells how machine time went on."""
 RECORDER_PATIENCE = 25.0
 """Wall time [s] a turn waits for announced messages; below the sequencer's own timeout."""
 
@@ -61,6 +69,7 @@ class RecorderNode(BagNode[RecorderConfig]):
         self._early: list[tuple[str, bytes, int]] = []
         self._newest = 0
         self._models: set[str] = set()
+        self._holes: dict[str, HoleCounter] = {}
         with bag_refused():
             self._thread = RecordingThread(BagWriter(config.output))
         with closed_on_failure(self._thread):
@@ -101,14 +110,16 @@ class RecorderNode(BagNode[RecorderConfig]):
         """Write what is queued, close the bag and say what is in it."""
         try:
             self._release(self._newest)
-            progress = self._thread.close()
+            holes = self._found_holes()
+            progress = self._thread.close({'holes': holes})
         except BagError as error:
             tell_error(error)
             self.exit_code = 1
         else:
             print(
                 f'{visible(self._config.output)}: {progress.written} messages on '
-                f'{len(progress.topics)} topics, {progress.lost} lost',
+                f'{len(progress.topics)} topics, {progress.lost} lost'
+                + ''.join(f', {hole["count"]} holes in {topic}' for topic, hole in holes.items()),
                 flush=True,
             )
         self.node.destroy_node()
@@ -147,7 +158,10 @@ class RecorderNode(BagNode[RecorderConfig]):
             own = self._subscriptions.get(topic)
             return 0 if own is None else int(own.get_publisher_count())
 
-        self._thread.add_topic(topic, types[0], qos, publishers=heard)
+        try:
+            self._thread.add_topic(topic, types[0], qos, publishers=heard)
+        except BagWriteError:
+            return  # the disk is full: the end says so
         profile = QoSProfile(
             depth=DEPTH,
             reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
@@ -157,6 +171,8 @@ class RecorderNode(BagNode[RecorderConfig]):
         )
         stamped = types[0].startswith('fuzzycnc_msgs/') or types[0] == 'rosgraph_msgs/msg/Clock'
         configuration = types[0] == NodeConfiguration.TYPE
+        if types[0] in _SAMPLED and not self._config.lockstep:
+            self._holes[topic] = HoleCounter()
 
         def on_message(payload: bytes, info: Any) -> None:
             self._take(topic, payload, info, stamped)
@@ -177,6 +193,8 @@ class RecorderNode(BagNode[RecorderConfig]):
             self._newest = int(self.node.get_clock().now().nanoseconds)
         elif stamped:
             self._newest = max(self._newest, _leading_stamp(payload))
+        if topic in self._holes:
+            self._holes[topic].update(_leading_stamp(payload))
         if self._newest == 0:
             # Before the first tick, or the first /clock, there is no time to log by.
             self._early.append((topic, payload, sequence))
@@ -185,6 +203,25 @@ class RecorderNode(BagNode[RecorderConfig]):
             self._thread.put(topic, payload, self._newest, self._newest, sequence)
         if self.turns is not None:
             self.turns.received(topic, sequence)
+
+    def _found_holes(self) -> dict[str, dict[str, float]]:
+        """Return the holes of each topic of samples: how many, and the longest, in seconds.
+
+        In lock-step there are none.  Where machine time itself jumps nothing is lost.
+        """
+        found = {}
+        for topic, counter in self._holes.items():
+            state = self._holes.get(f'{topic.rpartition("/")[0]}/{_STATE}')
+            jumps = [] if state is None or state is counter else state.holes
+            holes = not_explained(counter.holes, jumps)
+            if holes and state is not counter:
+                longest = max(holes, key=lambda hole: hole.stop - hole.start)
+                found[topic] = {
+                    'count': len(holes),
+                    'longest_s': (longest.stop - longest.start) / SECOND,
+                    'at_s': longest.start / SECOND,
+                }
+        return found
 
     def _release(self, stamp: int) -> None:
         for topic, payload, sequence in self._early:
@@ -198,7 +235,8 @@ class RecorderNode(BagNode[RecorderConfig]):
             return
         self._models.add(message.model_hash)
         digest = text_hash(message.model)
-        self._thread.attach(f'{message.node}/model-{digest[:12]}.json', message.model)
+        with suppress(BagWriteError):  # the disk is full: the end says so
+            self._thread.attach(f'{message.node}/model-{digest[:12]}.json', message.model)
 
     def _on_turn(self, stamp: int) -> None:
         """All that was announced has come: say how far the bag is."""

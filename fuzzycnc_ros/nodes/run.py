@@ -13,7 +13,7 @@ from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 
 from fuzzycnc_ros.bags.uninterrupted import uninterrupted
 from fuzzycnc_ros.nodes.arguments import initialise
-from fuzzycnc_ros.nodes.ending import Wish, interruptible
+from fuzzycnc_ros.nodes.ending import REFUSED, Wish, interruptible
 from fuzzycnc_ros.nodes.environment import prepare_environment
 from fuzzycnc_ros.nodes.parameters import ParameterError
 from fuzzycnc_ros.nodes.visible_log import spell_out_logs, tell_error
@@ -50,8 +50,12 @@ def main(make: HostFactory, arguments: Sequence[str] | None = None) -> None:
 
 def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -> int:
     """Run several nodes in one process; return the exit code."""
-    prepare_environment()
     spell_out_logs()
+    try:
+        prepare_environment()
+    except ValueError as error:
+        tell_error(error)
+        return REFUSED
     try:
         with interruptible() as wish:
             return _spin(makers, arguments, wish)
@@ -64,6 +68,7 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
     hosts: list[Served] = []
     # The multi-threaded and the events executor stalled or hung in trials on Jazzy.
     executor: SingleThreadedExecutor | None = None
+    refused = 0
     try:
         with uninterrupted():  # what is half made could not be stopped
             initialise(arguments)
@@ -77,21 +82,21 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
             install_signal_handlers(SignalHandlerOptions.ALL)
         while rclpy.ok() and not any(host.done for host in hosts):
             executor.spin_once()
-        return max((host.exit_code for host in hosts), default=0)
     except (KeyboardInterrupt, ExternalShutdownException):
-        return 0
+        pass  # the wish is carried out below
     except RuntimeError:
         # A signal that arrives while the executor builds its wait set, or a message is made of
         # what was received, ends up here.
         if not wish.number:
             raise
-        return 0
     except ParameterError as error:
         tell_error(error)
-        return 2
+        refused = REFUSED
     finally:
         for host in reversed(hosts):
             host.stop()
         if executor is not None:
             executor.shutdown()
         rclpy.try_shutdown()
+    # Only now: what a node holds may fail to be written to its end.
+    return max([refused, *(host.exit_code for host in hosts)])

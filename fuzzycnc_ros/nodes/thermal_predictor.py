@@ -112,8 +112,7 @@ class ThermalPredictorNode(ComponentNode):
 
     def __init__(self, node: Node) -> None:
         super().__init__(node, ThermalPredictor)
-        if self._settings.model:
-            self._load(self._settings.model)
+        use_files(self.component)
         self._training: Training | None = None
         self._thread: threading.Thread | None = None
         """Thread of the newest training; it outlives one that was cancelled by a moment."""
@@ -136,12 +135,6 @@ class ThermalPredictorNode(ComponentNode):
             self._thread.join(STOP_PATIENCE)
         self._server.destroy()
         super().stop()
-
-    def _load(self, file: str) -> None:
-        try:
-            self.component.use_model(file_text(file, SIZE_MAX))
-        except ValueError as error:
-            raise ParameterError(f'parameter model: {file}: {error}') from error
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Let the model of another file take over; the other parameters as every node."""
@@ -231,6 +224,24 @@ class ThermalPredictorNode(ComponentNode):
             held_out_rms=_of_default(model, 'held_out_rms'),
             held_out_max=_of_default(model, 'held_out_max'),
         )
+
+
+def use_files(component: ThermalPredictor) -> None:
+    """Put the model file to use that the configuration names.
+
+    Raises
+    ------
+    ParameterError
+        If it cannot be read or is none.
+    """
+    config = component.configuration
+    assert isinstance(config, ThermalPredictorConfig)
+    if not config.model:
+        return
+    try:
+        component.use_model(file_text(config.model, SIZE_MAX))
+    except ValueError as error:
+        raise ParameterError(f'parameter model: {config.model}: {error}') from error
 
 
 def _same_work(one: tuple[str, str, int, int], other: tuple[str, str, int, int]) -> bool:

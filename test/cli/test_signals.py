@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands end by SIGTERM and SIGINT whatever they inherited, and take along what they started."""
+"""Commands end by a signal, whatever they inherited, and take along what they started."""
 
 import contextlib
 import os
@@ -20,6 +20,7 @@ ENDS = [
     pytest.param(signal.SIGTERM, 'default', 143, id='SIGTERM'),
     pytest.param(signal.SIGTERM, 'ignored', 143, id='SIGTERM-background'),
     pytest.param(signal.SIGINT, 'ignored', 130, id='SIGINT-background'),
+    pytest.param(signal.SIGHUP, 'default', 129, id='SIGHUP'),
 ]
 KILLED = pytest.param(signal.SIGKILL, 'default', -9, id='SIGKILL')
 """Signal, what SIGINT is at the beginning, and exit code; SIGINT at its default: test_main.py."""
@@ -111,6 +112,16 @@ def test_replay_in_the_middle_of_work(command, root, number, interrupts, code):
         number,
     )
     assert found == (code, '', 'interrupted\n')
+
+
+def test_nohup_is_heeded(command, root):
+    """The terminal goes, the command does not."""
+    process = command('replay', root / 'bags' / 'mill_warm_up', interrupts='nohup')
+    wait_for(lambda: has_open(process, 'mill_warm_up_0.mcap'), 'it reads the bag')
+    process.send_signal(signal.SIGHUP)
+    out, err = process.communicate(timeout=HANG)
+    assert (process.returncode, err) == (0, '')
+    assert 'identical' in out
 
 
 @pytest.mark.parametrize(('number', 'interrupts', 'code'), ENDS)

@@ -312,10 +312,43 @@ def test_info_says_what_the_recorder_lost(fuzzycnc):
     assert read_json('i.json')['lost_while_recording'] == {'/a': 6}
 
 
-def test_info_of_a_damaged_loss_report(refused):
+def test_info_says_which_samples_are_missing(fuzzycnc):
+    holes = {'/a': {'count': 3, 'longest_s': 468.0, 'at_s': 1234.5}}
+    with BagWriter('holed') as writer:
+        writer.attach(REPORT_NAME, json.dumps({'topics': {}, 'holes': holes}))
+    outcome = fuzzycnc('info', 'holed', '--json', 'i.json')
+    text = '3 holes, the longest of 468 s at 1234.5 s'
+    assert f'holes while recording: /a has {text}\n' in outcome.out
+    assert read_json('i.json')['holes_while_recording'] == {'/a': text}
+
+
+@pytest.mark.parametrize('report', ['[]', '{"topics": {}, "holes": {"/a": 3}}'])
+def test_info_of_a_damaged_loss_report(refused, report):
     with BagWriter('odd') as writer:
-        writer.attach(REPORT_NAME, '[]')
+        writer.attach(REPORT_NAME, report)
     refused('info', 'odd', naming=[REPORT_NAME, 'recorder'])
+
+
+def without(bag, name, *windows):
+    """Return a copy of a bag without the messages of some times [s] from its first."""
+    with BagReader(bag) as reader, BagWriter(name) as writer:
+        for topic, item in reader.connections.items():
+            writer.add_topic(topic, item.type)
+        for item in reader.messages(raw=True):
+            time = 1e-9 * (item.log_time - reader.start)
+            if not any(low <= time <= high for low, high in windows):
+                writer.write(item.topic, item.log_time, item.log_time, item.message)
+    return Path(name)
+
+
+def test_train_tells_of_holes(fuzzycnc, bag):
+    holed = without(bag(), 'holed', (1200.0, 1600.0), (3000.0, 3000.0))
+    words = '2 holes, the longest of 480 s at 1140 s'
+    outcome = fuzzycnc('train', holed, bag('whole'), '--out', 'm.json', '--json', 'figures.json')
+    assert outcome.code == 0, outcome
+    told = [line for line in outcome.out.splitlines() if line.startswith(('holed: ', 'whole: '))]
+    assert told == [f'holed: {words}, filled by straight lines; record it anew for a better model']
+    assert read_json('figures.json')['holes'] == {'holed': words, 'whole': ''}
 
 
 @pytest.mark.parametrize('target', [(), ('whole',)])

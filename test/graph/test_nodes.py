@@ -21,7 +21,7 @@ from fuzzycnc_ros.core.config import Config
 pytestmark = pytest.mark.ros
 
 NODES = [*COMPONENTS, 'recorder', 'player']
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def schema(node: str) -> list[Any]:
@@ -59,7 +59,7 @@ def needed(tmp_path: Path) -> Callable[[str], dict[str, Any]]:
     ('first', 'interrupts'), [(0, 'ignored'), pytest.param(1, 'default', marks=pytest.mark.slow)]
 )
 def test_describe_report_and_end(graph, observer, root, needed, first, interrupts):
-    """Each node as a process; one half of them is asked to end by one signal, one by the other."""
+    """Each node as a process; they are asked to end by one signal or the other."""
     observer.watch_diagnostics()
     started = {
         node: graph.start(
@@ -80,7 +80,7 @@ def test_describe_report_and_end(graph, observer, root, needed, first, interrupt
         f'diagnostics of every node, found {sorted(observer.statuses)}',
     )
     for place, running in enumerate(started.values(), first):
-        assert running.interrupt(SIGNALS[place % 2]) == 0, running.output
+        assert running.interrupt(SIGNALS[place % len(SIGNALS)]) == 0, running.output
 
 
 def check_description(observer: Any, node: str) -> None:

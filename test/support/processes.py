@@ -30,13 +30,17 @@ def start(
 ) -> 'subprocess.Popen[Any]':
     """Start a process in which SIGINT is at its `default`, or `ignored` as in the background.
 
+    As under `nohup` SIGHUP is ignored; else it is at its default.
+
     Without this it would be as in whatever shell the tests were started from.
     """
-    disposition = {'default': signal.SIG_DFL, 'ignored': signal.SIG_IGN}[interrupts]
+    ignored = {'default': (), 'ignored': (signal.SIGINT,), 'nohup': (signal.SIGHUP,)}[interrupts]
+    wishes = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
     def set_up() -> None:
-        signal.signal(signal.SIGINT, disposition)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
+        for number in (signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN if number in ignored else signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, wishes)
 
     return subprocess.Popen(command, preexec_fn=set_up, **options)
 

@@ -1,0 +1,135 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings that lack something end with code 1 and say what it is."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+
+import pytest
+from processes import HANG, children, start, wait_for
+
+from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.components.records import SECOND, MachineState, Temperatures
+
+pytestmark = pytest.mark.ros
+
+NODES = 'temperature_acquisition'
+ROOM = 100_000
+"""What a disk takes before it is full [bytes]."""
+
+
+@pytest.fixture
+def command(graph, tmp_path):
+    """Start a command in the domain of the test: `command('record', '--out', bag)`."""
+
+    def begin(*words):
+        folder = tmp_path / words[0]
+        folder.mkdir()
+        line = [sys.executable, '-m', 'fuzzycnc_ros.cli.main', *map(str, words)]
+        return graph.launch(words[0], line, folder)
+
+    return begin
+
+
+def recorder_of(running):
+    """Return the process id of the recorder of a command, which begins its bag by then."""
+    wait_for(lambda: children(running.process.pid, 'nodes.recorder'), 'the recorder is started')
+    (pid,) = children(running.process.pid, 'nodes.recorder')
+    return pid
+
+
+def fill_disk(pid, size):
+    """Let the files of a process grow to some size only, as on a full disk."""
+    hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)[1]
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (size, hard))
+
+
+def up(command, bag, folder, rate=600):
+    return command(
+        *('up', '--simulate', 'T2', '--rate', rate, '--nodes', NODES),
+        *('--record', bag, '--json', folder / 'outcome.json'),
+    )
+
+
+def errors(running):
+    return [line for line in running.output.splitlines() if line.startswith('error: ')]
+
+
+def test_recorder_whose_disk_is_full_at_the_end(domain, root, tmp_path):
+    """All was well until the bag is to be closed."""
+    bag = tmp_path / 'bag'
+    line = [sys.executable, '-m', 'fuzzycnc_ros.nodes.recorder', '--ros-args']
+    line += ['-p', f'output:={bag}', '-p', 'topics:=^/nothing$']
+    environment = {
+        **os.environ,
+        'PYTHONPATH': os.pathsep.join([str(root), os.environ.get('PYTHONPATH', '')]),
+        'ROS_DOMAIN_ID': str(domain),
+    }
+    with start(line, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        assert 'recording to' in process.stderr.readline()
+        fill_disk(process.pid, (bag / 'bag_0.mcap').stat().st_size)
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=HANG)
+    assert process.returncode == 1, said
+    assert said.startswith('error: ')
+    assert 'cannot be written any further' in said
+
+
+def test_full_disk_ends_a_recording(command, observer, graph, tmp_path):
+    graph.start('simulated_machine', {'rate': 600.0, 'duties': ['T2']})
+    states = observer.records('machine_state', MachineState)
+    observer.until(lambda: states, 'the machine runs')
+    running = command('record', '--out', tmp_path / 'bag')
+    fill_disk(recorder_of(running), ROOM)
+    assert running.wait() == 1, running.output
+    (line,) = errors(running)
+    assert 'cannot be written any further: File too large' in line
+
+
+def test_full_disk_is_no_success_of_a_supervised_run(command, observer, tmp_path):
+    states = observer.records('machine_state', MachineState)
+    running = up(command, tmp_path / 'bag', tmp_path)
+    fill_disk(recorder_of(running), ROOM)
+    observer.until(lambda: states, 'the machine runs')
+    wait_for(lambda: 'mill/recorder ended with code 1' in running.output, 'the disk is full')
+    assert running.interrupt(signal.SIGTERM) == 1, running.output
+    (line,) = errors(running)
+    assert 'cannot be written any further: File too large' in line
+    outcome = json.loads((tmp_path / 'outcome.json').read_text())
+    assert outcome['exit_code'] == 1
+    assert [f'error: {text}' for text in outcome['lacking']] == [line]
+
+
+def test_samples_that_are_lost(command, observer, tmp_path):
+    """A node stands still while the machine goes on; in the other bag nothing is missing."""
+    states = observer.records('machine_state', MachineState)
+    samples = observer.records('temperatures', Temperatures)
+    running = up(command, tmp_path / 'bag', tmp_path)
+    observer.until(lambda: len(samples) > 20, 'temperatures come')
+    (node,) = children(running.process.pid, f'nodes.{NODES}')
+    graph_time = states[-1].stamp
+    os.kill(node, signal.SIGSTOP)
+    observer.until(lambda: states[-1].stamp > graph_time + 600 * SECOND, 'the machine goes on')
+    os.kill(node, signal.SIGCONT)
+    count = len(samples)
+    observer.until(lambda: len(samples) > count + 3, 'it goes on, too')
+    assert running.interrupt(signal.SIGTERM) == 1, running.output
+    (line,) = errors(running)
+    assert '/mill/temperatures has ' in line
+    assert 'hole' in line
+    with BagReader(tmp_path / 'bag') as reader:
+        said = json.loads(reader.attachments()['recording.json'].data)['holes']
+    assert said['/mill/temperatures']['longest_s'] > 300.0
+
+
+def test_a_whole_recording_is_a_success(command, observer, tmp_path):
+    """So slow that a busy computer loses nothing either."""
+    samples = observer.records('temperatures', Temperatures)
+    running = up(command, tmp_path / 'bag', tmp_path, rate=60)
+    observer.until(lambda: len(samples) > 4, 'temperatures come')
+    assert running.interrupt(signal.SIGTERM) == 0, running.output
+    assert json.loads((tmp_path / 'outcome.json').read_text())['lacking'] == []

@@ -1,0 +1,84 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc up` where others are at work already."""
+
+import os
+import signal
+import sys
+
+import pytest
+from processes import children, wait_for
+
+pytestmark = pytest.mark.ros
+
+NODES = 'temperature_acquisition,compensator'
+
+
+@pytest.fixture
+def up(graph, tmp_path):
+    """Start `fuzzycnc up` in the domain of the test: `up('first', '--simulate', 'T2')`."""
+
+    def begin(name, *words):
+        folder = tmp_path / name
+        folder.mkdir()
+        command = [sys.executable, '-m', 'fuzzycnc_ros.cli.main', 'up', *words]
+        return graph.launch(name, command, folder)
+
+    return begin
+
+
+def started(command):
+    """Wait until all nodes of a command are started."""
+    wait_for(
+        lambda: 'all started' in command.output or command.process.poll() is not None,
+        f'{command.name} has started its nodes',
+    )
+    assert command.process.poll() is None, command.output
+    return command
+
+
+def refusal(command):
+    """Wait for the end of a command that is refused; return its one line."""
+    assert command.wait() == 2, command.output
+    # The middleware writes there too, of its shared memory.
+    (line,) = [line for line in command.output.splitlines() if line.startswith('error: ')]
+    assert 'runs as process' not in command.output
+    return line
+
+
+def test_second_of_the_same_name_is_refused(up):
+    started(up('first', '--nodes', NODES, '--compose'))
+    line = refusal(up('second', '--nodes', 'compensator,sensor_selector'))
+    assert 'expected nobody at mill but found /mill/compensator at work' in line
+    assert '--takeover' in line
+    line = refusal(up('both', '--machine', 'mill,other'))
+    assert 'found /mill/compensator, /mill/temperature_acquisition at work' in line
+
+
+def test_two_machines_of_one_name(up):
+    """A second one that makes time, though no node has the name of another."""
+    started(up('first', '--simulate', 'T2', '--nodes', 'temperature_acquisition'))
+    line = refusal(up('second', '--nodes', 'simulated_body,compensator'))
+    assert 'found /mill/simulated_machine at work' in line
+
+
+def test_who_is_in_nobodys_way_may_join(up, tmp_path):
+    started(up('first', '--nodes', 'compensator', '--record', str(tmp_path / 'first_bag')))
+    others = ('--nodes', 'sensor_selector', '--record', str(tmp_path / 'second_bag'))
+    started(up('others', *others))
+    started(up('elsewhere', '--machine', 'lathe', '--nodes', 'compensator'))
+    started(up('meant', '--nodes', 'compensator', '--takeover'))
+
+
+@pytest.mark.parametrize('dead', ['command', 'nodes'])
+def test_what_was_killed_locks_nobody_out(up, dead):
+    """The nodes of a killed command end by themselves; killed nodes linger in the graph."""
+    first = started(up('first', '--nodes', NODES))
+    nodes = children(first.process.pid, 'fuzzycnc_ros.nodes.')
+    assert len(nodes) == 2
+    os.kill(first.process.pid, signal.SIGKILL)
+    first.process.wait()
+    if dead == 'nodes':
+        for node in nodes:
+            os.kill(node, signal.SIGKILL)
+    started(up('second', '--nodes', NODES))
