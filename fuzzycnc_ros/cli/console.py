@@ -100,6 +100,11 @@ def say(text: str) -> None:
     print(visible(text), flush=True)
 
 
+def complain(text: str) -> None:
+    """Print a line on what went wrong."""
+    print(f'error: {visible(text)}', file=sys.stderr, flush=True)
+
+
 @contextmanager
 def progress_bar(title: str) -> Iterator[Tell]:
     """Show the progress of long work on standard error, if that is a terminal."""

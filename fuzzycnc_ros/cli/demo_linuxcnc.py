@@ -5,7 +5,6 @@
 import contextlib
 import json
 import shutil
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -17,7 +16,7 @@ import typer
 from rich.console import Console
 
 from fuzzycnc_ros.bridges.linuxcnc import LinuxcncError
-from fuzzycnc_ros.cli.console import show
+from fuzzycnc_ros.cli.console import complain, show
 from fuzzycnc_ros.cli.demo_steps import RUN_TIMEOUT, Steps, print_files, progress_of
 from fuzzycnc_ros.cli.free_domain import own_domain
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
@@ -92,7 +91,7 @@ def linuxcnc_demo(console: Console, out: Path, seed: int, rate: float = RATE) ->
     print_files(console, out)
     lacking = loss(out / 'bag')
     if lacking:
-        print(f'error: {lacking}', file=sys.stderr)
+        complain(lacking)
         raise typer.Exit(LACKING)
     if not result.program_ran:
         raise GraphError('the part program did not run to the end of the duty; see the report')

@@ -16,6 +16,7 @@ from typer.core import TyperGroup
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.cli.background_output import background_output
 from fuzzycnc_ros.cli.compare import compare
+from fuzzycnc_ros.cli.console import complain
 from fuzzycnc_ros.cli.curve import curve
 from fuzzycnc_ros.cli.demo import demo
 from fuzzycnc_ros.cli.evaluate import evaluate
@@ -205,7 +206,7 @@ def run(arguments: Sequence[str]) -> int:
     except Exception as error:  # the one place where every error becomes a line for people
         if debug:
             print(visible(traceback.format_exc(), keep='\n'), file=sys.stderr, end='')
-        print(f'error: {visible(_line(error))}', file=sys.stderr)
+        complain(_line(error))
         return 2
     if code == INTERRUPTED:  # newer versions of typer return it themselves
         print('interrupted', file=sys.stderr)

@@ -18,6 +18,7 @@ from fuzzycnc_ros.cli.console import (
     check_folder,
     check_new,
     check_ros,
+    complain,
     write_json,
 )
 from fuzzycnc_ros.cli.graph_processes import GraphError
@@ -72,7 +73,7 @@ def record(
     if code == 0:
         lacking = loss(out)
         if lacking:
-            print(f'error: {lacking}', file=sys.stderr)
+            complain(lacking)
             code = LACKING
     if code:
         raise typer.Exit(code)

@@ -5,12 +5,14 @@
 import ctypes
 import os
 import signal
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from fuzzycnc_ros.bags.uninterrupted import interrupt
+from fuzzycnc_ros.bags.uninterrupted import Interrupted, interrupt
 
 WISHES = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a process to end; the last one says that its terminal is gone."""
@@ -18,6 +20,8 @@ REFUSED = 2
 """What a node ends with that does not take its parameters: to start it again would be in vain."""
 ONE_WISH = 1.0
 """Wall time [s] within which signals are one wish: some senders signal a process and its group."""
+AGAIN = 0.01
+"""Wall time [s] after which a wish is repeated that was lost."""
 _PR_SET_PDEATHSIG = 1
 
 
@@ -42,6 +46,15 @@ class Wish:
         if not again:
             interrupt()
 
+    def hear_again(self, lost: 'sys.UnraisableHookArgs') -> bool:
+        """Repeat a wish whose exception was lost where none can be raised, as in a finaliser."""
+        if not issubclass(lost.exc_type, Interrupted):
+            return False
+        self._heard_at = -ONE_WISH
+        # From another thread: this one is still in the place where nothing can be raised.
+        threading.Timer(AGAIN, os.kill, (os.getpid(), self.number)).start()
+        return True
+
 
 def heard_wishes() -> list[signal.Signals]:
     """Return the signals that this process heeds: `nohup` means that SIGHUP is none of them."""
@@ -60,9 +73,12 @@ def interruptible() -> Iterator[Wish]:
     wishes = heard_wishes()
     before = {number: signal.signal(number, wish.hear) for number in wishes}
     mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, wishes)
+    tell_lost = sys.unraisablehook
+    sys.unraisablehook = lambda lost: wish.hear_again(lost) or tell_lost(lost)
     try:
         yield wish
     finally:
+        sys.unraisablehook = tell_lost
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)
