@@ -3,7 +3,8 @@
 """Output that never holds up what a command does: a thread writes it, and drops what nobody reads.
 
 A terminal that is stopped, or a pipe whose reader sleeps, blocks whoever writes to it.  A command
-that watches over nodes must not wait for that.
+that watches over nodes must not wait for that, nor must the middleware within it, which writes to
+the descriptors themselves.
 """
 
 import contextlib
@@ -31,6 +32,8 @@ class BackgroundOutput(io.TextIOBase):
         Where the thread writes: to its descriptor, past its buffer.
     pending_max : int
         Characters that may wait.
+    descriptor : int, optional
+        Descriptor to write to instead of that of the stream.
 
     Notes
     -----
@@ -38,8 +41,11 @@ class BackgroundOutput(io.TextIOBase):
     line says how much was left out.  A reader that is gone ends the writing, not the command.
     """
 
-    def __init__(self, stream: TextIO, pending_max: int = PENDING_MAX) -> None:
+    def __init__(
+        self, stream: TextIO, pending_max: int = PENDING_MAX, descriptor: int | None = None
+    ) -> None:
         self._stream = stream
+        self._descriptor = stream.fileno() if descriptor is None else descriptor
         self._pending_max = pending_max
         self._queue: deque[str] = deque()
         self._pending = 0
@@ -57,12 +63,12 @@ class BackgroundOutput(io.TextIOBase):
         return self._stream.encoding
 
     def fileno(self) -> int:
-        """Return the descriptor of the stream."""
-        return self._stream.fileno()
+        """Return the descriptor that is written to."""
+        return self._descriptor
 
     def isatty(self) -> bool:
         """Whether the stream is a terminal."""
-        return self._stream.isatty()
+        return os.isatty(self._descriptor)
 
     def writable(self) -> bool:
         """Return True."""
@@ -139,12 +145,39 @@ class BackgroundOutput(io.TextIOBase):
 @contextlib.contextmanager
 def background_output() -> Iterator[None]:
     """Let nothing that is printed in the block wait for a reader."""
-    out, err = BackgroundOutput(sys.stdout), BackgroundOutput(sys.stderr)
+    with (
+        _passed_on(sys.stdout) as out,
+        _passed_on(sys.stderr) as err,
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        yield
+
+
+@contextlib.contextmanager
+def _passed_on(stream: TextIO) -> Iterator[BackgroundOutput]:
+    """Yield the output of a stream, to whose descriptor anybody may write meanwhile."""
+    stream.flush()
+    number = stream.fileno()
+    reader = os.dup(number)
+    output = BackgroundOutput(stream, descriptor=reader)
+    reading, writing = os.pipe()
+    os.dup2(writing, number)
+    os.close(writing)
+    others = threading.Thread(target=_pass_on, args=(reading, output), daemon=True)
+    others.start()
     try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            yield
+        yield output
     finally:
+        os.dup2(reader, number)  # nobody writes into the pipe any more
         # Another wish to end: the reader has had its time.
         with contextlib.suppress(KeyboardInterrupt):
-            for output in (out, err):
-                output.finish(FLUSH_TIME)
+            others.join(FLUSH_TIME)
+            output.finish(FLUSH_TIME)
+
+
+def _pass_on(reading: int, output: BackgroundOutput) -> None:
+    """Take what is written into a pipe."""
+    with open(reading, encoding='utf-8', errors='replace') as pipe:
+        for line in pipe:
+            output.write(line)
