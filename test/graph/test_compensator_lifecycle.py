@@ -3,7 +3,6 @@
 """The compensator as a managed node, driven by its services."""
 
 import json
-import sys
 import time
 from dataclasses import replace
 from functools import partial
@@ -16,7 +15,6 @@ from lifecycle_msgs.msg import State, Transition
 from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_ros.bags.replay import replay
-from fuzzycnc_ros.cli.graph_processes import NodeSpec, parameter_file, ros_arguments
 from fuzzycnc_ros.components.codes import CompensationState
 from fuzzycnc_ros.components.component import Durability
 from fuzzycnc_ros.components.host_records import NodeConfiguration, NodeEvent
@@ -269,29 +267,13 @@ def test_second_source_of_errors_is_held_and_named(graph, observer, stranger):
     observer.until(followed, 'follows the one that is left')
 
 
-SET_CLOCK = """
-import sys
-from pathlib import Path
-from fuzzycnc_ros.nodes import compensator, host
-file = Path(sys.argv.pop(1))
-true = host.ComponentNode._clock_now
-host.ComponentNode._clock_now = lambda self: true(self) + int(file.read_text())
-compensator.main()
-"""
-"""A compensator on a computer whose clock is set by a file [ns]."""
-
-
 @pytest.mark.parametrize('step', [-86_400, -3_600, 3_600])
 def test_clock_that_is_set_is_told_and_held_through(graph, observer, tmp_path, step):
     observer.watch_diagnostics()
     clock = tmp_path / 'clock'
     clock.write_text('0')
-    folder = tmp_path / 'set'
-    folder.mkdir()
     parameters = {'autostart': True, 'period': 0.1, 'slew_max': 1e-4}
-    own = parameter_file(folder, '/mill', [NodeSpec('compensator', parameters)])
-    command = [sys.executable, '-c', SET_CLOCK, str(clock), *ros_arguments('/mill', [own])]
-    graph.launch('compensator', command, folder)
+    graph.start_by(clock, 'compensator', parameters)
     graph.start('recorder', {'output': str(tmp_path / 'bag')})
     commands = observer.records('compensation', Compensation)
     events = observer.records('node_event', NodeEvent, Durability.HISTORY)

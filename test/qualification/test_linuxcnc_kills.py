@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compensator, bridge or LinuxCNC killed while offsets move and a program runs: nothing steps.
+"""Nodes killed and clocks set while offsets move and LinuxCNC cuts: nothing steps.
 
 What LinuxCNC applies is sampled in every servo period: nothing escapes between two reports.
 """
@@ -9,6 +9,7 @@ import contextlib
 import shutil
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,8 @@ class Loop:
     def __init__(self, graph, observer, controller, folder):
         self.graph, self.observer, self.controller = graph, observer, controller
         self._folder = folder
+        self._clock = folder / 'clock'
+        self.set_clock(0)
         self.applied = observer.records('compensation_applied', CompensationApplied)
         self.commands = observer.records('compensation', Compensation)
         observer.watch_diagnostics()
@@ -69,9 +72,15 @@ class Loop:
         observer.node.create_timer(0.1, self._tell_error)
         self._traces = []
 
+    def set_clock(self, forward):
+        """Set the clock of all nodes forward [s], against the true one."""
+        new = self._folder / 'clock.new'
+        new.write_text(str(int(1e9 * forward)))
+        new.replace(self._clock)
+
     def _tell_error(self):
         record = ThermalError(
-            stamp=time.time_ns(),
+            stamp=time.time_ns() + int(self._clock.read_text()),
             frame_id='mill/workpiece',
             axis=('Y', 'Z'),
             channel=('Y', 'Z'),
@@ -93,10 +102,10 @@ class Loop:
         self.controller.run(self.controller.write_program('circles', CIRCLES))
 
     def bridge(self):
-        return self.graph.start('linuxcnc_bridge', BRIDGE)
+        return self.graph.start_by(self._clock, 'linuxcnc_bridge', BRIDGE)
 
     def compensator(self):
-        return self.graph.start('compensator', COMPENSATOR)
+        return self.graph.start_by(self._clock, 'compensator', COMPENSATOR)
 
     @property
     def offset(self):
@@ -216,5 +225,36 @@ def test_killed_linuxcnc(loop):
     loop.until(lambda: loop.observer.told('mill/compensator: read-back', refused), 'told on')
     loop.controller.start()
     loop.cut()
+    loop.arrives()
+    loop.check()
+
+
+@pytest.mark.parametrize('step', [-86_400, -3_600, 3_600])
+def test_clock_is_set_while_offsets_move(loop, step):
+    """Both nodes begin a new series, and the offset arrives without a step."""
+    loop.bridge()
+    loop.compensator()
+    loop.midway()
+    loop.set_clock(step)
+    for node in ('compensator', 'linuxcnc_bridge'):
+        said = partial(loop.observer.told, f'mill/{node}: clock', 'the clock stepped by')
+        loop.until(said, f'{node} says it')
+    loop.arrives()
+    assert loop.applied[-1].status == AppliedStatus.FOLLOWING
+    loop.check()
+
+
+@pytest.mark.parametrize('step', [-86_400, 3_600])
+def test_clock_is_set_while_nobody_commands(loop, step):
+    """The last command expires by the monotonic clock, wherever the wall clock goes."""
+    loop.bridge()
+    compensator = loop.compensator()
+    loop.arrives()
+    loop.graph.kill(compensator)
+    loop.set_clock(step)
+    loop.until(lambda: loop.applied[-1].status == AppliedStatus.EXPIRED, 'expired')
+    loop.until(lambda: loop.stands() < CLOSE, 'taken to zero')
+    loop.set_clock(0)
+    loop.compensator()
     loop.arrives()
     loop.check()

@@ -68,6 +68,16 @@ ANSWER_TIMEOUT = 60.0
 """After which a node of a lock-step run is lost, for runs in which none may be."""
 KILL_TIMEOUT = 10.0
 """The same for runs in which one is killed: they prove as much if a living one is late."""
+SET_CLOCK = """
+import sys
+from importlib import import_module
+from pathlib import Path
+from fuzzycnc_ros.nodes.host import ComponentNode
+file, true = Path(sys.argv.pop(1)), ComponentNode._clock_now
+ComponentNode._clock_now = lambda self: true(self) + int(file.read_text())
+import_module(f'fuzzycnc_ros.nodes.{sys.argv.pop(1)}').main()
+"""
+"""Runs a node whose wall clock is set; the monotonic one goes on, as it does on a computer."""
 DRAIN, SETTLED = 20, 10
 """Idle callbacks here, and requests that a node answers, after which all is taken."""
 AGAIN = 5.0
@@ -191,6 +201,14 @@ class Graph:
         command = [sys.executable, '-m', f'fuzzycnc_ros.nodes.{node}']
         command += [*ros_arguments(namespace, [*files, own]), *arguments]
         return self.launch(node, command, folder, interrupts)
+
+    def start_by(self, clock: Path, node: str, parameters: Mapping[str, Any]) -> Running:
+        """Start a node on a computer whose clock a file sets forward [ns]."""
+        folder = self.folder / f'{len(self.running)}-{node}'
+        folder.mkdir(parents=True)
+        own = parameter_file(folder, '/mill', [NodeSpec(node, parameters)])
+        command = [sys.executable, '-c', SET_CLOCK, str(clock), node]
+        return self.launch(node, [*command, *ros_arguments('/mill', [own])], folder)
 
     def compose(self, *nodes: str) -> Running:
         """Start nodes in one process, which starts as quickly as one of them."""
