@@ -207,14 +207,21 @@ def settled(observer, machine, commands, begin=60, ticks=1):
 
 @pytest.fixture
 def stranger(observer):
-    """Publish a record as a node that has no business to, and leave: `stranger(topic, record)`."""
+    """Publish as a node that has no business to until it is `heard`, and leave."""
 
-    def publish(topic, record, *, stays=False):
+    def publish(topic, record, heard, *, stays=False):
         node = rclpy.create_node('stranger', namespace='/mill', context=observer.context)
         publisher = node.create_publisher(message_class(record.TYPE), topic, publisher_qos(STREAM))
-        observer.until(lambda: publisher.get_subscription_count() >= 1, 'the stranger is heard')
-        publisher.publish(encode(record, RCLPY))
-        observer.settle('compensator')
+        observer.until(
+            lambda: publisher.get_subscription_count() >= 1, 'the stranger has a reader'
+        )
+
+        def told():
+            publisher.publish(encode(record, RCLPY))  # a reader may not have met him yet
+            observer.spin_for(0.2)
+            return heard()
+
+        observer.until(told, 'the stranger is heard')
         if not stays:
             node.destroy_node()
         return node
@@ -240,8 +247,11 @@ def test_word_of_a_stranger_is_refused_and_named(graph, observer, stranger, kind
     topic = {ThermalError: 'thermal_error', MachineState: 'machine_state'}.get(
         kind, 'compensation_applied'
     )
-    stranger(topic, replace(record, **false))
-    observer.until(lambda: any(item.name == 'refused' for item in events), 'word of it in a bag')
+
+    def refused():
+        return any(item.name == 'refused' for item in events)
+
+    stranger(topic, replace(record, **false), refused)
     item = f'mill/compensator: strangers on {topic}'
     observer.until(lambda: observer.told(item, '/mill/stranger'), 'word of it for the operator')
     settled(observer, machine, commands, second + 10, ticks=7)
@@ -256,10 +266,11 @@ def test_second_source_of_errors_is_held_and_named(graph, observer, stranger):
     commands = observer.records('compensation', Compensation)
     machine = Machine(observer)
     second = settled(observer, machine, commands)
-    other = stranger('thermal_error', records_at((second + 5) * SECOND)[2], stays=True)
-    observer.until(
-        lambda: commands[-1].state == CompensationState.HOLDING, 'holds with two sources'
-    )
+
+    def holds():
+        return commands[-1].state == CompensationState.HOLDING
+
+    other = stranger('thermal_error', records_at((second + 5) * SECOND)[2], holds, stays=True)
     item, named = (
         'mill/compensator: sources of thermal_error',
         '/mill/observer, /mill/stranger; end',

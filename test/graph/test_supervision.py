@@ -186,6 +186,8 @@ def test_killed_recorder_goes_on_in_another_bag(supervised, observer):
     file = again / 'bag_again1_0.mcap'
     # What stands at its beginning is smaller: now it holds what came later.
     observer.until(lambda: file.exists() and file.stat().st_size > GROWN, 'another bag grows')
+    count = len(states)
+    observer.until(lambda: len(states) > count + 20, 'the machine runs on')
     os.kill(supervised.pid('simulated_machine'), signal.SIGKILL)
     assert supervised.process.wait() == 2
     assert 'mill/simulated_machine was killed by SIGKILL' in supervised.process.output
