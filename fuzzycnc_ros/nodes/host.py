@@ -7,6 +7,7 @@ follow from the declaration.  What is peculiar to one node (services, actions, d
 that node's own file, as a subclass of `ComponentNode`.
 """
 
+import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -59,6 +60,8 @@ from fuzzycnc_ros.nodes.steady_clock import SteadyClock
 from fuzzycnc_ros.nodes.timers import wall_timer
 from fuzzycnc_ros.nodes.turn_taker import TurnTaker
 
+NOTICED = 3600.0
+"""Wall time [s] for which the diagnostics tell of what has happened once."""
 DEADLINE_POLL = 0.1
 """Wall time [s] between two looks at a component's deadline in real time."""
 
@@ -100,7 +103,7 @@ class ComponentNode:
         self._published: dict[str, int] = {}
         self._deaf: set[str] = set()
         self._strangers: dict[str, tuple[int, str]] = {}
-        self._clock_stepped = ''
+        self._notices: dict[str, tuple[float, str]] = {}
         self._lifecycle_state = 'active'
         self._activity = Activity()
         self._sent_at = 0  # wall time of the newest driving message that is not worked yet [ns]
@@ -219,11 +222,10 @@ class ComponentNode:
             Health(f'sources of {name}', Level.ERROR, text)
             for name, text in self.component.sources.refusals.items()
         ]
-        for name, (count, text) in self._strangers.items():
-            told = f'{count} messages refused; the newest {text}'
-            found.append(Health(f'strangers on {name}', Level.WARN, told))
-        if self._clock_stepped:
-            found.append(Health('clock', Level.WARN, self._clock_stepped))
+        now = time.monotonic()
+        for name, (since, text) in self._notices.items():
+            if now - since < NOTICED:
+                found.append(Health(name, Level.WARN, text))
         return found
 
     def own_health(self) -> list[Health]:
@@ -346,7 +348,14 @@ class ComponentNode:
             if doubt != before:
                 self.node.get_logger().error(f'{name} {doubt}; refused')
             self._strangers[name] = count + 1, doubt
+            self._notice(
+                f'strangers on {name}', f'{count + 1} messages refused; the newest {doubt}'
+            )
         return doubt
+
+    def _notice(self, name: str, text: str) -> None:
+        """Have the operator see what has happened, though it is over."""
+        self._notices[name] = time.monotonic(), text
 
     def _heard(self, topic: str, sequence_number: int) -> None:
         """Note in lock-step that a message has come in."""
@@ -383,7 +392,7 @@ class ComponentNode:
         event = event_record(self.component, self.merger.time, CLOCK_STEP, {'step': step})
         self._send('node_event', event)
         self.node.get_logger().error(f'{text}; a new series of stamps begins')
-        self._clock_stepped = f'{text}; what was known by stamps from before is forgotten'
+        self._notice('clock', f'{text}; what was known by stamps from before is forgotten')
         before = self.component
         self.component, emissions = before.renewed(step)
         self.merger = Merger(self.component, time=self._now())
