@@ -10,11 +10,13 @@ in-process graph, in a bag replay and in offline evaluation.
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 from fuzzycnc_ros.components.command_sources import REQUEST, CommandSources
 from fuzzycnc_ros.components.records import Record, nanoseconds
 from fuzzycnc_ros.core.config import Config
+
+ComponentT = TypeVar('ComponentT', bound='Component')
 
 
 class Durability(Enum):
@@ -187,9 +189,13 @@ class Component:
         step : int
             By how much the clock went forward [ns]; negative if it went back.
         """
+        return self._afresh(), []
+
+    def _afresh(self: ComponentT) -> ComponentT:
+        """Return a component of the same machine and parameters that has heard nothing yet."""
         fresh = type(self)(self._config)
         fresh.machine, fresh.sources = self.machine, self.sources
-        return fresh, []
+        return fresh
 
     def restore(self, output: str, record: Record) -> None:
         """Take back a persistent record that an earlier life of the component published."""

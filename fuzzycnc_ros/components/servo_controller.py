@@ -142,8 +142,8 @@ class ServoController(Component):
 
     def renewed(self, step: int) -> 'tuple[ServoController, list[Emission]]':
         """Forget all but the epoch: the machine side believes no lower one."""
-        fresh = type(self)(self._config)
-        fresh.machine, fresh.sources, fresh._epoch = self.machine, self.sources, self._epoch
+        fresh = self._afresh()
+        fresh._epoch = self._epoch
         return fresh, []
 
     def on_axis_state(self, state: AxisState) -> Iterator[Emission]:

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Component `simulated_machine`: the thermal mill of method sheet 001 as a machine on topics.
+"""Component `simulated_machine`: a mill that heats up, as a machine on topics.
 
 It is the only component that makes time: `tick` moves the machine on.  Whoever hosts it decides
 when that happens, a lock-step sequencer or a clock.  Ticks of warmth are long; while the axes

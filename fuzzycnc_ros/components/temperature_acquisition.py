@@ -223,8 +223,7 @@ class TemperatureAcquisition(Component):
 
     def renewed(self, step: int) -> 'tuple[TemperatureAcquisition, list[Emission]]':
         """Start afresh, but for the reference: it was set that long ago as before."""
-        fresh = type(self)(self._config)
-        fresh.machine, fresh.sources = self.machine, self.sources
+        fresh = self._afresh()
         known = self._reference
         if known is None:
             return fresh, []

@@ -140,8 +140,7 @@ class ThermalPredictor(Component):
 
     def renewed(self, step: int) -> 'tuple[ThermalPredictor, list[Emission]]':
         """Begin with the same model; the history goes on once the same reference comes anew."""
-        fresh = type(self)(self._config)
-        fresh.machine, fresh.sources = self.machine, self.sources
+        fresh = self._afresh()
         if self._selection is not None:
             fresh._newest['sensor_selection'] = self._selection
         fresh._checkpoint = self._checkpoint
