@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.bags.csv_doubts import lone_lines, named_unit_lines, temperature_line, time_line
 from fuzzycnc_ros.bags.csv_mapping import (
     LENGTH_UNITS,
     SPEED_UNITS,
@@ -18,10 +19,16 @@ from fuzzycnc_ros.bags.csv_mapping import (
     parse_channel,
 )
 from fuzzycnc_ros.bags.csv_messages import Messages
-from fuzzycnc_ros.bags.csv_table import Table, read_table
+from fuzzycnc_ros.bags.csv_table import Table, Times, read_table
+from fuzzycnc_ros.bags.csv_time import ISO8601, known_forms
 from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
 from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.core.thermal.plausibility import (
+    DISPLACEMENT_STEP,
+    TEMPERATURE_STEP,
+    lone_values,
+)
 from fuzzycnc_ros.core.thermal.run import (
     DISPLACEMENT_MAX,
     REFERENCE_SAMPLES,
@@ -66,6 +73,10 @@ class ImportReport:
         Names in the bag.
     missing : int
         Temperature readings that the file lacks.
+    remarks : tuple of str
+        What was recognised in the file, a sentence each.
+    doubts : tuple of str
+        What looks like a mistake though it was imported, a sentence each with the remedy.
     """
 
     path: Path
@@ -75,6 +86,8 @@ class ImportReport:
     sensors: tuple[str, ...]
     channels: tuple[str, ...]
     missing: int
+    remarks: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -125,17 +138,20 @@ def import_csv(
     path = Path(file)
     table = read_table(path, mapping)
     sensors = _sensor_columns(table, mapping)
-    table.require([mapping.time, *(c.column for c in mapping.channels)])
+    table.require([mapping.time], '--time')
+    table.require([channel.column for channel in mapping.channels], '--displacement')
     if mapping.spindle_speed is not None:
-        table.require([mapping.spindle_speed])
+        table.require([mapping.spindle_speed], '--speed')
     names = _names(table, mapping, sensors)
     channels = _names(table, mapping, [channel.column for channel in mapping.channels])
-    time, date = table.time(mapping.time, mapping.time_unit)
+    times = table.time(mapping.time, mapping.time_unit, mapping.time_format)
+    time, date = times.seconds, times.date
     recording = _read(table, mapping, sensors, time)
     _check_temperatures(table, mapping, sensors, recording.temperature)
     if mapping.zero and mapping.channels:
         recording = _zeroed(recording)
     _check_displacements(table, mapping, recording)
+    doubts = _doubts(table, mapping, sensors, recording, clock=bool(times.form))
     if mapping.resample is None:
         table.check_even(mapping.time, time)
     else:
@@ -158,7 +174,42 @@ def import_csv(
         sensors=tuple(names),
         channels=tuple(channels),
         missing=int(np.isnan(recording.temperature).sum()),
+        remarks=_remarks(table, mapping, times),
+        doubts=doubts,
     )
+
+
+def _remarks(table: Table, mapping: CsvMapping, times: Times) -> tuple[str, ...]:
+    """Return what was recognised in a file."""
+    remarks = []
+    if times.form and not (mapping.time_format or mapping.time_unit == ISO8601):
+        others = [form for form in known_forms(table.cells(mapping.time)) if form != times.form]
+        also = f', which could be {" or ".join(others)}: see --time-format' if others else ''
+        remarks.append(f'times of {mapping.time!r} read as {times.form}{also}')
+    if times.midnights:
+        lines = ', '.join(str(table.lines[row]) for row in times.midnights[:5])
+        remarks.append(f'the clock passes midnight before line {lines}: a day was added')
+    return tuple(remarks)
+
+
+def _doubts(
+    table: Table, mapping: CsvMapping, sensors: list[str], recording: _Recording, *, clock: bool
+) -> tuple[str, ...]:
+    """Return what looks like a mistake."""
+    temperature = recording.temperature
+    lone = list(lone_values(temperature, TEMPERATURE_STEP))
+    doubts = named_unit_lines(table, mapping, sensors)
+    if not doubts:
+        doubts = temperature_line(mapping, temperature)
+        if not clock:
+            true = temperature.copy()
+            true[[item.row for item in lone], [item.column for item in lone]] = np.nan
+            doubts += time_line(mapping, recording.time, true)
+    columns = [channel.column for channel in mapping.channels]
+    doubts += lone_lines(table, sensors, lone, 1.0, 'degC')
+    jumps = lone_values(recording.displacement, DISPLACEMENT_STEP)
+    doubts += lone_lines(table, columns, jumps, 1e6, 'um')
+    return tuple(f'{table.path}{doubt}' for doubt in doubts)
 
 
 def _sensor_columns(table: Table, mapping: CsvMapping) -> list[str]:
@@ -169,7 +220,7 @@ def _sensor_columns(table: Table, mapping: CsvMapping) -> list[str]:
     if not columns:
         raise CsvError(
             f'{table.path}: expected at least one temperature column but none is mapped; the '
-            f'file has {", ".join(table.header)}'
+            f'file has {", ".join(table.header)}; name them with --temperature'
         )
     return columns
 
@@ -229,7 +280,7 @@ def _check_temperatures(
         if np.nanmin(raw * f + o) >= TEMPERATURE_MIN and np.nanmax(raw * f + o) <= TEMPERATURE_MAX
     ]
     remedy = (
-        f'in {fits[0]} they would fit'
+        f'in {fits[0]} they would fit: --temperature-unit {fits[0]}'
         if fits
         else 'leave the sensor out, or empty the cell where it failed'
     )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from math import pi
 
+from fuzzycnc_ros.bags.csv_time import ISO8601, strptime_form
 from fuzzycnc_ros.bags.errors import CsvError
 
 TIME_UNITS = {'s': 1.0, 'ms': 1e-3, 'min': 60.0, 'h': 3600.0}
@@ -15,8 +16,6 @@ LENGTH_UNITS = {'um': 1e-6, 'mm': 1e-3, 'm': 1.0, 'nm': 1e-9}
 TEMPERATURE_UNITS = {'degC': (1.0, 0.0), 'K': (1.0, -273.15), 'degF': (5.0 / 9.0, -160.0 / 9.0)}
 SPEED_UNITS = {'rpm': 2.0 * pi / 60.0, 'rad/s': 1.0}
 AXES = 'XYZABCUVW'
-
-ISO8601 = 'iso8601'
 
 _CHANNEL = re.compile(r'(?P<column>.+)=(?P<sign>[+-]?)(?P<axis>\w+):(?P<unit>\w+)')
 _MACHINE = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
@@ -92,7 +91,10 @@ class CsvMapping:
     time : str
         Time column.
     time_unit : {'s', 'ms', 'min', 'h', 'iso8601'}
-        Its unit, or `iso8601` for dates such as 2024-05-01T08:00:00Z.
+        Its unit, or `iso8601` for dates such as 2024-05-01T08:00:00Z.  Dates and times of day
+        in a usual form are recognised, whatever the unit.
+    time_format : str, optional
+        Form of dates or times of day, as `strptime` or a spreadsheet writes it.
     temperatures : sequence of str
         Temperature columns: names, patterns such as `t*`, or regular expressions after `re:`.
         Columns that have another meaning are never matched by a pattern.
@@ -106,8 +108,13 @@ class CsvMapping:
         Its unit.
     rename : mapping
         Column name to the name of the sensor or channel in the bag.
+    encoding : str
+        Encoding of the file.
+    header : bool
+        Whether the first line names the columns; if not, they are called c1, c2 and so on.
     delimiter : str, optional
-        Character between columns; found out from the first line if absent.
+        Character between columns; found out if absent.  Where it is the decimal sign too, the
+        file puts its numbers in quotation marks.
     decimal : {'.', ','}
         Decimal sign.
     rows : (int, int), optional
@@ -120,17 +127,20 @@ class CsvMapping:
         Name of the machine: the namespace of the topics and the first part of `frame_id`.
     epoch : float, optional
         Stamp of the first sample [s]; 1 if absent, since stamp 0 means unknown in messages;
-        with ISO 8601 times the first date itself.
+        with dates the first one itself.
     """
 
     time: str = 'time'
     time_unit: str = 's'
+    time_format: str | None = None
     temperatures: Sequence[str] = ()
     temperature_unit: str = 'degC'
     displacements: Sequence[Channel | str] = ()
     spindle_speed: str | None = None
     spindle_speed_unit: str = 'rpm'
     rename: Mapping[str, str] = field(default_factory=dict)
+    encoding: str = 'utf-8'
+    header: bool = True
     delimiter: str | None = None
     decimal: str = '.'
     rows: tuple[int, int] | None = None
@@ -144,15 +154,22 @@ class CsvMapping:
         _word('time_unit', self.time_unit, {**TIME_UNITS, ISO8601: 1.0})
         _word('temperature_unit', self.temperature_unit, TEMPERATURE_UNITS)
         _word('spindle_speed_unit', self.spindle_speed_unit, SPEED_UNITS)
+        if self.time_format is not None:
+            try:
+                object.__setattr__(self, 'time_format', strptime_form(self.time_format))
+            except ValueError as error:
+                raise CsvError(f'time_format: {error}') from error
+        try:
+            ''.encode(self.encoding)
+        except LookupError as error:
+            raise CsvError(
+                f'encoding: expected a text encoding such as utf-8, cp1252, latin-1 or utf-16 but '
+                f'found {self.encoding!r}'
+            ) from error
         if self.decimal not in ('.', ','):
             raise CsvError(f"decimal: expected '.' or ',' but found {self.decimal!r}")
-        if self.delimiter is not None and (
-            len(self.delimiter) != 1 or self.delimiter in '"\r\n' or self.delimiter == self.decimal
-        ):
-            raise CsvError(
-                f'delimiter: expected one character other than the decimal sign '
-                f'but found {self.delimiter!r}'
-            )
+        if self.delimiter is not None and (len(self.delimiter) != 1 or self.delimiter in '"\r\n'):
+            raise CsvError(f'delimiter: expected one character but found {self.delimiter!r}')
         if self.rows is not None and not 0 <= self.rows[0] <= self.rows[1]:
             raise CsvError(f'rows: expected 0 <= first <= last but found {self.rows}')
         if self.resample is not None and not 0.0 < self.resample < 1e6:
@@ -188,7 +205,7 @@ class CsvMapping:
             if not fits:
                 raise CsvError(
                     f'expected a temperature column {pattern!r} but the file has '
-                    f'{", ".join(header)}'
+                    f'{", ".join(header)}; name one with --temperature'
                 )
             chosen.update(fits)
         return [name for name in header if name in chosen]

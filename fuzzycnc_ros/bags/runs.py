@@ -3,7 +3,8 @@
 """Reading a thermal run out of a bag."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import compress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,6 +16,7 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.components.spindle_speed import TOPICS, speed_told, speeds_at
 from fuzzycnc_ros.core.repeated_names import repeated_names
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
+from fuzzycnc_ros.core.thermal.windows import counted
 
 TEMPERATURES_TYPE = 'fuzzycnc_msgs/msg/Temperatures'
 DISPLACEMENT_TYPE = 'fuzzycnc_msgs/msg/Displacement'
@@ -51,6 +53,7 @@ def read_run(
     name: str | None = None,
     average: bool = False,
     compensated: bool = False,
+    sensors: Callable[[str], bool] | None = None,
 ) -> ThermalRun:
     """Read a thermal run from a bag.
 
@@ -59,7 +62,8 @@ def read_run(
     path : path
         The bag.
     start, stop : float, optional
-        Only samples with `start` <= time <= `stop`, in s from the first temperature sample.
+        Window whose samples count, in s from the first temperature sample; what it does to the
+        others, `windows.counted` says.
     temperatures, displacement : str
         Names of the topics, without namespace, or absolute.
     namespace : str, optional
@@ -72,14 +76,18 @@ def read_run(
     compensated : bool
         Whether displacements measured under active compensation are accepted; they are what
         was left of the machine's error, so no model can be trained on them.
+    sensors : callable, optional
+        Says of a sensor's name whether the run is to have it; all if absent.  What the others
+        read is not looked at.
 
     Returns
     -------
     ThermalRun
         Time in s from the first temperature sample of the bag; readings whose status is not OK
-        are NaN; each sample has the newest displacement that is not newer than itself and newer
-        than the sample before, NaN if there is none, and the spindle speed that a predictor
-        would have known, where the bag has `machine_state` or `spindle_speed` with one.
+        are NaN; each sample has of each channel the newest displacement that is not newer than
+        itself and newer than the sample before, NaN if there is none, and the spindle speed that
+        a predictor would have known, where the bag has `machine_state` or `spindle_speed` with
+        one.
 
     Raises
     ------
@@ -87,7 +95,8 @@ def read_run(
         If the bag lacks a topic, or has it in several namespaces and none is named.
     RunError
         If sensors repeat or change within the bag, stamps do not increase, the window is empty,
-        temperatures and displacements do not overlap, or compensation was active.
+        temperatures and displacements do not overlap, compensation was active, or no sensor is
+        wanted.
     BagError
         If the bag cannot be read.
     """
@@ -136,19 +145,42 @@ def read_run(
             f'{_seconds(measured.stamp[-1])} s, {other} from {_seconds(moved.stamp[0])} to '
             f'{_seconds(moved.stamp[-1])} s; both must use the same clock'
         )
+    # Nothing is asked of what comes after the window, which may be why it ends there.
+    used = time <= (np.inf if stop is None else stop)
+    wanted = [sensors is None or sensors(item) for item in measured.names[0]]
+    if not any(wanted):
+        raise RunError(
+            f'{source}: expected a sensor that is used but found {", ".join(measured.names[0])} '
+            'and all of them left out'
+        )
     try:
-        return ThermalRun(
+        run = ThermalRun(
             name=name or source.stem,
-            time=time[inside],
-            sensor=measured.names[0],
-            temperature=measured.values[inside],
+            time=time[used],
+            sensor=tuple(compress(measured.names[0], wanted)),
+            temperature=measured.values[np.ix_(used, wanted)],
             channel=moved.names[1],
             axis=moved.names[0],
-            displacement=joined[inside],
-            spindle_speed=None if speed is None else speed[inside],
+            displacement=joined[used],
+            spindle_speed=None if speed is None else speed[used],
         )
+        return counted(run, start, stop)
     except ThermalDataError as error:
         raise RunError(f'{source}: {error}') from error
+
+
+def sensor_names(path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Return the sensors of the first temperatures in a bag, in any namespace.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read or has no temperatures.
+    """
+    with BagReader(Path(path)) as reader:
+        topic = find_topic(reader, 'temperatures', TEMPERATURES_TYPE)
+        first = next(iter(reader.messages([topic])))
+        return tuple(first.message.sensor)
 
 
 def find_topic(reader: BagReader, name: str, type_name: str, namespace: str | None = None) -> str:
@@ -275,11 +307,14 @@ def _join(stamp: NDArray[np.int64], moved: Series, average: bool) -> NDArray[np.
     last = np.searchsorted(moved.stamp, stamp, side='right')
     first = np.concatenate([[0], last[:-1]])
     joined = np.full((len(stamp), moved.values.shape[1]), np.nan)
-    if not average:
-        measured = last > first
-        joined[measured] = moved.values[last[measured] - 1]
-        return joined
     finite = np.isfinite(moved.values)
+    if not average:
+        row = np.where(finite, np.arange(len(finite))[:, np.newaxis], -1)
+        # Channels may be probed one after the other.
+        newest = np.maximum.accumulate(row)[np.maximum(last, 1) - 1]
+        measured = (last > first)[:, np.newaxis] & (newest >= first[:, np.newaxis])
+        values = np.take_along_axis(moved.values, np.maximum(newest, 0), axis=0)
+        return np.where(measured, values, joined)
     zero = np.zeros((1, moved.values.shape[1]))
     total = np.concatenate([zero, np.cumsum(np.where(finite, moved.values, 0.0), axis=0)])
     count = np.concatenate([zero, np.cumsum(finite, axis=0)])

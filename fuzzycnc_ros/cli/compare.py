@@ -13,6 +13,7 @@ from fuzzycnc_ros.cli.console import (
     check_at_least,
     check_folder,
     progress_bar,
+    remark,
     say,
     show,
     write_json,
@@ -22,7 +23,6 @@ from fuzzycnc_ros.cli.many_bags import (
     BadBag,
     Jobs,
     NamedBag,
-    Sorted,
     check_some_left,
     find_bags,
     jobs_of,
@@ -32,16 +32,26 @@ from fuzzycnc_ros.cli.many_bags import (
 from fuzzycnc_ros.cli.options import (
     ALL,
     Clusters,
+    DropSensor,
+    End,
     Interval,
     Report,
     Sensors,
     Speed,
+    Start,
     names_of,
+)
+from fuzzycnc_ros.cli.recorded_runs import (
+    bridged_gaps,
+    doubt_lines,
+    gap_document,
+    gap_lines,
+    sensors_but,
 )
 from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, SPEED_SUFFIX
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from fuzzycnc_ros.cli.workers import Progress
     from fuzzycnc_ros.core.thermal import ThermalRun
@@ -54,7 +64,17 @@ MACHINES = ('grinder',)
 SHOWN_EACH = 5
 """Most held-out runs of which each gets a table with all models; report and figures have all."""
 
-NOT_WITH_MACHINE = ('bags', 'interval', 'sensors', 'clusters', 'speed', 'hold_out')
+NOT_WITH_MACHINE = (
+    'bags',
+    'interval',
+    'sensors',
+    'clusters',
+    'drop_sensor',
+    'speed',
+    'start',
+    'end',
+    'hold_out',
+)
 """Parameters that say how recorded runs are treated."""
 
 
@@ -87,7 +107,10 @@ def compare(
     interval: Interval = 60.0,
     sensors: Sensors = 'auto',
     clusters: Clusters = 5,
+    drop_sensor: DropSensor = None,
     speed: Speed = True,
+    start: Start = None,
+    end: End = None,
     hold_out: Annotated[
         Optional[list[str]],  # noqa: UP045
         typer.Option(
@@ -110,6 +133,14 @@ def compare(
     later part is predicted from what came before. The row `default` is what `fuzzycnc train`
     would have chosen by itself, without the held-out run. What is not to be trusted is marked.
 
+    No compensation competes too: the best candidate is none where nothing beats the machine as it
+    is. A channel in which the default leaves more than that is marked and named. The exit code is
+    0 all the same: scripts test `worse_than_none` in the figures of --json, a list of channels.
+
+    --start, --end and --hold-out say which samples count, in seconds from the bag's first sample.
+    They never move the reference: temperatures and displacements stay referred to the first
+    samples of the bag.
+
     A bag that cannot be used is named and left out of everything; the command then ends with 1.
     The figures do not depend on --jobs.
 
@@ -131,7 +162,10 @@ def compare(
         raise ValueError(f'expected bags or --machine {"|".join(MACHINES)} but found neither')
     names = names_of('--models', models, CANDIDATES)
     windows = [_window(text) for text in hold_out or []]
-    read = _read_each(bags, processes)
+    wanted = sensors_but(drop_sensor, [bag.path for bag in find_bags(bags)])
+    work = partial(usable_run, interval=interval, start=start, stop=end, sensors=wanted)
+    with progress_bar('reading') as tell:
+        read = with_each(work, find_bags(bags), processes, tell)
     runs = read.results
     no_speed = '--no-speed' if not speed else speed_missing(runs, interval)
     if no_speed:
@@ -150,6 +184,11 @@ def compare(
     lines = _show(comparison)
     if no_speed:
         lines.append(f'spindle speed: not used, {no_speed}')
+    bridged = {run.name: bridged_gaps(run, interval) for run in runs}
+    for name, gaps in bridged.items():
+        lines += gap_lines(name, gaps, interval)
+    doubts = doubt_lines(runs)
+    lines += [f'warning: {line}' for line in doubts]
     for line in lines:
         say(line)
     bad = (*read.bad, *failed)
@@ -175,41 +214,56 @@ def compare(
             **comparison_document(comparison),
             'overall': overall_document([item.evaluation for item in comparison.held_out]),
             'left_out': {item.bag.name: item.reason for item in bad},
+            'warnings': doubts,
+            'bridged': {name: gap_document(gaps) for name, gaps in bridged.items()},
         },
     )
     if bad:
         raise typer.Exit(1)
 
 
-def read_runs(bags: 'Sequence[Path]') -> 'list[ThermalRun]':
-    """Read runs, each with a name of its own.
+def read_runs(
+    bags: 'Sequence[Path]',
+    start: float | None = None,
+    stop: float | None = None,
+    sensors: 'Callable[[str], bool] | None' = None,
+) -> 'list[ThermalRun]':
+    """Read runs, each with a name of its own; `start`, `stop`, `sensors` as in `read_run`.
 
     Raises
     ------
     ValueError
         If a bag is named twice, or one cannot be used.
     """
+    from fuzzycnc_ros.bags.runs import read_run
+
     runs = []
     with progress_bar('reading') as tell:
         for done, bag in enumerate(named := find_bags(bags)):
             tell(f'reading {bag.name}', done, len(named))
-            runs.append(read_named(bag))
+            run = read_run(bag.path, start=start, stop=stop, name=bag.name, sensors=sensors)
+            runs.append(run)
     return runs
 
 
-def read_named(bag: NamedBag, progress: 'Progress | None' = None) -> 'ThermalRun':
-    """Read the run of a bag under the name that tells it from the others."""
+def usable_run(
+    bag: NamedBag, progress: 'Progress', *, interval: float, **options: Any
+) -> 'ThermalRun':
+    """Read the run of a bag under the name that tells it from the others.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be read, is too slow, or lacks readings for longer than is bridged.
+    """
     from fuzzycnc_ros.bags.runs import read_run
+    from fuzzycnc_ros.core.thermal.training import at_interval
+    from fuzzycnc_ros.core.thermal.training_runs import check_gaps
 
-    if progress is not None:
-        progress('reading', bag.name, 0, 1)
-    return read_run(bag.path, name=bag.name)
-
-
-def _read_each(bags: 'Sequence[Path]', jobs: int) -> 'Sorted[ThermalRun]':
-    """Read runs; bags that cannot be used are told apart."""
-    with progress_bar('reading') as tell:
-        return with_each(read_named, find_bags(bags), jobs, tell)
+    progress('reading', bag.name, 0, 1)
+    run = read_run(bag.path, name=bag.name, **options)
+    check_gaps([at_interval(run, interval)])
+    return run
 
 
 def speed_missing(runs: 'Sequence[ThermalRun]', interval: float) -> str:
@@ -280,9 +334,15 @@ def _show(comparison: 'Comparison') -> list[str]:
     if len(held_out) <= SHOWN_EACH:
         for item in held_out:
             show(shown.held_out_table(item))
-            chosen = f'default: {shown.choice_text(item)}'
-            for line in (chosen, *shown.refusal_lines(item), ''):
-                say(line)
+            say(f'default: {shown.choice_text(item)}')
+            for line in shown.held_out_remarks(item):
+                remark(line)
+            for text in (*shown.refusal_lines(item), ''):
+                say(text)
+    else:
+        for line in (line for item in held_out for line in shown.held_out_remarks(item)):
+            if line.warning:
+                remark(line)
     if len(held_out) > 1:
         judged = [item.evaluation for item in held_out]
         show(runs_table(judged))
@@ -290,8 +350,10 @@ def _show(comparison: 'Comparison') -> list[str]:
         show(overall_table(judged, shown.refused_anywhere(comparison)))
         say('')
         show(shown.pooled_table(comparison))
-        for line in shown.pooled_refusal_lines(comparison):
-            say(line)
+        for text in shown.pooled_refusal_lines(comparison):
+            say(text)
+        for line in shown.pooled_remarks(comparison):
+            remark(line)
     return [f'best candidate: {shown.by_channel(shown.best_candidates(comparison))}']
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from fuzzycnc_ros.report import Column, Table
+    from fuzzycnc_ros.report.remark import Remark
 
 JsonFile = Annotated[
     Optional[Path],  # noqa: UP045  typer 0.9 reads this form on every Python
@@ -85,6 +86,7 @@ def _columns(table: 'Table', chosen: list[int]) -> 'Table':
         columns=tuple(table.columns[c] for c in columns),
         rows=tuple(tuple(row[c] for c in columns) for row in table.rows),
         strong=frozenset((r, columns.index(c)) for r, c in table.strong if c in columns),
+        warning=frozenset((r, columns.index(c)) for r, c in table.warning if c in columns),
     )
 
 
@@ -98,6 +100,16 @@ def _fits(table: 'Table', chosen: list[int], console: 'Console') -> bool:
 def say(text: str) -> None:
     """Print a line of the result; control characters of foreign names are spelt out."""
     print(visible(text), flush=True)
+
+
+def remark(line: 'Remark') -> None:
+    """Print a sentence on the result, one that warns in the colour of warnings."""
+    if not line.warning or not sys.stdout.isatty():
+        say(line.text)
+        return
+    from fuzzycnc_ros.cli.terminal import Terminal
+
+    Terminal().print(line.text, style='yellow', soft_wrap=True, highlight=False)
 
 
 def complain(text: str) -> None:

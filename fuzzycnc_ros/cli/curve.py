@@ -21,7 +21,8 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_text,
 )
-from fuzzycnc_ros.cli.options import Bags, Interval, Report, Seed
+from fuzzycnc_ros.cli.options import Bags, DropSensor, End, Interval, Report, Seed, Start
+from fuzzycnc_ros.cli.recorded_runs import bridged_gaps, gap_document, gap_lines, sensors_but
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,6 +41,9 @@ def curve(
         list[str], typer.Option(metavar='N,...', help='Numbers of sensors to try.')
     ] = ['1,2,3,5,8,10,15'],  # noqa: B006 - typer copies it
     interval: Interval = 60.0,
+    drop_sensor: DropSensor = None,
+    start: Start = None,
+    end: End = None,
     seed: Seed = 0,
     report: Report = None,
     json_file: JsonFile = None,
@@ -68,7 +72,8 @@ def curve(
     numbers = _numbers(counts)
     for path in (report, json_file):
         check_folder(path)
-    runs = [at_interval(run, interval) for run in read_runs(bags)]
+    read = read_runs(bags, start, end, sensors_but(drop_sensor, bags))
+    runs = [at_interval(run, interval) for run in read]
     check_training_runs(runs)
     held_out = splits(runs, interval=interval)
     usable = min(_warming(split.training) for split in held_out)
@@ -87,6 +92,9 @@ def curve(
             f'left out: {", ".join(str(n) for n in numbers if n not in kept)}, as only {usable} '
             'sensors warm up in every training'
         )
+    bridged = {run.name: bridged_gaps(run, interval) for run in read}
+    for name, gaps in bridged.items():
+        lines += gap_lines(name, gaps, interval)
     for line in lines:
         say(line)
     if report is not None:
@@ -101,6 +109,7 @@ def curve(
         say(f'{report}: the report; open it in a browser')
     document: dict[str, Any] = sensor_curve_document(curves)
     document['left_out'] = [count for count in numbers if count not in kept]
+    document['bridged'] = {name: gap_document(gaps) for name, gaps in bridged.items()}
     write_json(json_file, document)
 
 

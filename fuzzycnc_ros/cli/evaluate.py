@@ -4,7 +4,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Optional
 
 import typer
 
@@ -12,6 +12,7 @@ from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_folder,
     progress_bar,
+    remark,
     say,
     show,
     write_json,
@@ -28,13 +29,31 @@ from fuzzycnc_ros.cli.many_bags import (
     with_each,
 )
 from fuzzycnc_ros.cli.options import End, Report, Start
+from fuzzycnc_ros.cli.quantities import DURATIONS, quantity
+from fuzzycnc_ros.cli.recorded_runs import (
+    Bridged,
+    as_predicted,
+    gap_document,
+    gap_lines,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from fuzzycnc_ros.cli.workers import Progress
     from fuzzycnc_ros.core.thermal import Evaluation, ThermalModel, ThermalRun
     from fuzzycnc_ros.report import CompensationRun
+    from fuzzycnc_ros.report.remark import Remark
+    from fuzzycnc_ros.scenario.probed_evaluation import ProbedEvaluation
 
-    Judged = tuple[Evaluation, CompensationRun | None]
+
+class Judged(NamedTuple):
+    """What became of a bag, gaps in what the model reads; page and probed run if asked for."""
+
+    evaluation: 'Evaluation'
+    bridged: tuple[Bridged, ...]
+    page: 'CompensationRun | None' = None
+    probed: 'ProbedEvaluation | None' = None
 
 
 def evaluate(
@@ -44,6 +63,14 @@ def evaluate(
     ],
     start: Start = None,
     end: End = None,
+    probe_every: Annotated[
+        Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Option(
+            metavar='TIME',
+            show_default=False,
+            help='Also judge what probing the machine this often would leave, such as 60min.',
+        ),
+    ] = None,
     jobs: Jobs = None,
     report: Report = None,
     json_file: JsonFile = None,
@@ -51,8 +78,16 @@ def evaluate(
     """Compare a model's predictions with what was measured, beside plain baselines.
 
     All candidates of the model run from the bag's first sample, as they would on the machine;
-    what is left of the measured displacement is judged between --start and --end. Rows the model
-    was trained on prove nothing: leave them outside.
+    what is left of the measured displacement is judged between --start and --end. Neither of them
+    moves the reference: temperatures and displacements stay referred to the bag's first samples.
+    Rows that the model was trained on prove nothing; what of them was judged is named.
+
+    A channel in which the default leaves more than there was without compensation is marked and
+    named. The exit code is 0 all the same: scripts test `worse_than_none` in the figures of
+    --json, a list of channels, over all bags; `judged` has it for each.
+
+    With --probe-every a second table shows what is left if the machine is probed that often, as
+    `thermal_predictor` would use the probes, beside the last probe held without any model.
 
     Of several bags there is one table, with their median and the worst of them, and one of all
     candidates. A bag that cannot be judged is named and left out; the command then ends with 1.
@@ -61,29 +96,46 @@ def evaluate(
         fuzzycnc evaluate thursday friday --model mill.json
         fuzzycnc evaluate recordings 'archive/2026-*' --model mill.json --json figures.json
         fuzzycnc evaluate spindle --model spindle.json --start 86865
-        fuzzycnc evaluate spindle --model spindle.json --report spindle.html
+        fuzzycnc evaluate spindle --model spindle.json --probe-every 60min --report spindle.html
     """
     from fuzzycnc_ros.cli.train import default_text, problem_lines
     from fuzzycnc_ros.core.thermal import load_model
 
     processes = jobs_of(jobs)
+    every = None
+    if probe_every is not None:
+        every = quantity('--probe-every', probe_every, DURATIONS, example='60min')
     for path in (report, json_file):
         check_folder(path)
     trained = load_model(model)
-    text = model.read_text(encoding='utf-8')
-    work = partial(judge_bag, model_text=text, start=start, end=end, page=report is not None)
+    document = model.read_text(encoding='utf-8')
+    work = partial(
+        judge_bag,
+        model_text=document,
+        start=start,
+        end=end,
+        probe_every=every,
+        page=report is not None,
+    )
     with progress_bar('evaluating') as tell:
         found: Sorted[Judged] = with_each(work, find_bags(bags), processes, tell)
-    judged = [evaluation for evaluation, _ in found.results]
-    _show(judged, trained)
+    _show([item.evaluation for item in found.results], trained)
+    lines = [item for result in found.results for item in _remarks(result.evaluation, trained)]
+    for line in lines:
+        remark(line)
+    for item in found.results:
+        for text in gap_lines(item.evaluation.run, item.bridged, trained.interval):
+            say(text)
+    probed = [item.probed for item in found.results if item.probed is not None]
+    _show_probed(probed)
     say_bad(found.bad)
     say(f'default: {default_text(trained)}')
-    for line in problem_lines(trained):
-        say(line)
+    for text in problem_lines(trained):
+        say(text)
     if report is not None:
-        pages = [page for _, page in found.results if page is not None]
-        _write_report(report, pages, trained, text)
-    write_json(json_file, _document(found, model, trained, text))
+        pages = [item.page for item in found.results if item.page is not None]
+        _write_report(report, pages, lines, trained, document, probed)
+    write_json(json_file, _document(found, model, trained, document))
     if found.bad:
         raise typer.Exit(1)
 
@@ -95,8 +147,9 @@ def judge_bag(
     model_text: str,
     start: float | None,
     end: float | None,
+    probe_every: float | None,
     page: bool,
-) -> 'Judged':
+) -> Judged:
     """Judge a model on one bag; what a page needs besides is made only if there is one.
 
     Raises
@@ -110,9 +163,15 @@ def judge_bag(
 
     progress('evaluating', bag.name, 0, 1)
     trained = load_model(model_text)
-    run = read_run(bag.path, stop=end, name=bag.name)
-    result = judge(trained, run, start=start, stop=end)
-    return result, _page(trained, run, result) if page else None
+    recorded = read_run(bag.path, stop=end, name=bag.name)
+    run, bridged = as_predicted(trained, recorded)
+    result = judge(trained, run, start=start, stop=end, recorded=recorded)
+    probed = None
+    if probe_every is not None:
+        from fuzzycnc_ros.scenario.probed_evaluation import evaluate_probed
+
+        probed = evaluate_probed(trained, run, result, probe_every)
+    return Judged(result, bridged, _page(trained, run, result) if page else None, probed)
 
 
 def _show(judged: 'list[Evaluation]', model: 'ThermalModel') -> None:
@@ -130,21 +189,42 @@ def _show(judged: 'list[Evaluation]', model: 'ThermalModel') -> None:
     (result,) = judged
     title = f'{result.run}: {LEFT}'
     show(residual_table(title, result.channel, result.rms, result.largest, refused))
-    say(
-        f'{result.samples} samples, {100.0 * result.in_domain:.0f} % of them in the domain '
-        'of the training'
-    )
+
+
+def _remarks(result: 'Evaluation', model: 'ThermalModel') -> 'list[Remark]':
+    """Return what a reader of the figures has to know."""
+    from fuzzycnc_ros.report.judged import remarks_on, training_remark
+
+    window, *others = remarks_on(result)
+    trained_on = training_remark(result.run, result.trained_on, result.recognised, model.runs)
+    return [window, trained_on, *others]
+
+
+def _show_probed(probed: 'Sequence[ProbedEvaluation]') -> None:
+    """Print what probing leaves, if it was asked for."""
+    from fuzzycnc_ros.report.probed import probed_lines, probed_table
+
+    if not probed:
+        return
+    say('')
+    show(probed_table(probed))
+    for line in probed_lines(probed):
+        say(line)
 
 
 def _document(
-    found: 'Sorted[Judged]', file: Path, model: 'ThermalModel', text: str
+    found: Sorted[Judged], file: Path, model: 'ThermalModel', text: str
 ) -> dict[str, Any]:
     """Return all figures."""
     from fuzzycnc_ros.core.text_hash import text_hash
-    from fuzzycnc_ros.report.comparison import residual_document
+    from fuzzycnc_ros.core.thermal.evaluation import pooled_rms
+    from fuzzycnc_ros.report.comparison import judged_document, residual_document
+    from fuzzycnc_ros.report.judged import worse_than_none
     from fuzzycnc_ros.report.many_runs import overall_document
+    from fuzzycnc_ros.report.probed import probed_document
 
-    judged = [evaluation for evaluation, _ in found.results]
+    judged = [item.evaluation for item in found.results]
+    probed = [item.probed for item in found.results if item.probed is not None]
     return {
         'model': {
             'file': str(file),
@@ -156,8 +236,14 @@ def _document(
             for result in judged
         },
         'overall': overall_document(judged),
-        'samples': {result.run: result.samples for result in judged},
+        'judged': {result.run: judged_document(result) for result in judged},
+        'worse_than_none': worse_than_none(model.channel, pooled_rms(judged)),
+        'samples': {
+            result.run: dict(zip(result.channel, result.samples, strict=True)) for result in judged
+        },
         'in_domain': {result.run: result.in_domain for result in judged},
+        'bridged': {item.evaluation.run: gap_document(item.bridged) for item in found.results},
+        'probed': probed_document(probed) if probed else None,
         'left_out': {item.bag.name: item.reason for item in found.bad},
     }
 
@@ -194,11 +280,24 @@ def _page(model: 'ThermalModel', run: 'ThermalRun', result: 'Evaluation') -> 'Co
 
 
 def _write_report(
-    path: Path, pages: list['CompensationRun'], model: 'ThermalModel', text: str
+    path: Path,
+    pages: list['CompensationRun'],
+    lines: list['Remark'],
+    model: 'ThermalModel',
+    text: str,
+    probed: 'Sequence[ProbedEvaluation]',
 ) -> None:
     from fuzzycnc_ros.report import render_html
+    from fuzzycnc_ros.report.probed import probed_section
     from fuzzycnc_ros.scenario import shift_report
 
-    data = shift_report(pages, model, text, title='A thermal model, judged on recorded runs')
+    data = shift_report(
+        pages,
+        model,
+        text,
+        title='A thermal model, judged on recorded runs',
+        sections=[probed_section(item) for item in probed],
+        judged=lines,
+    )
     write_text(path, render_html(data))
     say(f'{path}: the report; open it in a browser')

@@ -132,8 +132,15 @@ class ThermalGraph(LiveGraph):
         second = GraphProcesses(
             MACHINE, folder=folder, params=[params], remap=['__node:=compensator_2']
         )
+        began = time.monotonic()
         second.start(NodeSpec('compensator'))
-        return second.stop
+
+        def end() -> None:
+            second.stop()
+            # Its first message may come before the recorder has met it, its last as it leaves.
+            self.outages.append(('compensator', began, time.monotonic()))
+
+        return end
 
     def _specs(self) -> list[NodeSpec]:
         return self._stage_specs(

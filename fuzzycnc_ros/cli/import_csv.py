@@ -26,6 +26,14 @@ def import_csv(
         OptionalText,
         typer.Option(show_default=False, help='s, ms, min, h or iso8601 [default: s].'),
     ] = None,
+    time_format: Annotated[
+        OptionalText,
+        typer.Option(
+            show_default=False,
+            help='Form of dates or times of day, such as %d.%m.%Y %H:%M:%S or '
+            'dd.mm.yyyy hh:mm:ss [default: usual ones are recognised].',
+        ),
+    ] = None,
     temperature: Annotated[
         Texts,
         typer.Option(
@@ -59,6 +67,23 @@ def import_csv(
             show_default=False,
             metavar='COLUMN=NAME',
             help='Another name for a sensor or channel; repeat.',
+        ),
+    ] = None,
+    encoding: Annotated[
+        OptionalText,
+        typer.Option(
+            show_default=False,
+            help='Encoding of the file, such as cp1252 of a German Excel, latin-1 or utf-16 '
+            '[default: utf-8].',
+        ),
+    ] = None,
+    header: Annotated[
+        Optional[bool],  # noqa: UP045
+        typer.Option(
+            '--header/--no-header',
+            show_default=False,
+            help='Whether the first line names the columns; if not, they are called c1, c2 and '
+            'so on [default: header].',
         ),
     ] = None,
     delimiter: Annotated[
@@ -98,9 +123,10 @@ def import_csv(
         typer.Option(
             show_default=False,
             metavar='FILE.yaml',
-            help='File with these settings: keys time, time_unit, temperatures, '
+            help='File with these settings: keys time, time_unit, time_format, temperatures, '
             'temperature_unit, displacements, spindle_speed, spindle_speed_unit, rename, '
-            'delimiter, decimal, rows, zero, resample, machine, epoch. Options overrule it.',
+            'encoding, header, delimiter, decimal, rows, zero, resample, machine, epoch. '
+            'Options overrule it.',
         ),
     ] = None,
     json_file: JsonFile = None,
@@ -110,10 +136,14 @@ def import_csv(
     The bag gets the topics `temperatures`, `displacement`, `machine_state` (with --speed) and
     `thermal_reference` (from the first three minutes) and can be trained on, evaluated and
     played. Every row is checked first: nothing is written if a cell, a time or a unit is wrong.
+    What can be imported but looks like a mistake is a warning with its remedy: another unit, a
+    value far off its neighbours.
 
         fuzzycnc import-csv spindle_thermal.csv --out spindle --time t \
             --temperature 't*' --speed rpm \
             --displacement ch1=X:um,ch2=X:um,ch3=Y:um,ch4=Y:um,ch5=Z:um
+        fuzzycnc import-csv Export.csv --out export --encoding cp1252 --decimal , \
+            --time Zeit --temperature 'T*' --displacement 'Y [mm]=Y:mm'
         fuzzycnc import-csv log.csv --out log --mapping log.yaml --resample 60
     """
     from fuzzycnc_ros.bags.csv import import_csv as convert
@@ -123,12 +153,15 @@ def import_csv(
     given = {
         'time': time,
         'time_unit': time_unit,
+        'time_format': time_format,
         'temperatures': list(words(temperature)) if temperature else None,
         'temperature_unit': temperature_unit,
         'displacements': list(words(displacement)) if displacement else None,
         'spindle_speed': speed,
         'spindle_speed_unit': speed_unit,
         'rename': _pairs(rename) if rename else None,
+        'encoding': encoding,
+        'header': header,
         'delimiter': delimiter,
         'decimal': decimal,
         'rows': _row_range(rows) if rows else None,
@@ -149,6 +182,10 @@ def import_csv(
     )
     if report.missing:
         say(f'{report.missing} temperature readings are missing and marked so')
+    for line in report.remarks:
+        say(line)
+    for line in report.doubts:
+        say(f'warning: {line}')
     write_json(
         json_file,
         {
@@ -159,6 +196,8 @@ def import_csv(
             'sensors': report.sensors,
             'channels': report.channels,
             'missing': report.missing,
+            'remarks': report.remarks,
+            'warnings': report.doubts,
         },
     )
 
@@ -225,8 +264,8 @@ def _setting(path: Path, key: str, value: Any) -> Any:
         if not abs(value) < 1e300:
             raise ValueError(f'{path}: {key}: expected a finite number but found {value!r:.40}')
         return float(value)
-    if key == 'zero':
+    if key in ('zero', 'header'):
         if not isinstance(value, bool):
-            raise ValueError(f'{path}: zero: expected true or false but found {value!r}')
+            raise ValueError(f'{path}: {key}: expected true or false but found {value!r}')
         return value
     return str(value)

@@ -20,13 +20,28 @@ Bags = Annotated[
 Start = Annotated[
     Optional[float],  # noqa: UP045 - typer 0.9 does not read the newer form
     typer.Option(
-        show_default=False, help="First second that counts, from the bag's first sample."
+        show_default=False,
+        help="First second that counts, from the bag's first sample, which stays the reference; "
+        'what lies before only warms up lags.',
     ),
 ]
 
 End = Annotated[
     Optional[float],  # noqa: UP045
-    typer.Option(show_default=False, help="Last second that counts, from the bag's first sample."),
+    typer.Option(
+        show_default=False,
+        help="Last second that counts, from the bag's first sample; nothing after it is read.",
+    ),
+]
+
+DropSensor = Annotated[
+    Optional[list[str]],  # noqa: UP045
+    typer.Option(
+        show_default=False,
+        metavar='NAME,...',
+        help='Sensors to do without, as if they had not been recorded; repeat it, or put commas '
+        'between.',
+    ),
 ]
 
 Interval = Annotated[

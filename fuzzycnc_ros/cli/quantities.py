@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lengths, feeds and shares as people write them: a number with its unit."""
+"""Lengths, feeds, durations and shares as people write them: a number with its unit."""
 
 import re
 from collections.abc import Mapping
@@ -24,6 +24,9 @@ FEEDS: Mapping[str, float] = MappingProxyType(
     }
 )
 """What a feed of 1 is, by unit [m/s]."""
+
+DURATIONS: Mapping[str, float] = MappingProxyType({'s': 1.0, 'min': MINUTE, 'h': 60.0 * MINUTE})
+"""What a duration of 1 is, by unit [s]."""
 
 SHARES: Mapping[str, float] = MappingProxyType({'%': 0.01})
 """What a share of 1 is, by unit [-]."""

@@ -28,10 +28,11 @@ RIVALS = (
     frozenset({'simulated_machine', 'linuxcnc_bridge', 'opcua_bridge'}),
 )
 """Nodes of which a machine has one: what makes its time, and what stands for it."""
-DECIDED = 4.0
+DECIDED = 6.0
 """Wall time [s] after which who is in the graph but does not speak counts as dead."""
-SPOKE = 2.0
-"""Wall time [s] since its newest report for a node that is alive: it reports every second."""
+SPOKE = 4.0
+"""Wall time [s] since its newest report for a node that is alive: it reports every second, a busy
+computer permitting."""
 
 Plan = Sequence[tuple[NodeSpec, ...]]
 """Processes of one machine, each with one node or several composed ones."""

@@ -12,6 +12,7 @@ from fuzzycnc_ros.cli.console import (
     check_folder,
     check_new,
     progress_bar,
+    remark,
     say,
     show,
     write_json,
@@ -22,6 +23,7 @@ from fuzzycnc_ros.cli.options import (
     ALL,
     Bags,
     Clusters,
+    DropSensor,
     End,
     Interval,
     Seed,
@@ -29,6 +31,13 @@ from fuzzycnc_ros.cli.options import (
     Speed,
     Start,
     names_of,
+)
+from fuzzycnc_ros.cli.recorded_runs import (
+    bridged_gaps,
+    doubt_lines,
+    gap_document,
+    gap_lines,
+    sensors_but,
 )
 from fuzzycnc_ros.cli.recording_loss import hole_text
 from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, STANDARD
@@ -61,6 +70,7 @@ def train(
     interval: Interval = 60.0,
     sensors: Sensors = 'auto',
     clusters: Clusters = 5,
+    drop_sensor: DropSensor = None,
     speed: Speed = True,
     start: Start = None,
     end: End = None,
@@ -75,7 +85,16 @@ def train(
     contiguous stretches. The file keeps all of them; each channel uses the best, unless --model
     names one. Where all runs carry the spindle speed, some models read it.
 
+    No compensation competes too: a channel that no model improves beyond chance stays
+    uncompensated. A model that --model names may leave more than that; train says so, and
+    thermal_predictor refuses it unless its parameter `force` is true. The exit code is 0 all the
+    same: scripts test `worse_than_none` in the figures of --json, a list of channels.
+
+    --start and --end say which samples count. They never move the reference: temperatures and
+    displacements stay referred to the first samples of the bag.
+
     A bag holds `temperatures` and `displacement`; `fuzzycnc import-csv` makes one of a table.
+    Readings that are missing for up to 20 min are bridged, as by the predictor.
 
         fuzzycnc train monday tuesday wednesday --out mill.json
         fuzzycnc train shift --end 86850 --out spindle.json --sensors all
@@ -84,18 +103,20 @@ def train(
     """
     from fuzzycnc_ros.bags.runs import read_run
     from fuzzycnc_ros.core.thermal import train_model
+    from fuzzycnc_ros.report.judged import choice_remarks
 
     if not force:
         check_new(out, remedy='add --force')
     for path in (out, json_file):
         check_folder(path)
     names = names_of('--models', models or list(STANDARD), CANDIDATES)
+    wanted = sensors_but(drop_sensor, bags)
     phrase = FitCounter()
     with progress_bar('training') as tell:
         runs = []
         for done, bag in enumerate(bags):
             tell(f'reading {bag.name}', done, len(bags))
-            runs.append(read_run(bag, start=start, stop=end))
+            runs.append(read_run(bag, start=start, stop=end, sensors=wanted))
         trained = train_model(
             runs,
             model=model,
@@ -115,6 +136,13 @@ def train(
     for name, found in holed.items():
         if found:
             say(f'{name}: {found}, filled by straight lines; record it anew for a better model')
+    bridged = {run.name: bridged_gaps(run, interval) for run in runs}
+    for name, gaps in bridged.items():
+        for line in gap_lines(name, gaps, interval):
+            say(line)
+    doubts = doubt_lines(runs)
+    for line in doubts:
+        say(f'warning: {line}')
     say(f'trained on {", ".join(trained.runs)}, a sample every {trained.interval:g} s')
     say(f'sensors: {", ".join(trained.inputs)}')
     if trained.selection.dropped:
@@ -123,9 +151,19 @@ def train(
     for line in problem_lines(trained):
         say(line)
     say(f'in use: {default_text(trained)}')
+    for sentence in choice_remarks(trained):
+        remark(sentence)
     say(f'spindle speed: {speed_text(trained)}')
     say(f'{out}: written, hash {trained.hash[:16]}')
-    write_json(json_file, {**_document(trained, out, trained.hash), 'holes': holed})
+    write_json(
+        json_file,
+        {
+            **_document(trained, out, trained.hash),
+            'holes': holed,
+            'warnings': doubts,
+            'bridged': {name: gap_document(gaps) for name, gaps in bridged.items()},
+        },
+    )
 
 
 def hole_words(run: 'ThermalRun') -> str:
@@ -210,6 +248,8 @@ def _document(model: 'ThermalModel', path: Path, digest: str) -> dict[str, Any]:
             for item in model.selection.clusters
         ],
         'default': dict(zip(model.channel, model.default, strict=True)),
+        'uncompensated': model.uncompensated,
+        'worse_than_none': list(model.losing),
         'candidates': {
             name: {
                 'settings': item.settings,

@@ -33,6 +33,7 @@ def node_specs(
     nodes: Sequence[str] = THERMAL,
     duties: tuple[str, ...] = (),
     model: Path | None = None,
+    force_model: bool = False,
     record: Path | None = None,
     lockstep: bool = False,
     autostart: bool = False,
@@ -50,6 +51,8 @@ def node_specs(
         Duties of the simulated machine; empty leaves it out, for a real machine.
     model : Path, optional
         Model file of the predictor.
+    force_model : bool
+        Whether the predictor uses a model that is worse than none on some channel.
     record : Path, optional
         Bag to record; none if left out.
     lockstep : bool
@@ -94,6 +97,8 @@ def node_specs(
             parameters['autostart'] = autostart
         if name == 'thermal_predictor' and model is not None:
             parameters['model'] = str(model)
+        if name == 'thermal_predictor' and force_model:
+            parameters['force'] = True
         specs.append(NodeSpec(name, parameters))
     served = [spec.name for spec in specs]
     if record is not None:
@@ -133,6 +138,14 @@ def up(
         Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
         typer.Option(help='Model file of the predictor, made by `fuzzycnc train`.'),
     ] = None,
+    force_model: Annotated[
+        bool,
+        typer.Option(
+            '--force-model',
+            help='Use the model even where it left more than no compensation; without, the graph '
+            'is not started.',
+        ),
+    ] = False,
     record: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(
@@ -242,6 +255,7 @@ def up(
                 nodes=chosen,
                 duties=duties,
                 model=model,
+                force_model=force_model,
                 record=bag,
                 lockstep=lockstep,
                 autostart=autostart,

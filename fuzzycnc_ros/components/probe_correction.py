@@ -43,7 +43,7 @@ class ProbeCorrection:
     def __init__(self, model: ThermalModel, config: ThermalPredictorConfig) -> None:
         channels = len(model.channel)
         self._channel, self._axis = model.channel, model.axis
-        self._residual_deviation = model.residual_deviation
+        self._residual = np.fmin(model.held_out_rms, model.band.deviation)
         kind = FILTERS.get(config.probing)
         self._kind = config.probing
         self._filter = kind and kind(channels, jump_max=config.probe_jump_max)
@@ -56,6 +56,8 @@ class ProbeCorrection:
         self._predicted: tuple[Stamp, Floats] | None = None
         self._used = 0
         self._rejection = ''
+        self.doubted: NDArray[np.int64] = np.zeros(channels, dtype=np.int64)
+        """Number of probes of each channel that were not believed, shape (c,)."""
 
     @property
     def active(self) -> bool:
@@ -94,7 +96,7 @@ class ProbeCorrection:
         predicted, deviation : ndarray, shape (c,)
             What the model says of it [m].
         distance : float
-            Distance from the training data, in units of the domain's limit [-].
+            Distance from the training data, 1 at the border of the domain [-].
         probes : tuple of Probe
             Probes since the sample before, oldest first.
         duration : float
@@ -186,7 +188,7 @@ class ProbeCorrection:
             self._rejection = f'probe at {probe.stamp / SECOND:.3f} s is not used: {why}'
             return
         self._elapse_to(probe.stamp)
-        allowed = drift_deviation(self._residual_deviation, distance, noise)
+        allowed = drift_deviation(self._residual, distance, noise)
         verdicts = []
         adapted = np.zeros_like(expected)
         if self._adaptation is not None:
@@ -240,6 +242,7 @@ class ProbeCorrection:
         return np.asarray(np.hypot(known, offset + gain * predicted))
 
     def _note(self, probe: Probe, verdict: NDArray[np.int64], residual: Floats) -> None:
+        self.doubted += verdict == Verdict.REJECTED
         rejected = [
             f'{name} by {1e6 * value:+.1f} um'
             for name, value, what in zip(self._channel, residual, verdict, strict=True)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fuzzycnc_ros.components.codes import Reason, Status
+from fuzzycnc_ros.components.component import Health, Level
 from fuzzycnc_ros.components.predictor_checkpoint import read_blocks, write_blocks
 from fuzzycnc_ros.components.probe_correction import ProbeCorrection
 from fuzzycnc_ros.components.records import (
@@ -73,6 +74,8 @@ class ModelHistory:
         self._reference: ThermalReference | None = None
         self._checkpoint: PredictorState | None = None
         self._selection: SensorSelection | None = None
+        self._warm: dict[str, float] = {}
+        """Inputs that were warm when the reference was taken, by how much [K]."""
         self._forget()
         self.refuse(Reason.NO_REFERENCE, 'waiting for temperatures')
 
@@ -112,6 +115,9 @@ class ModelHistory:
         if self._reference is None:
             self._remember(checkpoint)
         self._reference, self._checkpoint = reference, checkpoint
+        known = dict(zip(reference.sensor, reference.temperature.tolist(), strict=True))
+        start = [known.get(name, np.nan) for name in self.model.inputs]
+        self._warm = self.model.warmth(start)
         self.correction.begin()
         for item in heard:
             self.take(item)
@@ -171,6 +177,20 @@ class ModelHistory:
             drifting = ', '.join(self._source.voted_out)
             text += f'; {drifting} drifted away from its mates'
         return text
+
+    def health(self) -> list[Health]:
+        """Report what of the model, or of its reference, an operator has to know."""
+        items = []
+        if self.model.uncompensated:
+            text = f'{", ".join(self.model.uncompensated)}: no model was better beyond chance'
+            items.append(Health('uncompensated', Level.OK, text))
+        if self.model.losing:
+            items.append(Health('forced', Level.WARN, losses_of(self.model)))
+        if self._warm:
+            sensors = ', '.join(f'{name} {kelvin:+.1f} K' for name, kelvin in self._warm.items())
+            text = f'the machine was warm when the reference was taken: {sensors}'
+            items.append(Health('reference', Level.WARN, text))
+        return items
 
     def state(self, stamp: Stamp, frame_id: str, remainder: Fade | None = None) -> PredictorState:
         """Return a checkpoint from which `begin` resumes.
@@ -343,6 +363,11 @@ class ModelHistory:
         """Say why the newest sample is out of domain, '' if it is not."""
         assert self._vector is not None
         distance = float(self.model.distance(self._vector[: len(self.model.inputs)]))
+        if self._warm and not self.config.warm_reference:
+            return (
+                'rises are meant against a warm reference; set it anew while the machine is cold, '
+                'or accept it with warm_reference'
+            )
         if not distance <= self.config.domain_margin:
             return (
                 f'temperatures are {distance:.1f} times as far away as the training data reach; '
@@ -375,6 +400,14 @@ class ModelHistory:
             lost = ', '.join(self._source.lost)
             self.refuse(Reason.SENSOR_LOST, f'no good reading of {lost} nor of any mate')
         return rise
+
+
+def losses_of(model: ThermalModel) -> str:
+    """Return where a model left more than no compensation on held-out samples, and how much."""
+    return ', '.join(
+        f'{channel} worse than without: {1e6 * left:.4g} um of {1e6 * bare:.4g} um'
+        for channel, (left, bare) in model.losing.items()
+    )
 
 
 def sensor_watch(model: ThermalModel, config: ThermalPredictorConfig) -> SensorWatch | None:

@@ -42,10 +42,10 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.components.sample_memory import Heard, SampleMemory
 from fuzzycnc_ros.components.spindle_speed import OWN, STATE, SpeedSources, speed_told
-from fuzzycnc_ros.components.thermal_history import ModelHistory
+from fuzzycnc_ros.components.thermal_history import ModelHistory, losses_of
 from fuzzycnc_ros.components.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.config import Config
-from fuzzycnc_ros.core.thermal import ThermalModel
+from fuzzycnc_ros.core.thermal import ModelMismatchError, ThermalModel
 
 __all__ = ['ThermalPredictor', 'ThermalPredictorConfig']
 
@@ -114,12 +114,15 @@ class ThermalPredictor(Component):
         ModelFileError
             If it is no model file or damaged; the model in use stays.
         ModelMismatchError
-            If another model predicts from the stream and this one cannot; the model in use stays.
+            If another model predicts from the stream and this one cannot, or if this one is worse
+            than no compensation and `force` is false; the model in use stays.
         """
         kept = self._swap.keep(text)
         if kept:
             return kept
         history = ModelHistory(text, self._config)
+        if history.model.losing and not self._config.force:
+            raise ModelMismatchError(refusal_of(history.model))
         in_use, newest = self._swap.in_use, self._memory.newest
         if newest is not None and in_use is not None and in_use.reason is Reason.NONE:
             history.model.check_stream(newest.sample.sensor, in_use.model.interval)
@@ -212,6 +215,7 @@ class ThermalPredictor(Component):
             items = [Health('prediction', Level.ERROR, history.detail)]
         else:
             items = [Health('prediction', Level.OK, f'predicting with {history.label}')]
+        items += history.health()
         if history.prediction is not None and history.prediction.outside:
             items.append(Health('domain', Level.WARN, history.prediction.outside))
         items += self._swap.health()
@@ -272,6 +276,15 @@ class ThermalPredictor(Component):
             substituted=(),
             substitute=(),
         )
+
+
+def refusal_of(model: ThermalModel) -> str:
+    """Return why a model that is worse than none is not used, and what to do."""
+    return (
+        f'expected less to be left than without compensation, but found {losses_of(model)}; '
+        f'train with --model auto, which leaves {", ".join(model.losing)} uncompensated, or use '
+        'it all the same with the parameter force (fuzzycnc up --force-model)'
+    )
 
 
 def _same(one: ThermalReference, other: ThermalReference) -> bool:

@@ -5,6 +5,7 @@
 from dataclasses import dataclass
 
 from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.thermal.run import GAP_MAX, SETTLE_TIME
 from fuzzycnc_ros.core.thermal.sensor_watch import LIMIT, PERSISTENCE, TOLERANCE
 
 
@@ -19,8 +20,20 @@ class ThermalPredictorConfig(Config):
         'within swap_time',
         live=True,
     )
+    force: bool = param(
+        False,
+        '-',
+        'Use a model even where it left more than no compensation on held-out samples',
+    )
+    warm_reference: bool = param(
+        False,
+        '-',
+        'Accept a thermal reference that was taken while the machine was warm; without it, what '
+        'is predicted from one is out of domain',
+        live=True,
+    )
     gap_max: float = param(
-        1200.0,
+        GAP_MAX,
         's',
         'Longest gap in the samples, and in what else the model needs, that is bridged',
         low=0.0,
@@ -28,7 +41,7 @@ class ThermalPredictorConfig(Config):
         live=True,
     )
     settle_time: float = param(
-        14400.0,
+        SETTLE_TIME,
         's',
         'Time after which a history that was lost no longer matters',
         low=0.0,
@@ -46,8 +59,8 @@ class ThermalPredictorConfig(Config):
     domain_margin: float = param(
         3.0,
         '-',
-        'Distance of the temperatures from the training data, in units of its own extent, that '
-        'still is in domain',
+        'Distance of the temperatures from the training data that still is in domain; 1 is the '
+        'border that holds 95 % of what was held out in training',
         low=1.0,
         high=1000.0,
         live=True,

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.report.model import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.report.judged import (
+    DEFAULT,
+    loss_remarks,
+    remarks_on,
+    training_remark,
+    worse_than_none,
+)
+from fuzzycnc_ros.report.remark import Remark
 from fuzzycnc_ros.report.summary import candidate_label, has_diverged, micrometres
 from fuzzycnc_ros.report.table import Column, Table
 
@@ -16,11 +24,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from fuzzycnc_ros.core.thermal.comparison import Comparison, HeldOut
+    from fuzzycnc_ros.core.thermal.evaluation import Evaluation
 
     Figures = Mapping[str, NDArray[np.float64]]
-
-DEFAULT = 'default'
-"""Row of the automatic choice."""
 
 MARK = ' *'
 """Stands behind the label of a candidate that is refused."""
@@ -58,7 +64,8 @@ def residual_table(
     Returns
     -------
     Table
-        Uncompensated first, the default, highlighted, last.
+        Uncompensated first, which competes for the best too; the default, highlighted, last.
+        Where what is in use leaves more than there was without compensation its cells warn.
     """
     rows = row_order(rms)
     columns = [Column('Model', numeric=False)]
@@ -77,11 +84,20 @@ def residual_table(
                 else [in_use[number]]
             )
             strong |= {(rows.index(name), 1 + 2 * number + offset) for name in chosen}
+    warning = set()
+    for number, label in enumerate(channel):
+        used = DEFAULT if in_use is None else in_use[number]
+        if used in rms and UNCOMPENSATED in rms and label in worse_than_none(channel, rms, used):
+            row, column = rows.index(used), 1 + 2 * number
+            warning |= {(row, 0), (row, column)}
+            if largest[used][number] > largest[UNCOMPENSATED][number]:
+                warning.add((row, column + 1))
     return Table(
         f'{title} [µm]',
         tuple(columns),
         tuple(cells),
         strong=frozenset(strong),
+        warning=frozenset(warning),
         highlight=frozenset(row for row, name in enumerate(rows) if name == DEFAULT),
     )
 
@@ -94,8 +110,8 @@ def marked_label(name: str, refused: Collection[str]) -> str:
 def best_of(figures: Mapping[str, float], refused: Collection[str] = ()) -> list[str]:
     """Return the candidates with the least figure, more than one if they are equal.
 
-    Neither the uncompensated machine nor the automatic choice, which is one of them, competes,
-    and nothing that is refused.
+    The uncompensated machine competes, the automatic choice, which is one of them, does not, and
+    nothing that is refused.
     """
     competing = {
         name: value
@@ -103,7 +119,9 @@ def best_of(figures: Mapping[str, float], refused: Collection[str] = ()) -> list
         if _competes(name, refused) and isfinite(value)
     }
     least = min(competing.values(), default=inf)
-    return [name for name, value in competing.items() if value == least]
+    best = [name for name, value in competing.items() if value == least]
+    # Who leaves everything as it is has not beaten the machine without compensation.
+    return [UNCOMPENSATED] if UNCOMPENSATED in best else best
 
 
 def refused_on(item: 'HeldOut') -> dict[str, str]:
@@ -113,7 +131,7 @@ def refused_on(item: 'HeldOut') -> dict[str, str]:
     """
     found = dict(item.refused)
     for name, values in item.evaluation.largest.items():
-        if _competes(name, found) and any(map(has_diverged, values)):
+        if name != UNCOMPENSATED and _competes(name, found) and any(map(has_diverged, values)):
             found[name] = 'its prediction diverged'
     return found
 
@@ -130,7 +148,8 @@ def refused_anywhere(comparison: 'Comparison') -> dict[str, dict[str, str]]:
 def best_candidates(comparison: 'Comparison') -> dict[str, str | None]:
     """Return the candidate of each channel with the least rmse over all held-out samples.
 
-    None where every candidate was refused on some run.
+    It is the uncompensated machine where no candidate that is trusted on every run beats it; None
+    where nothing was measured.
     """
     rms, refused = comparison.rms(), refused_anywhere(comparison)
     best = {}
@@ -176,13 +195,31 @@ def by_channel(chosen: Mapping[str, str | None]) -> str:
     --------
     >>> by_channel({'X': 'mlp', 'Y': 'mlp'}), by_channel({'X': 'mlp', 'Y': 'arma', 'Z': 'mlp'})
     ('MLP', 'MLP (X, Z), ARMA (Y)')
+    >>> by_channel({'X': 'mlp', 'Y': 'uncompensated'})
+    'MLP (X), none (Y)'
     """
     channels: dict[str, list[str]] = {}
     for channel, name in chosen.items():
-        channels.setdefault(candidate_label(name) if name else 'none', []).append(channel)
+        label = 'none' if name in (None, UNCOMPENSATED) else candidate_label(name)
+        channels.setdefault(label, []).append(channel)
     if len(channels) == 1:
         return next(iter(channels))
     return ', '.join(f'{label} ({", ".join(members)})' for label, members in channels.items())
+
+
+def held_out_remarks(item: 'HeldOut') -> list[Remark]:
+    """Return what a reader of a held-out run has to know."""
+    judged = item.evaluation
+    remarks = remarks_on(judged)
+    if judged.trained_on:
+        # A copy of the run was trained on under another name.
+        remarks.insert(1, training_remark(judged.run, judged.trained_on, True, ()))
+    return remarks
+
+
+def pooled_remarks(comparison: 'Comparison') -> list[Remark]:
+    """Return where the default is worse than none over all held-out samples."""
+    return loss_remarks(POOLED, comparison.channel, comparison.rms())
 
 
 def refusal_lines(item: 'HeldOut') -> list[str]:
@@ -225,21 +262,45 @@ def residual_document(
     }
 
 
+def judged_document(judged: 'Evaluation') -> dict[str, Any]:
+    """Return what was judged and how far the model knew it.
+
+    Returns
+    -------
+    dict
+        `window_s`: first and last time; `samples`, `covered`, `half_width_um`: by channel;
+        `in_domain`; `warm_K`: sensor -> difference to a cold start; `trained_on`: training run ->
+        share of the judged samples; `worse_than_none`: channels in which the default leaves more
+        than no compensation.
+    """
+    names = judged.channel
+    return {
+        'window_s': [float(judged.time[0]), float(judged.time[-1])],
+        'samples': dict(zip(names, judged.samples, strict=True)),
+        'in_domain': judged.in_domain,
+        'warm_K': dict(judged.warm),
+        'trained_on': dict(judged.trained_on),
+        'covered': dict(zip(names, judged.covered, strict=True)),
+        'half_width_um': dict(zip(names, 1e6 * judged.half_width, strict=True)),
+        'worse_than_none': worse_than_none(names, judged.rms),
+    }
+
+
 def comparison_document(comparison: 'Comparison') -> dict[str, Any]:
     """Return all figures of a comparison.
 
     Returns
     -------
     dict
-        `held_out`: run -> `samples`, `in_domain`, `default`, `inputs`, `figures`, `refused`;
-        `pooled`: candidate -> channel -> figures; `best`: channel -> candidate or None;
-        `refused`: candidate -> run -> why.
+        `held_out`: run -> what `judged_document` returns, `default`, `inputs`, `figures`,
+        `refused`; `pooled`: candidate -> channel -> figures; `best`: channel -> candidate,
+        'uncompensated' where none beats it; `worse_than_none`: channels in which the default
+        leaves more than no compensation, over all of them; `refused`: candidate -> run -> why.
     """
     return {
         'held_out': {
             item.evaluation.run: {
-                'samples': item.evaluation.samples,
-                'in_domain': item.evaluation.in_domain,
+                **judged_document(item.evaluation),
                 'default': dict(
                     zip(item.evaluation.channel, item.evaluation.default, strict=True)
                 ),
@@ -253,6 +314,7 @@ def comparison_document(comparison: 'Comparison') -> dict[str, Any]:
         },
         'pooled': residual_document(comparison.channel, comparison.rms(), comparison.largest()),
         'best': best_candidates(comparison),
+        'worse_than_none': worse_than_none(comparison.channel, comparison.rms()),
         'refused': refused_anywhere(comparison),
     }
 
@@ -265,4 +327,4 @@ def row_order(rms: 'Figures') -> list[str]:
 
 
 def _competes(name: str, refused: Collection[str]) -> bool:
-    return name not in (UNCOMPENSATED, DEFAULT) and name not in refused
+    return name != DEFAULT and name not in refused

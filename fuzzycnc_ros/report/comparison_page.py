@@ -5,10 +5,10 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.report import comparison as shown
 from fuzzycnc_ros.report.comparison_plots import plot_residuals, plot_traces
 from fuzzycnc_ros.report.html import Figure
-from fuzzycnc_ros.report.model import UNCOMPENSATED
 from fuzzycnc_ros.report.sections import Page, Section
 from fuzzycnc_ros.report.summary import candidate_label
 
@@ -18,9 +18,10 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.comparison import Comparison, HeldOut
 
 HOW_TO_READ = (
-    'Bars show the root mean square residual of each model; the shorter, the better. Dark blue: '
-    'the automatic choice. Grey: the machine without compensation. Yellow: not to be trusted. A '
-    'bar that fades across the whole panel has diverged.'
+    'Bars show the root mean square residual of each model; the shorter, the better. Grey: the '
+    'machine without compensation. Blue: less is left than that. Yellow: more is left. Strong '
+    'colour: the automatic choice. Palest yellow, with a star: not to be trusted. A bar that '
+    'fades across the whole panel has diverged.'
 )
 
 TRACED = (UNCOMPENSATED, 'static_ridge', shown.DEFAULT)
@@ -35,11 +36,13 @@ def comparison_page(comparison: 'Comparison', facts: Mapping[str, str]) -> Page:
     if count > 1:
         sections.insert(0, _pooled_section(comparison))
     runs = f'{count} held-out runs' if count > 1 else 'one held-out run'
+    known = [item.evaluation.run for item in comparison.held_out if item.evaluation.trained_on]
+    copies = f', but for {", ".join(known)}: see there' if known else ''
     return Page(
         title='Thermal models, compared on what they have not seen',
         summary=f'Judged on {runs}. Each time, sensors, settings, models and the automatic '
-        f'choice came from the other samples alone. Best candidate by rmse, of those that are '
-        f'trusted on every run: {best}.',
+        f'choice came from the other samples alone{copies}. Best candidate by rmse, of those that '
+        f'are trusted on every run: {best}.',
         sections=sections,
         facts=facts,
     )
@@ -49,6 +52,7 @@ def _pooled_section(comparison: 'Comparison') -> Section:
     return Section(
         heading=shown.POOLED,
         tables=[shown.pooled_table(comparison)],
+        judged=shown.pooled_remarks(comparison),
         remarks=shown.pooled_refusal_lines(comparison),
         figures=[
             _bars(
@@ -66,10 +70,10 @@ def _run_section(item: 'HeldOut') -> Section:
     return Section(
         heading=f'Held out: {judged.run}',
         texts=[
-            f'{judged.samples} samples, {100.0 * judged.in_domain:.0f}\u00a0% of them in the '
-            f'domain of the training. Sensors: {", ".join(item.inputs)}.',
+            f'Sensors: {", ".join(item.inputs)}.',
             f'Automatic choice, the default: {shown.choice_text(item)}.',
         ],
+        judged=shown.held_out_remarks(item),
         tables=[shown.held_out_table(item)],
         remarks=shown.refusal_lines(item),
         figures=[

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.report.drawing import (
     ACCENT,
     FAINT,
@@ -21,7 +22,6 @@ from fuzzycnc_ros.report.drawing import (
     plot_style,
     time_axis,
 )
-from fuzzycnc_ros.report.model import UNCOMPENSATED
 from fuzzycnc_ros.report.summary import has_diverged
 
 COLUMNS_MAX = 5
@@ -58,6 +58,10 @@ def plot_residuals(
         Models that are drawn pale.
     default : str, optional
         Model that is drawn in front.
+
+    Notes
+    -----
+    What leaves more than the row 'uncompensated' is drawn in the colour of warnings.
     """
     with plot_style():
         names = list(rows)
@@ -70,13 +74,15 @@ def plot_residuals(
         span = values[shown]
         logarithmic = bool(span.size and span.max() > LOG_RATIO * max(span.min(), 1e-3))
         place = np.arange(len(names))
+        bare = 1e6 * rows.get(UNCOMPENSATED, np.full(len(heading), np.nan))
         for c, axes in enumerate(panels):
             axes.set_title(heading[c])
             low, high = _limits(values[:, c][shown[:, c]], logarithmic)
             if logarithmic:
                 axes.set_xscale('log')
             for row, name in enumerate(names):
-                _bar(axes, row, values[row, c], (low, high), _colour(name, refused, default))
+                colour = _colour(name, refused, default, values[row, c], bare[c])
+                _bar(axes, row, values[row, c], (low, high), colour)
             axes.set_xlim(low, high)
             axes.set_ylim(len(names) - 0.4, -0.6)
             axes.grid(visible=False, axis='y')
@@ -216,13 +222,15 @@ def _bar(
     )
 
 
-def _colour(name: str, refused: Collection[str], default: str | None) -> tuple[str, float]:
-    """Return colour and opacity of a model's bars."""
-    if name == UNCOMPENSATED:
+def _colour(
+    name: str, refused: Collection[str], default: str | None, value: float, bare: float
+) -> tuple[str, float]:
+    """Return colour and opacity of a model's bar, beside what there is without a model."""
+    if name == UNCOMPENSATED or value == bare:
         return MUTED, 0.75
     if name in refused:
-        return WARNING, 0.55
-    return ACCENT, 1.0 if name == default else 0.5
+        return WARNING, 0.3
+    return WARNING if value > bare else ACCENT, 1.0 if name == default else 0.5
 
 
 def _plain_ticks(axes: Any, low: float, high: float, logarithmic: bool) -> None:

@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many judged runs in one table: each, their median and the worst of them."""
 
-from collections.abc import Callable, Collection, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.report.comparison import DEFAULT, marked_label, row_order
-from fuzzycnc_ros.report.model import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.report.comparison import marked_label, row_order
+from fuzzycnc_ros.report.judged import DEFAULT, worse_than_none
 from fuzzycnc_ros.report.summary import micrometres
 from fuzzycnc_ros.report.table import Column, Table
 
@@ -19,39 +20,73 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 
+class Residuals(Protocol):
+    """What is left of a run, such as an `Evaluation`; shapes (c,) [m]."""
+
+    @property
+    def channel(self) -> tuple[str, ...]:
+        """Channels."""
+
+    @property
+    def rms(self) -> Mapping[str, Floats]:
+        """Root mean square of each row of a table."""
+
+    @property
+    def largest(self) -> Mapping[str, Floats]:
+        """Largest size of each row."""
+
+
 def runs_table(judged: 'Sequence[Evaluation]') -> Table:
     """Return what the default model left of each run [um], a row per run, median and worst last.
+
+    Where it left more, in root mean square, than there was without compensation its cells warn.
 
     Parameters
     ----------
     judged : sequence of Evaluation
         Runs of the same channels, one at least.
     """
-    columns = [Column('Run', numeric=False), Column('samples'), Column('in domain %')]
+    columns = [Column('Run', numeric=False), Column('from s'), Column('to s')]
+    columns += [Column('samples'), Column('in domain %')]
+    first = len(columns)
     for name in judged[0].channel:
         columns += [Column('uncompensated', name), Column('rmse', name), Column('max', name)]
     figures = np.array([_figures(item) for item in judged])
     rows = [
-        (item.run, str(item.samples), f'{100.0 * item.in_domain:.0f}', *map(micrometres, line))
+        (
+            item.run,
+            f'{item.time[0]:g}',
+            f'{item.time[-1]:g}',
+            '/'.join(map(str, dict.fromkeys(item.samples))),
+            f'{100.0 * item.in_domain:.0f}',
+            *map(micrometres, line),
+        )
         for item, line in zip(judged, figures, strict=True)
     ]
-    rows.append(('Median', '', '', *map(micrometres, median_of(figures))))
-    rows.append(('Worst', '', '', *map(micrometres, worst_of(figures))))
+    rows.append(('Median', *[''] * (first - 1), *map(micrometres, median_of(figures))))
+    rows.append(('Worst', *[''] * (first - 1), *map(micrometres, worst_of(figures))))
+    warning = set()
+    for row, item in enumerate(judged):
+        lost = worse_than_none(item.channel, item.rms)
+        # The root mean square stands behind what there was without compensation.
+        rmse = [first + 3 * item.channel.index(name) + 1 for name in lost]
+        warning |= {(row, column) for column in (rmse and [0, *rmse])}
     return Table(
         f'Residual thermal error of {len(judged)} runs: largest uncompensated, rmse and max with '
         'the default model [µm]',
         tuple(columns),
         tuple(rows),
         highlight=frozenset({len(rows) - 2, len(rows) - 1}),
+        warning=frozenset(warning),
     )
 
 
-def overall_table(judged: 'Sequence[Evaluation]', refused: Collection[str] = ()) -> Table:
+def overall_table(judged: Sequence[Residuals], refused: Collection[str] = ()) -> Table:
     """Return median and worst of the root mean square and the largest residual, per candidate.
 
     Parameters
     ----------
-    judged : sequence of Evaluation
+    judged : sequence of Residuals
         Runs of the same channels, one at least.
     refused : collection of str
         Candidates that are marked.
@@ -76,7 +111,7 @@ def overall_table(judged: 'Sequence[Evaluation]', refused: Collection[str] = ())
 
 
 def overall_document(
-    judged: 'Sequence[Evaluation]',
+    judged: Sequence[Residuals],
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return candidate -> channel -> `median_rms_um`, `worst_rms_um`, and of the max.
 
@@ -113,13 +148,13 @@ def _figures(item: 'Evaluation') -> list[float]:
     return [float(value) for each in zip(*parts, strict=True) for value in each]
 
 
-def _common(judged: 'Sequence[Evaluation]') -> list[str]:
+def _common(judged: Sequence[Residuals]) -> list[str]:
     """Return the candidates of all runs in the order of tables."""
     every = row_order(judged[0].rms)
     return [name for name in every if all(name in item.rms for item in judged)]
 
 
-def _overall(judged: 'Sequence[Evaluation]', name: str) -> Floats:
+def _overall(judged: Sequence[Residuals], name: str) -> Floats:
     """Return median and worst rms, median and worst largest residual per channel, (c, 4) [m]."""
     rms = np.array([item.rms[name] for item in judged])
     largest = np.array([item.largest[name] for item in judged])

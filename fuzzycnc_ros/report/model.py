@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-UNCOMPENSATED = 'uncompensated'
-"""Name under which the error without any compensation is scored."""
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.report.remark import Remark
+from fuzzycnc_ros.report.sections import Section
 
 APPLIED = 'applied'
 """Name under which the error left by the offsets in force is scored."""
@@ -291,10 +292,14 @@ class ReportData:
         Residual against the number of sensors.
     latency : Latency, optional
         Temperature to compensation.
+    judged : sequence of Remark
+        What was judged, whether it was trained on, and what of it calls for attention.
     facts : mapping of str to str
         Provenance: training runs, seed, model hash, versions, ...; shown as a table.
     notes : sequence of str
         Remarks for the reader, one paragraph each.
+    sections : sequence of Section
+        Further parts of the page, behind those on the runs.
     """
 
     title: str
@@ -302,8 +307,10 @@ class ReportData:
     summary: str = ''
     sensor_count_curve: SensorCountCurve | None = None
     latency: Latency | None = None
+    judged: Sequence[Remark] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()
+    sections: Sequence[Section] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, 'runs', tuple(self.runs))

@@ -7,16 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.report import plots
-from fuzzycnc_ros.report.html import Figure, NumberedFigure, numbered, render_template
+from fuzzycnc_ros.report.html import Figure, render_template
 from fuzzycnc_ros.report.model import (
-    UNCOMPENSATED,
     CompensationRun,
     Latency,
     ReportData,
     Score,
     SensorCountCurve,
 )
+from fuzzycnc_ros.report.sections import Section, with_numbers
 from fuzzycnc_ros.report.summary import candidate_label, micrometres, summary_table
 
 
@@ -29,6 +30,7 @@ class _KeyFigure:
     after: str
     rms: str
     remaining: str
+    worse: bool
 
 
 def render_html(data: ReportData) -> str:
@@ -57,13 +59,14 @@ def render_html(data: ReportData) -> str:
         summary=data.summary,
         facts=data.facts,
         notes=data.notes,
+        judged=data.judged,
         key_figures=[figure for run in data.runs for figure in _key_figures(run)],
         table=summary_table(data.runs),
         default_labels=', '.join(
             dict.fromkeys(candidate_label(name) for run in data.runs for name in run.default)
         ),
         sections=sections,
-        figures=[figure for _, members in sections for figure in members],
+        figures=[figure for section in sections for figure in section.figures],
     )
 
 
@@ -77,6 +80,7 @@ def _key_figures(run: CompensationRun) -> Iterator[_KeyFigure]:
             after=micrometres(after.max),
             rms=micrometres(after.rms),
             remaining=_remaining(before, after),
+            worse=after.rms > before.rms,
         )
 
 
@@ -86,18 +90,18 @@ def _remaining(before: Score, after: Score) -> str:
     return f'{100.0 * after.max / before.max:.0f}\u00a0%'
 
 
-def _sections(data: ReportData) -> list[tuple[str, list[NumberedFigure]]]:
+def _sections(data: ReportData) -> list[Section]:
     """Draw all figures, numbered through, by section."""
-    drawn = [(f'Run {run.name}', list(_run_figures(run))) for run in data.runs]
+    sections = [Section(f'Run {run.name}', figures=[*_run_figures(run)]) for run in data.runs]
+    sections += data.sections
     general = []
     if data.sensor_count_curve is not None:
         general.append(_sensor_count_figure(data.sensor_count_curve))
     if data.latency is not None:
         general.append(_latency_figure(data.latency))
     if general:
-        drawn.append(('Sensors and latency', general))
-    figures = numbered([members for _, members in drawn])
-    return list(zip((heading for heading, _ in drawn), figures, strict=True))
+        sections.append(Section('Sensors and latency', figures=general))
+    return with_numbers(sections)
 
 
 def _run_figures(run: CompensationRun) -> Iterator[Figure]:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.report.drawing import (
     ACCENT,
     CLUSTER_COLOURS,
@@ -22,7 +23,7 @@ from fuzzycnc_ros.report.drawing import (
     plot_style,
     time_axis,
 )
-from fuzzycnc_ros.report.model import UNCOMPENSATED, CompensationRun, Latency, SensorCountCurve
+from fuzzycnc_ros.report.model import CompensationRun, Latency, SensorCountCurve
 from fuzzycnc_ros.report.summary import candidate_label, micrometres
 
 _BACKGROUND_ROWS = 160  # rows of a line that only gives the picture its background

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from fuzzycnc_ros.report.html import Figure, numbered, render_template
+from fuzzycnc_ros.report.remark import Remark
 from fuzzycnc_ros.report.table import Table
 
 
@@ -20,6 +21,8 @@ class Section:
         Its heading.
     texts : sequence of str
         Paragraphs before the tables.
+    judged : sequence of Remark
+        What was judged and what of it calls for attention, shown behind the paragraphs.
     tables : sequence of Table
         Tables.
     remarks : sequence of str
@@ -30,6 +33,7 @@ class Section:
 
     heading: str
     texts: Sequence[str] = ()
+    judged: Sequence[Remark] = ()
     tables: Sequence[Table] = ()
     remarks: Sequence[str] = ()
     figures: Sequence[Figure] = ()
@@ -65,16 +69,19 @@ def render_page(page: Page) -> str:
     ModuleNotFoundError
         If matplotlib or jinja2 is not installed; the message says how to install it.
     """
-    figures: list[list[Any]] = [*numbered([section.figures for section in page.sections])]
-    sections = [
-        replace(section, figures=drawn)
-        for section, drawn in zip(page.sections, figures, strict=True)
-    ]
     return render_template(
         'sections.html',
         title=page.title,
         summary=page.summary,
-        sections=sections,
+        sections=with_numbers(page.sections),
         facts=page.facts,
         notes=(),
     )
+
+
+def with_numbers(sections: Sequence[Section]) -> list[Section]:
+    """Return sections with their figures drawn and numbered through."""
+    figures: list[list[Any]] = [*numbered([section.figures for section in sections])]
+    return [
+        replace(section, figures=drawn) for section, drawn in zip(sections, figures, strict=True)
+    ]

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from math import inf, isfinite, isnan
 from typing import Any
 
-from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
-from fuzzycnc_ros.report.model import APPLIED, UNCOMPENSATED, CompensationRun, Score
+from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, UNCOMPENSATED
+from fuzzycnc_ros.report.model import APPLIED, CompensationRun, Score
 from fuzzycnc_ros.report.table import Column, Table
 
 _LABELS = {
@@ -30,6 +30,10 @@ _LABELS = {
     'gaussian_process': 'Gaussian process',
     'mlp': 'MLP',
     APPLIED: 'As applied on the machine',
+    'unprobed': 'Default, not probed',
+    'held': 'Last probe held, no model',
+    'offset': 'Default, offset reset by probes',
+    'kalman': 'Default, offset and gain by probes',
 }
 
 _LARGEST_SHOWN = 999.9e-6
@@ -79,8 +83,9 @@ def summary_table(runs: Sequence[CompensationRun]) -> Table:
     Returns
     -------
     Table
-        One row per candidate; the best candidate of each column is strong, the candidate
-        that compensated is highlighted.
+        One row per candidate; the best of each column is strong, for which the uncompensated
+        machine competes; the candidate that compensated is highlighted, and warns where it left
+        more, in root mean square, than there was without.
     """
     scores = {run.name: run.scores() for run in runs}
     names = list(dict.fromkeys(name for of_run in scores.values() for name in of_run))
@@ -96,20 +101,30 @@ def summary_table(runs: Sequence[CompensationRun]) -> Table:
         (candidate_label(name), *(micrometres(column[r]) for column in values))
         for r, name in enumerate(names)
     )
-    candidates = [r for r, name in enumerate(names) if name not in (UNCOMPENSATED, APPLIED)]
-    strong = {
-        (r, c + 1)
-        for c, column in enumerate(values)
-        for r in candidates
-        if isfinite(column[r]) and column[r] == min(_comparable(column[i]) for i in candidates)
-    }
-    defaults = {name for run in runs for name in run.default}
+    bare = names.index(UNCOMPENSATED)
+    candidates = [r for r, name in enumerate(names) if name != APPLIED]
+    strong = set()
+    for c, column in enumerate(values):
+        best = min(_comparable(column[i]) for i in candidates)
+        equal = [r for r in candidates if isfinite(column[r]) and column[r] == best]
+        # Who leaves everything as it is has not beaten the machine without compensation.
+        strong |= {(r, c + 1) for r in ([bare] if bare in equal else equal)}
+    warning: set[tuple[int, int]] = set()
+    in_use = [name for run in runs for name in run.default]
+    for number, used in enumerate(in_use):
+        row, highest, rms = names.index(used), 2 * number, 2 * number + 1
+        if values[rms][row] > values[rms][bare]:
+            warning |= {(row, 0), (row, rms + 1)}
+            if values[highest][row] > values[highest][bare]:
+                warning.add((row, highest + 1))
+    defaults = set(in_use)
     return Table(
         title='Residual thermal error [µm]',
         columns=tuple(columns),
         rows=rows,
         strong=frozenset(strong),
         highlight=frozenset(r for r, name in enumerate(names) if name in defaults),
+        warning=frozenset(warning),
     )
 
 

@@ -9,6 +9,9 @@ from typing import Any
 from fuzzycnc_ros.core.visible import visible
 from fuzzycnc_ros.report.requirement import require
 
+WARNING_MARK = '! '
+"""Stands before a number that warns."""
+
 
 @dataclass(frozen=True)
 class Column:
@@ -42,6 +45,8 @@ class Table:
         Row and column of the cells that stand out, such as the best of a column.
     highlight : frozenset of int
         Rows that stand out, such as the model in use.
+    warning : frozenset of (int, int)
+        Row and column of the cells that warn; numbers among them are marked in plain text too.
 
     Raises
     ------
@@ -63,6 +68,7 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     strong: frozenset[tuple[int, int]] = frozenset()
     highlight: frozenset[int] = frozenset()
+    warning: frozenset[tuple[int, int]] = frozenset()
 
     def __post_init__(self) -> None:
         for number, row in enumerate(self.rows):
@@ -78,6 +84,12 @@ class Table:
         object.__setattr__(self, 'title', visible(self.title))
         object.__setattr__(self, 'columns', shown)
         object.__setattr__(self, 'rows', tuple(tuple(map(visible, row)) for row in self.rows))
+
+    def marked(self, row: int, column: int) -> str:
+        """Return a cell as it is shown where colours may be absent."""
+        text = self.rows[row][column]
+        warns = (row, column) in self.warning and self.columns[column].numeric
+        return f'{WARNING_MARK}{text}' if warns else text
 
     def groups(self) -> list[tuple[str, int]]:
         """Return the groups of columns, each with its number of columns."""
@@ -102,40 +114,44 @@ class Table:
                 no_wrap=True,
             )
         for r, row in enumerate(self.rows):
-            cells = [
-                text(cell, style='bold green' if (r, c) in self.strong else '')
-                for c, cell in enumerate(row)
-            ]
+            cells = [text(self.marked(r, c), style=self._style((r, c))) for c in range(len(row))]
             table.add_row(*cells, style='bold' if r in self.highlight else None)
         return table
+
+    def _style(self, cell: tuple[int, int]) -> str:
+        if cell in self.warning:
+            return 'bold yellow'
+        return 'bold green' if cell in self.strong else ''
 
     def to_text(self) -> str:
         """Return plain text in aligned columns."""
         headings = tuple(column.full_heading for column in self.columns)
-        widths = [max(map(len, column)) for column in zip(headings, *self.rows, strict=True)]
+        shown = [
+            tuple(self.marked(r, c) for c in range(len(row))) for r, row in enumerate(self.rows)
+        ]
+        widths = [max(map(len, column)) for column in zip(headings, *shown, strict=True)]
         rule = tuple('-' * width for width in widths)
         lines = [
             '  '.join(
                 cell.rjust(width) if column.numeric else cell.ljust(width)
                 for cell, width, column in zip(row, widths, self.columns, strict=True)
             ).rstrip()
-            for row in (headings, rule, *self.rows)
+            for row in (headings, rule, *shown)
         ]
         return '\n'.join([self.title, *lines])
 
     def to_markdown(self) -> str:
         """Return a Markdown table with a bold title line."""
         cells = [
-            [self._markdown_cell(r, c, cell) for c, cell in enumerate(row)]
-            for r, row in enumerate(self.rows)
+            [self._markdown_cell(r, c) for c in range(len(row))] for r, row in enumerate(self.rows)
         ]
         headings = [_escaped(column.full_heading) for column in self.columns]
         rule = ['---:' if column.numeric else ':---' for column in self.columns]
         lines = ['| ' + ' | '.join(row) + ' |' for row in (headings, rule, *cells)]
         return '\n'.join([f'**{_escaped(self.title)}**', '', *lines])
 
-    def _markdown_cell(self, row: int, column: int, cell: str) -> str:
-        text = _escaped(cell)
+    def _markdown_cell(self, row: int, column: int) -> str:
+        text = _escaped(self.marked(row, column))
         return f'**{text}**' if (row, column) in self.strong else text
 
 

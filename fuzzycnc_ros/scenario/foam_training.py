@@ -93,11 +93,19 @@ def baselines(features: str, seed: int = 0) -> tuple[Rival, ...]:
             GradientBoostingRegressor(n_estimators=300, random_state=seed)
         ),
     }
-    return tuple(Rival(label, _plain(features, make)) for label, make in makers.items())
+    return tuple(Rival(label, plain_regressor(features, make)) for label, make in makers.items())
 
 
-def _plain(features: str, make: Callable[[int], Any]) -> Trainer:
-    """Return the training of a regressor of scikit-learn on scaled features."""
+def plain_regressor(features: str, make: Callable[[int], Any]) -> Trainer:
+    """Return the training of a regressor of scikit-learn on scaled features.
+
+    Parameters
+    ----------
+    features : str
+        Name of the feature set; with 'load' it learns the compensation per load, too.
+    make : callable
+        Makes the regressor of a number of inputs.
+    """
     chosen = feature_set(features)
 
     def weight(x: Array) -> Array:

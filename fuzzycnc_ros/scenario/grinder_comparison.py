@@ -12,10 +12,10 @@ import numpy as np
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine import GRINDER_AXES, record_flux_case, record_grinder
 from fuzzycnc_ros.core.thermal import ThermalRun
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.refinement import Progress
 from fuzzycnc_ros.report import Column, Table, candidate_label
 from fuzzycnc_ros.report.comparison import MARK, best_of
-from fuzzycnc_ros.report.model import UNCOMPENSATED
 from fuzzycnc_ros.report.summary import has_diverged, micrometres
 from fuzzycnc_ros.scenario.grinder_rivals import RIVALS, Rival
 

@@ -27,6 +27,7 @@ from fuzzycnc_ros.components.spindle_speed import TOPICS as SPEED_TOPICS
 from fuzzycnc_ros.components.spindle_speed import speed_told, speeds_at
 from fuzzycnc_ros.components.substitution import RiseSource
 from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.report import CompensationRun
 from fuzzycnc_ros.scenario.record_log import RecordLog
 
@@ -155,6 +156,8 @@ def _compensation_run(
     size = len(model.channel)
     predicted = {}
     for candidate in model.candidates_on(recorded):
+        if candidate == UNCOMPENSATED:
+            continue  # the page has it as what was measured, known or not
         with np.errstate(over='ignore', invalid='ignore'):
             values = model.predict(rise, candidate)
         predicted[candidate] = np.where(known[:, np.newaxis], values, np.nan)

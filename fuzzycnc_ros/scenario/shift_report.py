@@ -9,6 +9,8 @@ import numpy as np
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, sensor_count_curve
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.fingerprint import recognised_in
 from fuzzycnc_ros.report import (
     CompensationRun,
     Latency,
@@ -16,6 +18,10 @@ from fuzzycnc_ros.report import (
     SensorCountCurve,
     candidate_label,
 )
+from fuzzycnc_ros.report.comparison import by_channel
+from fuzzycnc_ros.report.judged import DEFAULT, loss_remarks, span_text, training_remark
+from fuzzycnc_ros.report.remark import Remark
+from fuzzycnc_ros.report.sections import Section
 
 SENSOR_COUNTS = (1, 2, 3, 5, 8, 10, 15)
 """Numbers of sensors on the sensor-count curve, method sheet 001 section 8.B."""
@@ -30,8 +36,10 @@ def shift_report(
     summary: str = '',
     notes: Sequence[str] = (),
     calibration: Sequence[ThermalRun] = (),
+    judged: Sequence[Remark] | None = None,
     facts: Mapping[str, str] | None = None,
     latency: Latency | None = None,
+    sections: Sequence[Section] = (),
 ) -> ReportData:
     """Return what the report of a shift shows.
 
@@ -51,22 +59,26 @@ def shift_report(
         Remarks, shown before those on the candidates.
     calibration : sequence of ThermalRun
         Training runs, for the sensor-count curve; without them there is none.
+    judged : sequence of Remark, optional
+        What was judged and whether the model was trained on it; found from the runs if absent.
     facts : mapping, optional
         Further rows of provenance, shown first.
     latency : Latency, optional
         Time from temperatures to compensation of a live run.
+    sections : sequence of Section, optional
+        Further parts of the page.
     """
-    in_use = ', '.join(
-        f'{channel}: {candidate_label(name)}'
-        for channel, name in zip(model.channel, model.default, strict=True)
-    )
-    judged = ', '.join(run.name for run in runs)
+    in_use = by_channel(dict(zip(model.channel, model.default, strict=True)))
+    names = ', '.join(run.name for run in runs)
     return ReportData(
         title=title,
         runs=runs,
-        summary=summary or f'Trained on {", ".join(model.runs)}; judged on {judged}.',
+        summary=summary or f'Trained on {", ".join(model.runs)}; judged on {names}.',
         sensor_count_curve=count_curve(calibration, runs, len(model.inputs)),
         latency=latency,
+        judged=[item for run in runs for item in judged_remarks(run, model)]
+        if judged is None
+        else judged,
         facts={
             **(facts or {}),
             'Training runs': ', '.join(model.runs),
@@ -84,6 +96,38 @@ def shift_report(
                 for problem in item.problems
             ),
         ],
+        sections=sections,
+    )
+
+
+def judged_remarks(run: CompensationRun, model: ThermalModel) -> list[Remark]:
+    """Return what of a compensated run was judged, and whether the model was trained on it."""
+    measured = np.isfinite(run.measured)
+    window = span_text(run.name, run.time, run.channel, measured.sum(axis=0).tolist())
+    trained_on, recognised = recognised_in(model.fingerprints, _recorded(run, model.axis))
+    left = {
+        name: np.array([score.rms for score in scores])
+        for name, scores in (
+            (UNCOMPENSATED, run.scores()[UNCOMPENSATED]),
+            (DEFAULT, run.scores_in_use()),
+        )
+    }
+    return [
+        Remark(window),
+        training_remark(run.name, trained_on, recognised, model.runs),
+        *loss_remarks(run.name, run.channel, left),
+    ]
+
+
+def _recorded(run: CompensationRun, axis: Sequence[str]) -> ThermalRun:
+    return ThermalRun(
+        name=run.name,
+        time=run.time,
+        sensor=run.sensor,
+        temperature=run.temperature,
+        channel=run.channel,
+        axis=tuple(axis),
+        displacement=run.measured,
     )
 
 
@@ -98,15 +142,7 @@ def count_curve(
     if not calibration or held_out is None:
         return None
     counts = tuple(n for n in SENSOR_COUNTS if n <= len(held_out.sensor))
-    unseen = ThermalRun(
-        name=held_out.name,
-        time=held_out.time,
-        sensor=held_out.sensor,
-        temperature=held_out.temperature,
-        channel=held_out.channel,
-        axis=calibration[0].axis,
-        displacement=held_out.measured,
-    )
+    unseen = _recorded(held_out, calibration[0].axis)
     points = sensor_count_curve(calibration, unseen, counts=counts)
     return SensorCountCurve(
         count=counts,

@@ -23,16 +23,6 @@ def read_json(name):
 
 
 @pytest.fixture
-def here(monkeypatch):
-    """Work in this process: starting others costs more than the work on such small bags."""
-
-    def in_workers(work, pieces, names, jobs, tell):
-        return [work(piece, lambda *news: None) for piece in pieces]
-
-    monkeypatch.setattr('fuzzycnc_ros.cli.workers.in_workers', in_workers)
-
-
-@pytest.fixture
 def duties(fuzzycnc, table):
     """Return bags of one machine that turns in two or three duties, at several speeds."""
 
@@ -77,7 +67,7 @@ def test_every_run_is_held_out_once_and_figures_are_those_of_the_core(fuzzycnc, 
     for split in splits([read_run(path) for path in bags]):
         expected = judge(split, candidates=names)
         found = figures['held_out'][split.name]
-        assert found['samples'] == len(split.held_out.time)
+        assert found['samples'] == {'dz': len(split.held_out.time)}
         assert found['inputs'] == list(expected.inputs)
         assert found['default'] == {'dz': expected.evaluation.default[0]}
         assert tuple(found['figures']) == ('uncompensated', *names, 'default')
@@ -126,8 +116,8 @@ def test_a_single_run_is_cut_at_the_asked_stretches(fuzzycnc, here, bag):
     assert outcome.code == 0, outcome
     found = read_json('c.json')['held_out']
     assert {name: item['samples'] for name, item in found.items()} == {
-        'long 3600-5400 s': 31,
-        'long 5460-7140 s': 29,
+        'long 3600-5400 s': {'dz': 31},
+        'long 5460-7140 s': {'dz': 29},
     }
     assert 'spindle speed: not used, since long carries none' in outcome.out
 

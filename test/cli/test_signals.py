@@ -93,9 +93,11 @@ def test_while_reading_what_does_not_come(command, tmp_path, words, number, inte
     os.mkfifo(pipe)
 
     def read(process):
+        if ends:  # since the last look: it has had the time to begin to read
+            return True
         with contextlib.suppress(OSError):  # nobody reads yet
             ends.append(os.open(pipe, os.O_WRONLY | os.O_NONBLOCK))
-        return bool(ends)
+        return False
 
     found = end(lambda: command(*words, interrupts=interrupts), read, number)
     for writer in ends:

@@ -29,11 +29,17 @@ def figures(data, tmp_path_factory):
             ['train', 'spindle', '--end', str(LAST_TRAINING_ROW * INTERVAL), '--out', 'm.json',
              '--json', 'train.json'],
             ['evaluate', 'spindle', '--start', str((LAST_TRAINING_ROW + 1) * INTERVAL),
-             '--model', 'm.json', '--json', 'evaluate.json'],
+             '--model', 'm.json', '--probe-every', '60min', '--json', 'evaluate.json'],
+            ['evaluate', 'spindle', '--start', '60000', '--end', '100000',
+             '--model', 'm.json', '--json', 'trained.json'],
+            ['compare', 'spindle', '--hold-out',
+             f'{(LAST_TRAINING_ROW + 1) * INTERVAL}:{7710 * INTERVAL}',
+             '--models', 'static_ridge,lag_ridge_speed', '--jobs', '1',
+             '--json', 'compare.json'],
         ]  # fmt: skip
         for command in commands:
             assert run(command) == 0, command
-        names = ('import', 'train', 'evaluate')
+        names = ('import', 'train', 'evaluate', 'trained', 'compare')
         yield {name: json.loads(Path(f'{name}.json').read_text()) for name in names}
 
 
@@ -49,7 +55,23 @@ def test_the_whole_recording_is_imported(figures):
 def test_only_training_rows_are_trained_on_and_only_unseen_ones_judged(figures):
     assert figures['train']['interval_s'] == pytest.approx(60.0)
     # Rows 5791 to 7710 at one a quarter of a minute.
-    assert figures['evaluate']['samples'] == {'spindle': 480}
+    assert figures['evaluate']['samples'] == {'spindle': dict.fromkeys(CHANNELS, 480)}
+    assert figures['evaluate']['judged']['spindle']['trained_on'] == {}
+
+
+@pytest.mark.paper
+def test_a_held_out_stretch_is_as_far_from_the_training_as_one_that_was_left_outside(figures):
+    (held_out,) = figures['compare']['held_out'].values()
+    judged = figures['evaluate']['judged']['spindle']
+    assert held_out['in_domain'] == judged['in_domain'] < 0.9
+    assert held_out['samples'] == judged['samples']
+
+
+@pytest.mark.paper
+def test_rows_that_were_trained_on_are_recognised(figures):
+    judged = figures['trained']['judged']['spindle']
+    # Two thirds of 60000 to 100000 s lie before the end of the training at 86850 s.
+    assert judged['trained_on'] == pytest.approx({'spindle': 0.67}, abs=0.1)
 
 
 @pytest.mark.paper
@@ -67,3 +89,20 @@ def test_the_default_leaves_less_than_half_of_the_error(figures):
     for channel in CHANNELS:
         left = rows['default'][channel]['rms_um'] / rows['uncompensated'][channel]['rms_um']
         assert left < 0.5, channel
+
+
+@pytest.mark.paper
+def test_an_hourly_probe_leaves_less_with_the_model_than_without_it(figures):
+    probed = figures['evaluate']['probed']
+    assert probed['samples']['spindle'] == dict.fromkeys(CHANNELS, 479)
+    assert probed['probes']['spindle'] == dict.fromkeys(CHANNELS, 8)
+    rows = {
+        name: [channels[channel]['rms_um'] for channel in CHANNELS]
+        for name, channels in probed['runs']['spindle'].items()
+    }
+    for kind in ('offset', 'kalman'):
+        ratio = [a / b for a, b in zip(rows[kind], rows['held'], strict=True)]
+        assert max(ratio) < 0.7, ratio
+        # ch5 follows the speed within minutes, which an hourly probe cannot.
+        ratio = [a / b for a, b in zip(rows[kind], rows['unprobed'], strict=True)]
+        assert max(ratio[:4]) < 0.7, ratio

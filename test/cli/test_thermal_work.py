@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_recordings import warm_up
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.reader import BagReader
@@ -62,6 +63,46 @@ def test_import_of_some_rows_with_other_names(fuzzycnc, table):
     assert read_run('b').sensor == ('spindle', 'head', 't3')
 
 
+def test_import_of_a_german_table(fuzzycnc):
+    lines = ['Zeit;Vorn [°C];Hinten [°C];Z [µm];Drehzahl']
+    for row in range(60):
+        rise = f'{0.2 * row:.2f}'.replace('.', ',')
+        lines.append(
+            f'12.03.2026 {8 + row // 60:02d}:{row % 60:02d}:00;2{row % 10},5;21;{rise};600'
+        )
+    Path('Export.csv').write_bytes('\r\n'.join(lines).encode('cp1252'))
+    options = (
+        '--time', 'Zeit', '--temperature', 'Vorn*,Hinten*', '--displacement', 'Z [µm]=Z:um',
+        '--speed', 'Drehzahl', '--encoding', 'cp1252', '--decimal', ',',
+    )  # fmt: skip
+    outcome = fuzzycnc('import-csv', 'Export.csv', '--out', 'a', *options, '--json', 'i.json')
+    assert outcome.code == 0, outcome
+    (remark,) = read_json('i.json')['remarks']
+    assert remark == "times of 'Zeit' read as %d.%m.%Y %H:%M:%S"
+    assert f'{remark}\n' in outcome.out
+    Path('log.yaml').write_text(
+        'time: Zeit\ntime_format: dd.mm.yyyy hh:mm:ss\ntemperatures: ["Vorn*", "Hinten*"]\n'
+        'displacements: "Z [µm]=Z:um"\nspindle_speed: Drehzahl\nencoding: cp1252\n'
+        'header: true\ndecimal: ","\n'
+    )
+    outcome = fuzzycnc('import-csv', 'Export.csv', '--out', 'b', '--mapping', 'log.yaml')
+    assert outcome.code == 0, outcome
+    assert topic_hashes('a') == topic_hashes('b')
+
+
+def test_import_without_a_header_warns_of_what_looks_wrong(fuzzycnc, table):
+    file = table(columns={'0': warm_up()['t'] / 60.0} | dict(list(warm_up().items())[1:]))
+    file.write_text(file.read_text().partition('\n')[2])
+    options = ('--time', 'c1', '--temperature', 'c[234]', '--displacement', 'c5=Z:um')
+    outcome = fuzzycnc(
+        'import-csv', file, '--no-header', '--out', 'b', *options, '--json', 'i.json'
+    )
+    assert outcome.code == 0, outcome
+    (warning,) = read_json('i.json')['warnings']
+    assert warning.endswith('import with --time-unit min')
+    assert f'warning: {warning}\n' in outcome.out
+
+
 # train, evaluate
 
 
@@ -77,7 +118,9 @@ def test_train_writes_a_model_and_says_what_it_holds(fuzzycnc, bag):
     assert figures['sensors'] == list(model.inputs)
     assert figures['default'] == {'dz': model.default[0]}
     without_speed = {name for name in STANDARD if not name.endswith(SPEED_SUFFIX)}
-    assert set(figures['candidates']) | set(figures['omitted']) == without_speed
+    named = set(figures['candidates']) | set(figures['omitted'])
+    assert named == {'uncompensated', *without_speed}
+    assert figures['uncompensated'] == figures['worse_than_none'] == []
     assert 'Static ridge' in outcome.out
     assert ', '.join(model.inputs) in outcome.out
     assert 'm.json: written' in outcome.out
@@ -117,7 +160,7 @@ def test_train_considers_the_asked_models(fuzzycnc, bag):
     )
     assert outcome.code == 0, outcome
     model = load_model(Path('m.json'))
-    assert list(model.candidates) == ['static_ridge', 'lag_ridge', 'mlp']
+    assert list(model.candidates) == ['uncompensated', 'static_ridge', 'lag_ridge', 'mlp']
     assert set(model.default) <= set(model.candidates)
     assert 'spindle speed: not used' in outcome.out
 
@@ -131,7 +174,7 @@ def test_evaluate_prints_what_the_core_finds(fuzzycnc, bag, model):
     assert outcome.code == 0, outcome
     expected = evaluate(load_model(model), read_run(held_out), start=1800.0, stop=4800.0)
     figures = read_json('e.json')
-    assert figures['samples'] == {'held_out': expected.samples}
+    assert figures['samples'] == {'held_out': {'dz': expected.samples[0]}}
     for name, channels in figures['runs']['held_out'].items():
         for column, channel in enumerate(expected.channel):
             rms = 1e6 * expected.rms[name][column]
@@ -344,7 +387,8 @@ def without(bag, name, *windows):
 def test_train_tells_of_holes(fuzzycnc, bag):
     holed = without(bag(), 'holed', (1200.0, 1600.0), (3000.0, 3000.0))
     words = '2 holes, the longest of 480 s at 1140 s'
-    outcome = fuzzycnc('train', holed, bag('whole'), '--out', 'm.json', '--json', 'figures.json')
+    whole = bag('whole', rows=130)
+    outcome = fuzzycnc('train', holed, whole, '--out', 'm.json', '--json', 'figures.json')
     assert outcome.code == 0, outcome
     told = [line for line in outcome.out.splitlines() if line.startswith(('holed: ', 'whole: '))]
     assert told == [f'holed: {words}, filled by straight lines; record it anew for a better model']

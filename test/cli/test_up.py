@@ -242,6 +242,8 @@ def test_parameters_follow_from_what_is_wanted():
         assert found[name].get('state_directory') == ('/s' if kept else None)
         assert found[name]['use_sim_time'] is True
     assert found['thermal_predictor']['model'] == 'm.json'
+    assert 'force' not in found['thermal_predictor']
+    assert parameters(force_model=True)['thermal_predictor']['force'] is True
     assert 'duties' not in found['simulated_machine']
     assert 'use_sim_time' not in parameters(autostart=True)['compensator']
     assert parameters(duties=('T2',), lockstep=True)['simulated_machine']['lockstep_nodes'] == [

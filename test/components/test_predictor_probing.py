@@ -206,7 +206,7 @@ def test_deviation_shrinks_with_a_probe_and_grows_back(kind):
     assert (np.diff(deviation[row + 1 : row + 8], axis=0) > 0.0).all()
     # Long after a probe the model is known as well as before it, and no worse.
     assert (deviation[row + 80 :] <= usual[row + 80 :]).all()
-    assert (deviation[row + 80 :] >= 0.9 * usual[row + 80 :]).all()
+    assert (deviation[row + 80 :] >= 0.6 * usual[row + 80 :]).all()
     # What has not come into force yet counts as error.
     correction = np.abs(errors_of(found)[row + 1] - unprobed('T3', 'D0')[row + 1]) * MICRON
     assert (deviation[row] >= 0.9 * correction).all()

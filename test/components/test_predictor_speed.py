@@ -175,4 +175,4 @@ def test_false_speed_leaves_no_more_than_the_margin_behind(speed_model):
     assert all(not item.in_domain for item in bad[60:70])
     assert all(item.in_domain for item in bad[70:])
     np.testing.assert_allclose(errors_of(bad[2:]), errors_of(edge[2:]), rtol=1e-9)
-    assert np.abs(errors_of(bad[70:]) - good[70:]).max() < 5.0
+    assert np.abs(errors_of(bad[70:]) - good[70:]).max() < 10.0

@@ -11,6 +11,7 @@ from benches.predictor_bench import (
     MICRON,
     START,
     bench_with_model,
+    losing_text,
     model_text,
     predict,
     recordings,
@@ -28,6 +29,7 @@ from fuzzycnc_ros.components.records import (
 )
 from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.core.thermal import ThermalRun
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 
 
 def test_stream_gives_what_the_model_gives_for_the_whole_run():
@@ -275,7 +277,7 @@ def test_temperatures_far_from_the_training_are_flagged_and_widened():
     far = bench.records('thermal_error')[-1]
     assert usual.in_domain
     assert not far.in_domain
-    assert (far.standard_deviation > 2.0 * trained().residual_deviation).all()
+    assert (far.standard_deviation > 2.0 * trained().band.deviation).all()
 
 
 def test_new_reference_begins_a_new_history():
@@ -343,3 +345,49 @@ def test_block_of_a_newer_version_is_passed_over():
     second.push('thermal_reference', reference_of(run))
     found = predict(second, run, range(91, 95))[-1]
     np.testing.assert_array_equal(found.error, wanted.error)
+
+
+def test_model_that_is_worse_than_none_is_refused_unless_forced():
+    run, bench = recordings()['T2'], bench_with_model()
+    answer = bench.request('use_model', model=losing_text())
+    assert not answer.success
+    for words in ('Y worse than without: 26.6 um of 9.4 um', '--model auto', 'force'):
+        assert words in answer.message
+    predict(bench, run, range(5))
+    assert bench.component.model_text == model_text()
+    forced = bench_with_model(losing_text(), force=True)
+    assert predict(forced, run, range(5))[-1].valid
+    assert 'WARN forced: Y worse than without: 26.6 um of 9.4 um' in forced.health()
+
+
+def test_channel_that_stays_uncompensated_is_reported_and_predicted_as_nothing():
+    left = replace(trained(), default=(UNCOMPENSATED, trained().default[1]))
+    run, bench = recordings()['T2'], bench_with_model(left.to_json())
+    errors = predict(bench, run, range(50))
+    assert (errors[-1].valid, errors[-1].error[0]) == (True, 0.0)
+    assert errors[-1].error[1] != 0.0
+    assert 'OK uncompensated: Y: no model was better beyond chance' in bench.health()
+
+
+@pytest.mark.parametrize('accepted', [False, True])
+def test_warm_reference_is_named_and_out_of_domain_unless_it_is_accepted(accepted):
+    run, bench = recordings()['T2'], bench_with_model(warm_reference=accepted)
+    front = trained().inputs[0]
+    warm = run.temperature.copy()
+    # As if it had run before: of what it is now, the rises are those of a cold start.
+    warm[:, run.sensor.index(front)] += 20.0
+    errors = predict(bench, replace(run, temperature=warm), range(10))
+    assert all(item.valid for item in errors[2:])
+    assert [item.in_domain for item in errors[2:]] == [accepted] * 8
+    told = f'WARN reference: the machine was warm when the reference was taken: {front} +'
+    assert told in bench.health()
+    assert ('WARN domain: rises are meant against a warm reference' in bench.health()) != accepted
+
+
+def test_cold_reference_that_lacks_a_sensor_is_not_warm():
+    run, bench = recordings()['T2'], bench_with_model()
+    reference = reference_of(run)
+    reference.temperature[run.sensor.index(trained().inputs[0])] = np.nan
+    bench.push('thermal_reference', reference)
+    bench.give('temperatures', sample_of(run, 2))
+    assert 'warm' not in bench.health()

@@ -60,15 +60,16 @@ def train(bag: Path) -> None:
 
 def evaluate(bag: Path) -> None:
     """Judge a model on a bag."""
-    judged, _ = judge_bag(
+    judged = judge_bag(
         NamedBag(bag, bag.stem),
         lambda *told: None,
         model_text=model_text(),
         start=None,
+        probe_every=None,
         end=None,
         page=False,
     )
-    assert np.isfinite(judged.in_domain)
+    assert np.isfinite(judged.evaluation.in_domain)
 
 
 def uses(bag: Path, out: Path) -> Iterator[Callable[[], object]]:

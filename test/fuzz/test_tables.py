@@ -37,17 +37,38 @@ RECORDING = '\n'.join(
         for k in range(24)
     ]
 )
-MAPPINGS = (
-    CsvMapping(time='t', temperatures=['a', 'b'], displacements=['ch=Z:um'], machine='mill'),
-    CsvMapping(
-        time='t',
-        temperatures=['a', 'b'],
-        displacements=['ch=Z:um'],
-        spindle_speed='rpm',
-        machine='mill',
-        resample=30.0,
-        zero=True,
+EXPORT = '\n'.join(
+    ['sep=;', 'Zeit;"Vorn\n[°C]";Z [µm]']
+    + [f'12.03.2026 08:{k:02d}:00,5;2{k % 9},{k};{k},5' for k in range(24)]
+)
+RECORDINGS = (
+    (
+        RECORDING,
+        CsvMapping(time='t', temperatures=['a', 'b'], displacements=['ch=Z:um'], machine='mill'),
     ),
+    (
+        RECORDING,
+        CsvMapping(
+            time='t',
+            temperatures=['a', 'b'],
+            displacements=['ch=Z:um'],
+            spindle_speed='rpm',
+            machine='mill',
+            resample=30.0,
+            zero=True,
+        ),
+    ),
+    (
+        RECORDING.partition('\n')[2],
+        CsvMapping(header=False, time='c1', temperatures=['c[23]'], displacements=['c5=Z:um']),
+    ),
+    (
+        EXPORT,
+        CsvMapping(
+            time='Zeit', temperatures=['Vorn*'], displacements=['Z [µm]=Z:um'], decimal=','
+        ),
+    ),
+    (EXPORT, CsvMapping(time='Zeit', temperatures=['Vorn*'], encoding='cp1252')),
 )
 MAPPING_FILE = """time: t
 time_unit: s
@@ -118,9 +139,10 @@ def folder(tmp_path_factory):
 def test_recordings(folder, seed):
     rng = random.Random(seed)
     file, out = folder / 'recording.csv', folder / 'bag'
-    file.write_bytes(damaged(RECORDING, rng))
+    text, mapping = rng.choice(RECORDINGS)
+    file.write_bytes(damaged(text, rng))
     shutil.rmtree(out, ignore_errors=True)
-    reason = refusal(CsvError, lambda: import_csv(file, out, rng.choice(MAPPINGS)))
+    reason = refusal(CsvError, lambda: import_csv(file, out, mapping))
     if reason:
         assert str(file) in reason
         assert not out.exists()

@@ -202,7 +202,7 @@ def test_csv_file_without_sensors_is_refused(refusal, tmp_path):
     file = tmp_path / 'log.csv'
     file.write_text('\n'.join(['time', *(str(60 * row) for row in range(20))]))
     line = refusal('temperature_acquisition', {'source': 'csv', 'csv_file': str(file)})
-    assert "expected a column for each sensor beside 'time'" in line
+    assert "expected columns but found one, 'time'" in line
 
 
 def test_csv_file_without_time_column_is_refused(refusal, tmp_path):

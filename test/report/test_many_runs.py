@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many judged runs in one table."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,11 +24,15 @@ def judged(name, **rms):
         run=name,
         channel=('Y', 'Z'),
         axis=('Y', 'Z'),
-        samples=10,
+        samples=(10, 10),
         default=('lag_ridge', 'lag_ridge'),
         rms=figures,
         largest={key: 2.0 * value for key, value in figures.items()},
         in_domain=0.5,
+        warm={},
+        trained_on={},
+        covered=np.ones(2),
+        half_width=1e-6 * np.ones(2),
         time=np.arange(10.0),
         measured=np.zeros((10, 2)),
         predicted={},
@@ -49,12 +55,24 @@ def test_median_and_worst():
 def test_a_row_per_run_then_median_and_worst():
     table = runs_table(RUNS)
     assert [row[0] for row in table.rows] == ['a', 'b', 'c', 'Median', 'Worst']
-    assert table.rows[0][:3] == ('a', '10', '50')
-    assert table.rows[3][3:6] == ('14.0', '2.0', '4.0')
-    assert table.rows[4][3:6] == ('18.0', '3.0', '6.0')
-    assert table.rows[3][7] == '5.0'  # what was not measured in one run does not count
+    assert table.rows[0][:5] == ('a', '0', '9', '10', '50')
+    assert table.rows[3][5:8] == ('14.0', '2.0', '4.0')
+    assert table.rows[4][5:8] == ('18.0', '3.0', '6.0')
+    assert table.rows[3][9] == '5.0'  # what was not measured in one run does not count
     assert table.highlight == {3, 4}
-    assert [column.group for column in table.columns[3:]] == ['Y'] * 3 + ['Z'] * 3
+    assert [column.group for column in table.columns[5:]] == ['Y'] * 3 + ['Z'] * 3
+
+
+def test_a_run_that_the_default_made_worse_warns():
+    table = runs_table(RUNS)
+    # 6 um are left of 4 um in Z of the last run, in no other.
+    assert table.warning == {(2, 0), (2, 9)}
+    assert table.columns[9].full_heading == 'Z rmse'
+
+
+def test_samples_of_channels_that_were_probed_apart():
+    apart = replace(RUNS[0], samples=(10, 4))
+    assert runs_table([apart]).rows[0][3] == '10/4'
 
 
 def test_candidates_that_all_runs_have():

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from fuzzycnc_ros.core.arrays import Array, Seed
 from fuzzycnc_ros.core.fuzzy.c_means import FuzzyCMeans
 from fuzzycnc_ros.core.fuzzy.hybrid_learning import Premises, TrainedRules, train_rules
-from fuzzycnc_ros.core.thermal.domain import Domain
+from fuzzycnc_ros.core.thermal.domain import RISE_NOISE
 from fuzzycnc_ros.core.thermal.grey import GreyModel
 from fuzzycnc_ros.core.thermal.linear import check_ridge, column_scale
 from fuzzycnc_ros.core.thermal.recursions import check_interval
@@ -30,12 +30,15 @@ WIDTH_MIN = 0.1
 STEP = 0.01
 """First step of the sets' gradient descent, in standard deviations of the inputs [-]."""
 
+EDGE_QUANTILE = 0.99
+"""Share of the training samples inside the edge of the corrector's domain [-]."""
+
 FADE = 1.5
 """Distance at which the corrector is off, in units of the edge of its training domain [-]."""
 
 
 class Anfis(ThermalRegressor):
-    """Adaptive neuro-fuzzy inference system on the rises, method sheet 001 eqs. (1)-(6).
+    """Adaptive neuro-fuzzy inference system on the rises, docs/thermal-fuzzy-and-grey.md.
 
     Parameters
     ----------
@@ -191,7 +194,7 @@ class GreyAnfis(ThermalRegressor):
     Notes
     -----
     The published text has both models but does not say how they are joined.  In series the
-    corrector learns what the grey model leaves, method sheet 001 section 4.
+    corrector learns what the grey model leaves, docs/thermal-fuzzy-and-grey.md.
     """
 
     def __init__(
@@ -250,17 +253,29 @@ class GreyAnfis(ThermalRegressor):
             random_state=self.random_state,
         )
         self.anfis_.fit(rise, residual)
-        domain = Domain.of(rise[np.isfinite(target)])
+        mean, whitening, limit = mahalanobis(rise[np.isfinite(target)])
         self.recursion_: CorrectedRecursion = CorrectedRecursion(
             base=self.grey_.recursion_,
             corrector=self.anfis_.recursion_,
-            mean=domain.mean[np.newaxis],
-            whitening=np.asarray(np.linalg.cholesky(domain.inverse_covariance)).T[np.newaxis],
-            inner=np.array([domain.limit]),
-            outer=np.array([self.fade * domain.limit]),
+            mean=mean[np.newaxis],
+            whitening=whitening[np.newaxis],
+            inner=np.array([limit]),
+            outer=np.array([self.fade * limit]),
         )
         self.problems_ = self.grey_.problems_ + self.anfis_.problems_
         return self
+
+
+def mahalanobis(rise: Array) -> tuple[Array, Array, float]:
+    """Return the mean of rises (n, p) [K], what whitens them (p, p), and 99 % of the distances."""
+    mean = np.asarray(rise.mean(axis=0), dtype=np.float64)
+    covariance = np.atleast_2d(np.cov(rise, rowvar=False))
+    # Collinear sensors differ by less than their noise, which says nothing of the domain.
+    inverse = np.linalg.inv(covariance + RISE_NOISE**2 * np.eye(len(mean)))
+    apart = rise - mean
+    distance = np.sqrt(np.maximum(((apart @ inverse) * apart).sum(axis=-1), 0.0))
+    whitening = np.asarray(np.linalg.cholesky(inverse)).T
+    return mean, whitening, float(np.quantile(distance, EDGE_QUANTILE))
 
 
 def cluster_premises(inputs: Array, n_rules: int, random_state: Seed) -> Premises:

@@ -5,8 +5,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtrit
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.chance import SCATTER_WEIGHT
 from fuzzycnc_ros.core.thermal.residuals import mean_of_square
 
 WIDTH = 2.0
@@ -15,35 +17,25 @@ WIDTH = 2.0
 COVERED = 0.95
 """Share of the held-out samples that the band must hold [-]; of a normal distribution 0.954."""
 
-BORDER_FACTOR = 2.0
-"""Widening of the band at the border of the domain, method sheet 001 section 8.E."""
+GROWTHS = (0.5, 1.0, 2.0)
+"""Widenings of the band at the border of the domain that training chooses from [-]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Standard deviation of a prediction, method sheet 001 section 8.E.
+    """Standard deviation of a prediction, wider where the model was not trained.
 
     Parameters
     ----------
     deviation : ndarray, shape (c,)
-        Standard deviation amid the training samples [m], see `held_out_deviation`.
-    limit : float
-        Distance from the training up to which a sample lies in the domain [-].
-
-    Notes
-    -----
-    The sheet doubles the deviation outside the domain.  Here it grows in proportion to the
-    distance, from half the limit on: at the border it is doubled, twice as far out doubled again.
-    Two deviations of lagged ridge, trained on the runs D0, T1 and D0b of the simulated mill, then
-    hold 0.93 and 0.95 of the residuals on the unseen T2 and T3, with the sheet's factor 0.88 and
-    0.82; on speeds that a real spindle had not been trained on, 0.93 of the residuals of three
-    linear models in three cases, with the sheet's factor 0.64.  Where the distance of many alike
-    sensors says little the band is wider than need be: on unseen runs of the simulated grinder
-    the sheet's factor holds all residuals already.
+        Standard deviation amid the training samples [m], see `fitted_band`.
+    growth : float
+        Widening at the border of the domain [-]: the deviation grows in proportion to the
+        distance beyond the point at which growth * distance is 1.
     """
 
     deviation: Array
-    limit: float
+    growth: float
 
     def at(self, distance: Array, claimed: Array | None = None) -> Array:
         """Return the standard deviation of predictions.
@@ -51,7 +43,7 @@ class Band:
         Parameters
         ----------
         distance : ndarray, shape (...)
-            Distance of each sample from the training, in the units of `limit` [-].
+            Distance of each sample from the training, 1 at the border of the domain [-].
         claimed : ndarray, shape (..., c), optional
             What the model itself says, as a Gaussian process does [m]; NaN where it says
             nothing.
@@ -61,9 +53,56 @@ class Band:
         ndarray, shape (..., c)
             Standard deviation [m], the larger one of both.
         """
-        ratio = np.asarray(distance, dtype=np.float64)[..., np.newaxis] / self.limit
-        own = np.maximum(1.0, BORDER_FACTOR * ratio) * self.deviation
+        ratio = np.asarray(distance, dtype=np.float64)[..., np.newaxis]
+        own = widening(ratio, self.growth) * self.deviation
         return np.asarray(own if claimed is None else np.fmax(own, claimed))
+
+
+def widening(distance: Array, growth: float) -> Array:
+    """Return the factor on the deviation at a distance from the training [-], 1 or more."""
+    return np.maximum(1.0, growth * distance)
+
+
+def fitted_band(residual: Array, distance: Array, folds: int) -> Band:
+    """Return the band that residuals of unseen samples speak for.
+
+    The growth is the one under which they are most likely, if they are normal; the deviation of
+    each channel then is the least one whose band holds 95 % of them, as in split conformal
+    prediction [1]_, times what few folds leave unknown of another run (Student's t).
+
+    Parameters
+    ----------
+    residual : ndarray, shape (n, c)
+        Residuals of samples that neither fit nor choice had seen [m]; NaN where nothing was
+        measured, infinite where a prediction diverged.
+    distance : ndarray, shape (n,)
+        Their distance from what had been seen, 1 at the border of the domain [-].
+    folds : int
+        Number of folds that they come from and that share no sample.
+
+    References
+    ----------
+    .. [1] J. Lei, M. G'Sell, A. Rinaldo, R. J. Tibshirani, L. Wasserman, "Distribution-free
+       predictive inference for regression", Journal of the American Statistical Association
+       113(523), 2018, pp. 1094-1111, doi:10.1080/01621459.2017.1307116.
+    """
+    bands = [
+        Band(held_out_deviation(residual / widening(distance, growth)[:, np.newaxis]), growth)
+        for growth in GROWTHS
+    ]
+    surprise = [_surprise(residual, band.at(distance)) for band in bands]
+    best = bands[int(np.argmin(surprise))]
+    # Samples of one run err alike: what counts is how many runs there were.
+    unknown = stdtrit(SCATTER_WEIGHT + folds, 0.5 + 0.5 * COVERED) / WIDTH
+    return Band(max(1.0, float(unknown)) * best.deviation, best.growth)
+
+
+def _surprise(residual: Array, deviation: Array) -> float:
+    """Return the negative logarithm of the likelihood per sample, up to a constant."""
+    with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
+        values = 0.5 * (residual / deviation) ** 2 + np.log(deviation)
+    values = values[np.isfinite(residual) & np.isfinite(values)]
+    return float(values.mean()) if len(values) else 0.0
 
 
 def held_out_deviation(residual: Array) -> Array:

@@ -10,6 +10,9 @@ from fuzzycnc_ros.core.arrays import Array
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.recursions import Recursion
 
+UNCOMPENSATED = 'uncompensated'
+"""The machine as it is: the candidate that predicts nothing, which every model must beat."""
+
 BASELINES = ('least_squares', 'static_ridge', 'lag_ridge')
 """Plain models that every table shows beside the others."""
 
@@ -71,8 +74,8 @@ class Candidate:
     ----------
     name : str
         One of `CANDIDATES`.
-    settings : dict
-        Settings chosen on held-out samples, or fixed ones.
+    settings : tuple of dict, length c
+        Settings of each channel, chosen on held-out samples, or fixed ones.
     recursion : Recursion
         The fit to all training samples, all channels.
     problems : tuple of str
@@ -82,7 +85,7 @@ class Candidate:
     """
 
     name: str
-    settings: Settings
+    settings: tuple[Settings, ...]
     recursion: 'Recursion'
     problems: tuple[str, ...]
     held_out_rms: Array

@@ -14,11 +14,12 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, STANDARD
-from fuzzycnc_ros.core.thermal.evaluation import Evaluation, evaluate
+from fuzzycnc_ros.core.thermal.evaluation import Evaluation, evaluate, pooled_rms
 from fuzzycnc_ros.core.thermal.folds import thermal_cycles
 from fuzzycnc_ros.core.thermal.refinement import Progress
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 from fuzzycnc_ros.core.thermal.training import at_interval, train_model
+from fuzzycnc_ros.core.thermal.windows import hidden
 
 CHAIN = (0.5, 0.7, 1.0)
 """Forward chaining of a single run without cycles: train up to a cut, judge up to the next."""
@@ -33,7 +34,7 @@ class Split:
     name : str
         Name of the held-out run or stretch.
     training : tuple of ThermalRun
-        Runs to train on; the held-out stretch of a single run has no displacements.
+        Runs to train on; the held-out stretch of a single run is hidden in them.
     held_out : ThermalRun
         Run to judge on, from its start, so that lags are warm where the judging begins.
     start, stop : float or None
@@ -100,21 +101,8 @@ class Comparison:
         return reasons
 
     def rms(self) -> dict[str, Array]:
-        """Return the root mean square residual over all held-out samples, (c,) [m].
-
-        What diverged anywhere stays infinite; a channel that was measured nowhere is NaN.
-        """
-        weight = np.array(
-            [np.isfinite(item.evaluation.measured).sum(axis=0) for item in self.held_out]
-        )
-        total = weight.sum(axis=0)
-        pooled = {}
-        for name in self.names:
-            each = np.array([item.evaluation.rms[name] for item in self.held_out])
-            with np.errstate(over='ignore', invalid='ignore'):
-                square = np.where(weight > 0, each**2 * weight, 0.0).sum(axis=0)
-                pooled[name] = np.sqrt(square / np.where(total > 0, total, np.nan))
-        return pooled
+        """Return the root mean square residual over all held-out samples, see `pooled_rms`."""
+        return pooled_rms([item.evaluation for item in self.held_out])
 
     def largest(self) -> dict[str, Array]:
         """Return the largest residual over all held-out samples, (c,) [m]."""
@@ -135,8 +123,8 @@ def splits(
     ----------
     runs : sequence of ThermalRun
         Runs of one machine.  Several are left out one by one.  A single one is cut into its
-        thermal cycles, where the recorded spindle speed shows at least two; else its last part
-        is predicted from what came before, twice.
+        thermal cycles, where the recorded spindle speed shows at least two that were measured;
+        else its last part is predicted from what came before, twice.
     windows : sequence of (float, float)
         Stretches of a single run to hold out instead, first and last second.
     interval : float
@@ -162,10 +150,10 @@ def splits(
         )
     run = at_interval(runs[0], interval)
     if not windows:
-        cycle = thermal_cycles(run)
-        if not cycle[-1]:
+        cycle, measured = thermal_cycles(run), np.isfinite(run.displacement).any(axis=1)
+        rows = [np.flatnonzero(cycle == number) for number in np.unique(cycle[measured])]
+        if len(rows) < 2:
             return _chained(run)
-        rows = [np.flatnonzero(cycle == number) for number in range(int(cycle[-1]) + 1)]
         windows = [(float(run.time[own[0]]), float(run.time[own[-1]])) for own in rows]
     return tuple(_cut(run, start, stop) for start, stop in windows)
 
@@ -221,17 +209,16 @@ def judge(
 
 
 def _cut(run: ThermalRun, start: float, stop: float) -> Split:
-    """Hold a stretch of a run out; temperatures and speed stay, since lags need them."""
+    """Hold a stretch of a run out."""
     inside = run.inside(start, stop)
     if not inside.any() or inside.all():
         raise ThermalDataError(
             f'run {run.name!r}: expected a part of {run.time[0]:.6g} to {run.time[-1]:.6g} s to '
             f'hold out, but found {start:.6g} to {stop:.6g} s'
         )
-    hidden = np.where(inside[:, np.newaxis], np.nan, run.displacement)
     return Split(
         f'{run.name} {start:.0f}-{stop:.0f} s',
-        (replace(run, displacement=hidden),),
+        (hidden(run, inside),),
         run,
         start,
         stop,
@@ -239,8 +226,13 @@ def _cut(run: ThermalRun, start: float, stop: float) -> Split:
 
 
 def _chained(run: ThermalRun) -> tuple[Split, ...]:
-    span = run.time[-1] - run.time[0]
-    cuts = [float(run.time[0] + share * span) for share in CHAIN]
+    counted = run.time[np.isfinite(run.displacement).any(axis=1)]
+    if not len(counted):
+        raise ThermalDataError(
+            f'run {run.name!r}: expected measured displacements, but found none'
+        )
+    span = counted[-1] - counted[0]
+    cuts = [float(counted[0] + share * span) for share in CHAIN]
     chained = []
     for first, last in pairwise(cuts):
         start = float(run.time[run.time > first][0])

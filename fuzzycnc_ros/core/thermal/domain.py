@@ -1,15 +1,32 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a model has been trained, so that it can say when it extrapolates."""
+"""Where a model has been trained, so that it can say when it extrapolates.
 
+The rises of many sensors lie near a few directions: what heats a machine heats it in few ways.
+Two distances tell whether a sample does so too: Hotelling's T along these directions, and the
+squared prediction error (Q statistic) across them.
+
+References
+----------
+.. [1] J. E. Jackson, G. S. Mudholkar, "Control procedures for residuals associated with principal
+   component analysis", Technometrics 21(3), 1979, pp. 341-349,
+   doi:10.1080/00401706.1979.10489779.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.moments import Fold
 
-DOMAIN_QUANTILE = 0.99
-"""Share of the training samples that lie in the domain."""
+DOMAIN_QUANTILE = 0.95
+"""Share of the samples of unseen training runs that lie in the domain."""
+
+EXPLAINED = 0.99
+"""Share of the variance of the training rises that the kept directions explain."""
 
 RISE_NOISE = 0.1
 """Standard deviation below which differences between sensors are noise [K]."""
@@ -17,53 +34,58 @@ RISE_NOISE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Domain:
-    """Rises that the model was trained on, as an ellipsoid.
+    """Rises that the model was trained on: an ellipsoid in few directions, thin in all others.
 
     Parameters
     ----------
     mean : ndarray, shape (p,)
         Mean rise of each input [K].
-    inverse_covariance : ndarray, shape (p, p)
-        Inverse covariance of the rises [1/K^2].
-    limit : float
-        Mahalanobis distance that 99 % of the training samples stay below [-].
+    directions : ndarray, shape (k, p)
+        Orthonormal directions in which the training rises spread.
+    reach : ndarray, shape (k,)
+        Distance from the mean along each direction that is at the border of the domain [K].
+    thickness : float
+        Distance across all directions that is at the border of the domain [K]; infinite where
+        the directions span everything.
     drive : ndarray, shape (d,)
         Largest driver that it was trained on [-]; empty where the model reads none.
     """
 
     mean: Array
-    inverse_covariance: Array
-    limit: float
+    directions: Array
+    reach: Array
+    thickness: float
     drive: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         """Refuse numbers that would put every sample into the domain, or none."""
-        if not self.limit > 0.0:
-            raise ValueError(f'limit: expected a positive distance, but found {self.limit}')
+        if self.directions.shape != (len(self.reach), len(self.mean)):
+            raise ValueError(
+                f'directions: expected {len(self.reach)} rows of {len(self.mean)}, but found '
+                f'shape {self.directions.shape}'
+            )
+        if not (self.reach > 0.0).all() or not self.thickness > 0.0:
+            raise ValueError(
+                f'domain: expected positive lengths, but found a reach of {self.reach} and a '
+                f'thickness of {self.thickness}; train the model anew'
+            )
         if not (self.drive >= 0.0).all():
             raise ValueError(f'drive: expected 0 or more, but found {self.drive}')
-        inverse = 0.5 * (self.inverse_covariance + self.inverse_covariance.T)
-        if not (np.linalg.eigvalsh(inverse) > 0.0).all():
-            raise ValueError(
-                'inverse_covariance: expected a positive definite matrix but found another; '
-                'train the model anew'
-            )
 
-    @staticmethod
-    def of(rise: Array, drive: Array | None = None) -> 'Domain':
-        """Describe the training rises (n, p) [K] and drivers (n, d) [-]."""
-        mean: Array = np.asarray(rise.mean(axis=0), dtype=np.float64)
-        covariance = np.atleast_2d(np.cov(rise, rowvar=False))
-        # Collinear sensors differ by less than their noise, which says nothing of the domain.
-        noise = RISE_NOISE**2 * np.eye(len(mean))
-        inverse = np.asarray(np.linalg.inv(covariance + noise), dtype=np.float64)
-        domain = Domain(mean, inverse, np.inf)
-        limit = float(np.quantile(domain.distance(rise), DOMAIN_QUANTILE))
-        largest = np.empty(0) if drive is None else np.asarray(drive.max(axis=0))
-        return replace(domain, limit=limit, drive=largest)
+    def scaled(self, along: float, across: float) -> 'Domain':
+        """Return the domain whose border lies at other multiples of reach and thickness."""
+        return replace(self, reach=self.reach * along, thickness=self.thickness * across)
+
+    def parts(self, rise: Array) -> tuple[Array, Array]:
+        """Return how far rises (..., p) lie along and across the directions, in borders [-]."""
+        apart = rise - self.mean
+        score = apart @ self.directions.T
+        along = np.sqrt(((score / self.reach) ** 2).sum(axis=-1))
+        square = (apart**2).sum(axis=-1) - (score**2).sum(axis=-1)
+        return np.asarray(along), np.asarray(np.sqrt(np.maximum(square, 0.0)) / self.thickness)
 
     def distance(self, samples: Array) -> Array:
-        """Return the distance [-] of rises [K] and, behind them, drivers [-] from the training.
+        """Return the distance of rises [K] and, behind them, drivers [-] from the training.
 
         Parameters
         ----------
@@ -73,14 +95,85 @@ class Domain:
         Returns
         -------
         ndarray, shape (...)
-            Mahalanobis distance of the rises, or `limit` times the largest ratio of a driver to
-            the largest that it was trained on, whichever is more.
+            1 at the border of the domain [-]: the larger one of both distances of the rises and
+            of the ratio of each driver to the largest that it was trained on.
         """
         inputs = len(self.mean)
-        apart = samples[..., :inputs] - self.mean
-        square = ((apart @ self.inverse_covariance) * apart).sum(axis=-1)
-        distance = np.sqrt(np.maximum(square, 0.0))
+        distance = np.maximum(*self.parts(samples[..., :inputs]))
         if samples.shape[-1] == inputs or not len(self.drive):
             return np.asarray(distance)
         ratio = samples[..., inputs:] / np.where(self.drive > 0.0, self.drive, np.inf)
-        return np.asarray(np.maximum(distance, self.limit * ratio.max(axis=-1)))
+        return np.asarray(np.maximum(distance, ratio.max(axis=-1)))
+
+
+def trained_domain(
+    rise: Array,
+    drive: Array,
+    trained: NDArray[np.bool_],
+    block: NDArray[np.int64],
+    folds: Sequence[Fold],
+) -> tuple[Domain, list[Array]]:
+    """Describe training rises so that unseen runs of the same machine lie in the domain.
+
+    Parameters
+    ----------
+    rise : ndarray, shape (n, p)
+        Rises of the inputs [K].
+    drive : ndarray, shape (n, d)
+        Drivers [-].
+    trained : ndarray of bool, shape (n,)
+        Samples that were trained on.
+    block : ndarray, shape (n,)
+        Stretch of each sample.
+    folds : sequence of Fold
+        Stretches to learn from and to try in turn.
+
+    Returns
+    -------
+    domain : Domain
+        Its border holds 95 % of the samples of stretches that it was not learnt from.
+    distance : list of ndarray
+        Distance of the tried samples of each fold from the domain without them, in borders of
+        the whole one [-].
+    """
+    apart = []
+    for fold in folds:
+        learnt = trained & np.isin(block, fold.train)
+        tried = np.isin(block, fold.test)
+        part = _ellipsoid(rise[learnt])
+        apart.append((*part.parts(rise[tried]), trained[tried]))
+    domain = _ellipsoid(rise[trained])
+    own = domain.parts(rise[trained])
+    limits = [
+        max(
+            _limit(own[number]),
+            _limit(np.concatenate([item[number][item[2]] for item in apart])),
+        )
+        or 1.0  # nothing lies off the directions where they span everything
+        for number in range(2)
+    ]
+    distance = [np.maximum(item[0] / limits[0], item[1] / limits[1]) for item in apart]
+    largest = np.asarray(drive[trained].max(axis=0))
+    return replace(domain.scaled(*limits), drive=largest), distance
+
+
+def _ellipsoid(rise: Array) -> Domain:
+    """Return directions and standard deviations of rises (n, p), not yet scaled to a border."""
+    mean = np.asarray(rise.mean(axis=0), dtype=np.float64)
+    _, singular, directions = np.linalg.svd(rise - mean, full_matrices=False)
+    deviation = singular / np.sqrt(len(rise))
+    share = np.cumsum(deviation**2) / max(float((deviation**2).sum()), 1e-12)
+    kept = 1 + int(np.searchsorted(share, EXPLAINED))
+    kept = max(1, min(kept, int((deviation > RISE_NOISE).sum())))
+    rest = float(np.sqrt((deviation[kept:] ** 2).sum()))
+    return Domain(
+        mean=mean,
+        directions=np.asarray(directions[:kept]),
+        reach=np.hypot(deviation[:kept], RISE_NOISE),
+        # Collinear sensors differ by less than their noise, which says nothing of the domain.
+        thickness=float(np.hypot(rest, RISE_NOISE * np.sqrt(len(mean)))),
+    )
+
+
+def _limit(distance: Array) -> float:
+    return float(np.quantile(distance, DOMAIN_QUANTILE)) if len(distance) else 0.0

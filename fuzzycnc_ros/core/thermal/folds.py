@@ -43,7 +43,7 @@ def run_rows(runs: Sequence[ThermalRun]) -> list[slice]:
 def selection_folds(runs: Sequence[ThermalRun]) -> tuple[NDArray[np.int64], list[Fold]]:
     """Return the stretch of each stacked sample, and the folds for choosing sensors.
 
-    Leave one run out; a single run is chained forward, method sheet 001 section 5.
+    Leave one run out; a single run is chained forward, docs/thermal.md.
 
     Raises
     ------
@@ -52,9 +52,9 @@ def selection_folds(runs: Sequence[ThermalRun]) -> tuple[NDArray[np.int64], list
     """
     if len(runs) > 1:
         return _measured(runs, *_leave_one_run_out(runs))
-    samples = len(runs[0].time)
+    place, samples = _places(runs[0])
     cuts = np.rint(np.array(SELECTION_CUTS) * samples)
-    block = np.searchsorted(cuts, np.arange(samples), side='right')
+    block = np.searchsorted(cuts, place, side='right')
     folds = [Fold(tuple(range(last)), (last,)) for last in range(1, len(cuts) + 1)]
     return _measured(runs, block, folds)
 
@@ -78,8 +78,8 @@ def training_folds(runs: Sequence[ThermalRun]) -> tuple[NDArray[np.int64], list[
             return _measured(runs, cycle, _leave_one_out(int(cycle.max()) + 1))
         except ThermalDataError:
             pass  # probed in too few of the cycles; stretches may still do
-    samples = len(runs[0].time)
-    block = np.arange(samples) * STRETCHES // samples
+    place, samples = _places(runs[0])
+    block = place * STRETCHES // samples
     folds = []
     for groups in GROUPS:
         length = STRETCHES // groups
@@ -87,6 +87,17 @@ def training_folds(runs: Sequence[ThermalRun]) -> tuple[NDArray[np.int64], list[
             test = tuple(range(first, first + length))
             folds.append(Fold(tuple(set(range(STRETCHES)) - set(test)), test))
     return _measured(runs, block, folds)
+
+
+def _places(run: ThermalRun) -> tuple[NDArray[np.int64], int]:
+    """Return the place of each sample between the first and last that count, and their number.
+
+    What lies before a window only warms up lags: it belongs to the first stretch.
+    """
+    measured = np.flatnonzero(np.isfinite(run.displacement).any(axis=1))
+    first, last = (measured[0], measured[-1]) if len(measured) else (0, len(run.time) - 1)
+    samples = int(last - first) + 1
+    return np.clip(np.arange(len(run.time)) - first, 0, samples - 1), samples
 
 
 def independent_folds(folds: Sequence[Fold]) -> int:
@@ -98,23 +109,32 @@ def independent_folds(folds: Sequence[Fold]) -> int:
 def _measured(
     runs: Sequence[ThermalRun], block: NDArray[np.int64], folds: list[Fold]
 ) -> tuple[NDArray[np.int64], list[Fold]]:
-    """Keep the folds with measured displacements on both sides; probing may be sparse."""
-    measured = np.concatenate([np.isfinite(run.displacement).all(axis=1) for run in runs])
-    count = np.bincount(block[measured], minlength=int(block.max()) + 1)
-    tested = np.array([count[list(fold.test)].sum() for fold in folds])
+    """Keep the folds with measured displacements on both sides; probing may be sparse.
+
+    All channels are trained in each fold; it judges those that were measured in its test.
+    """
+    measured = np.concatenate([np.isfinite(run.displacement) for run in runs])
+    blocks = int(block.max()) + 1
+    count = np.array([np.bincount(block[own], minlength=blocks) for own in measured.T])
+    trained = np.array([count[:, list(fold.train)].sum(axis=1) for fold in folds])
+    tested = np.array([count[:, list(fold.test)].sum(axis=1) for fold in folds])
+    usable = (trained >= SAMPLES_MIN).all(axis=1) & tested.any(axis=1)
     # A fold of a few samples would weigh as much as the others and decide by chance.
-    enough = max(1.0, 0.1 * float(np.median(tested[tested > 0]))) if tested.any() else np.inf
-    kept = [
-        fold
-        for fold, samples in zip(folds, tested, strict=True)
-        if count[list(fold.train)].sum() >= SAMPLES_MIN and samples >= enough
-    ]
-    if not kept:
+    typical = np.array([np.median(own[own > 0]) if own.any() else 0.0 for own in tested.T])
+    weak = (tested > 0) & (tested < 0.1 * typical)
+    kept = usable & ~weak.any(axis=1)
+    if not tested[kept].any(axis=0).all():
+        kept = usable
+    unjudged = np.flatnonzero(~tested[kept].any(axis=0))
+    if len(unjudged):
+        names = ', '.join(runs[0].channel[column] for column in unjudged)
+        found = ', '.join(str(int(count[column].sum())) for column in unjudged)
         raise ThermalDataError(
-            f'runs: expected {SAMPLES_MIN} samples measured in all channels to train on and '
-            f'others to judge on, but found {int(measured.sum())} in all; probe more often'
+            f'channel {names}: expected {SAMPLES_MIN} measured samples to train on and others to '
+            f'judge on, in another run or stretch, but found {found} in all; probe more often, '
+            'or in more runs'
         )
-    return block, kept
+    return block, [folds[number] for number in np.flatnonzero(kept)]
 
 
 def thermal_cycles(run: ThermalRun) -> NDArray[np.int64]:

@@ -2,17 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """How candidates are judged: settings and predictions on samples that were not fitted."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.candidate import Settings
 from fuzzycnc_ros.core.thermal.catalogue import SPEED_LAGS, fit_recursion
+from fuzzycnc_ros.core.thermal.chance import log_residual
+from fuzzycnc_ros.core.thermal.folds import independent_folds
 from fuzzycnc_ros.core.thermal.grey import stable_poles
 from fuzzycnc_ros.core.thermal.linear import driven_features, lag_features, poles_of_lags
 from fuzzycnc_ros.core.thermal.moments import (
-    Fold,
     Moments,
     mean_square_error,
     ridge_from_sums,
@@ -23,18 +24,21 @@ from fuzzycnc_ros.core.thermal.recursions import combine
 from fuzzycnc_ros.core.thermal.training_set import TrainingSet
 
 RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
-"""Penalties that the ridge candidates try, around the 1e-3 of method sheet 001."""
+"""Penalties that the ridge candidates try, around the 1e-3 that served the simulated mill."""
 
 LAG_SETS = ((1200.0,), (1200.0, 3600.0), (300.0, 1200.0))
-"""Sets of lags [s] that LagRidge tries, around the 20 and 60 min of method sheet 001."""
+"""Sets of lags [s] of the rises that LagRidge tries; beside the speed also none."""
+
+COMMON_WEIGHT = 6.0
+"""How many folds of its own the channels together are worth to a channel's settings [-]."""
 
 STABLE_GREY_RIDGE = 1e-3
-"""Penalty of the stable grey candidate, method sheet 001 section 3.2."""
+"""Penalty of the stable grey candidate [-]."""
 
 
 def held_out_predictions(
     name: str, data: TrainingSet, step: Callable[[], None]
-) -> tuple[Settings, list[Array]]:
+) -> tuple[list[Settings], list[Array]]:
     """Return the settings of a candidate and what it predicts on samples that it never saw.
 
     Parameters
@@ -48,10 +52,12 @@ def held_out_predictions(
 
     Returns
     -------
-    settings : dict
-        Chosen on the held-out samples where the candidate has a choice.
+    settings : list of dict, length c
+        Best over all held-out samples, where the candidate has a choice: of all channels
+        together, unless others are better in a channel beyond chance.
     predicted : list of ndarray, shape (tested, c)
-        Predictions of each fold [m]; infinite where they diverged.
+        Predictions of each fold [m], with settings that are best on the other folds; infinite
+        where they diverged.
 
     Notes
     -----
@@ -60,17 +66,18 @@ def held_out_predictions(
     """
     if name in _LINEAR:
         return _LINEAR[name](data)
-    return {}, _refitted(name, data, step)
+    return [{}] * data.displacement.shape[1], _refitted(name, data, step)
 
 
 def _refitted(name: str, data: TrainingSet, step: Callable[[], None]) -> list[Array]:
-    samples = np.hstack([data.rise, data.drive])
     predicted = []
-    for fold in data.folds:
+    for number, fold in enumerate(data.folds):
+        seen = data.seen_by(number)
+        samples = np.hstack([seen.rise, seen.drive])
         use, tested = np.isin(data.block, fold.train), data.tested(fold)
         fits = []
         for target in data.displacement.T:
-            fits.append(fit_recursion(name, {}, data, target, use)[0])
+            fits.append(fit_recursion(name, {}, seen, target, use)[0])
             step()
         recursion = combine(fits)
         values = np.full(data.displacement.shape, np.nan)
@@ -82,87 +89,147 @@ def _refitted(name: str, data: TrainingSet, step: Callable[[], None]) -> list[Ar
     return predicted
 
 
-def _judge_least_squares(data: TrainingSet) -> tuple[Settings, list[Array]]:
-    return {}, _Bank(data, data.rise, intercept=True).predictions(0.0)
+def _judge_least_squares(data: TrainingSet) -> tuple[list[Settings], list[Array]]:
+    return _judged(data, [({}, 0.0, _Bank(data, _rises, intercept=True))])
 
 
-def _judge_static_ridge(data: TrainingSet) -> tuple[Settings, list[Array]]:
-    bank = _Bank(data, data.rise, intercept=True)
-    ridge = RIDGES[int(np.argmin([bank.error(ridge) for ridge in RIDGES]))]
-    return {'ridge': ridge}, bank.predictions(ridge)
+def _judge_static_ridge(data: TrainingSet) -> tuple[list[Settings], list[Array]]:
+    bank = _Bank(data, _rises, intercept=True)
+    return _judged(data, [({'ridge': ridge}, ridge, bank) for ridge in RIDGES])
 
 
-def _judge_lag_ridge(data: TrainingSet, *, driven: bool) -> tuple[Settings, list[Array]]:
-    rises = data.rise.shape[1]
-    samples = np.hstack([data.rise, data.drive]) if driven else data.rise
+def _judge_lag_ridge(data: TrainingSet, *, driven: bool) -> tuple[list[Settings], list[Array]]:
     driver_pole = poles_of_lags(SPEED_LAGS, data.interval)
-    banks = []
-    for lags in LAG_SETS:
+    options: list[_Option] = []
+    for lags in (*LAG_SETS, ()) if driven else LAG_SETS:
         pole = poles_of_lags(lags, data.interval)
-        features = driven_features(samples, data.rows, rises, pole, driver_pole)
-        banks.append(_Bank(data, features, intercept=False))
-    errors = [[bank.error(ridge) for ridge in RIDGES] for bank in banks]
-    chosen, column = np.unravel_index(int(np.argmin(errors)), (len(LAG_SETS), len(RIDGES)))
-    settings: Settings = {'lags': LAG_SETS[chosen], 'ridge': RIDGES[column]}
-    return settings, banks[chosen].predictions(RIDGES[column])
+
+        def features(seen: TrainingSet, pole: Array = pole) -> Array:
+            rises = seen.rise.shape[1]
+            samples = np.hstack([seen.rise, seen.drive]) if driven else seen.rise
+            return driven_features(samples, seen.rows, rises, pole, driver_pole)
+
+        bank = _Bank(data, features, intercept=False)
+        options += [({'lags': lags, 'ridge': ridge}, ridge, bank) for ridge in RIDGES]
+    return _judged(data, options)
 
 
-def _judge_stable_grey(data: TrainingSet) -> tuple[Settings, list[Array]]:
+def _judge_stable_grey(data: TrainingSet) -> tuple[list[Settings], list[Array]]:
     poles = stable_poles(data.interval)
-    inputs = data.rise.shape[1]
-    lagged = lag_features(data.rise, data.rows, poles, direct=False)
-    lagged = lagged.reshape(len(lagged), len(poles), inputs).transpose(1, 0, 2)
     target, unit = data.scaled_target()
-    moments = Moments.of(lagged, target, data.block)
-    drivers = Moments.of(data.rise, target, data.block)
+    groups = data.channel_groups()
+    sums: dict[int, tuple[Array, list[Moments], list[Moments]]] = {}
     predicted = []
-    for fold in data.folds:
-        scale = spread(drivers.over(fold.train), slice(1, 1 + inputs))
-        pole, weight = stable_grey_from_sums(moments, fold.train, scale, STABLE_GREY_RIDGE)
+    for number, fold in enumerate(data.folds):
+        seen = data.seen_by(number)
+        if id(seen) not in sums:
+            lagged = lag_features(seen.rise, seen.rows, poles, direct=False)
+            lagged = lagged.reshape(len(lagged), len(poles), -1).transpose(1, 0, 2)
+            sums[id(seen)] = (
+                lagged,
+                [Moments.of(lagged, target[:, group], data.block) for group in groups],
+                [Moments.of(seen.rise, target[:, group], data.block) for group in groups],
+            )
+        lagged, of_lags, of_drivers = sums[id(seen)]
         tested = data.tested(fold)
-        columns = [lagged[p, tested] @ weight[:, c] for c, p in enumerate(pole)]
-        predicted.append(np.stack(columns, axis=1) * unit)
-    return {'ridge': STABLE_GREY_RIDGE}, predicted
+        values = np.empty((int(tested.sum()), len(unit)))
+        for group, lags, drivers in zip(groups, of_lags, of_drivers, strict=True):
+            scale = spread(drivers.over(fold.train), slice(1, 1 + drivers.inputs))
+            pole, weight = stable_grey_from_sums(lags, fold.train, scale, STABLE_GREY_RIDGE)
+            for c, p in enumerate(pole):
+                values[:, group[c]] = lagged[p, tested] @ weight[:, c]
+        predicted.append(values * unit)
+    return [{'ridge': STABLE_GREY_RIDGE}] * len(unit), predicted
+
+
+def _rises(seen: TrainingSet) -> Array:
+    return seen.rise
+
+
+_Option = tuple[Settings, float, '_Bank']
+"""Settings, their penalty, and the features that they ask for."""
+
+
+def _judged(data: TrainingSet, options: list[_Option]) -> tuple[list[Settings], list[Array]]:
+    """Return the best settings, and the predictions with those that are best elsewhere."""
+    errors = np.array([bank.errors(ridge) for _, ridge, bank in options])
+    predicted = []
+    for fold in range(len(data.folds)):
+        elsewhere = data.apart_from(fold)
+        # Of a single fold nothing can be learnt that it has not seen: the middle of the list.
+        chosen = (
+            _best_of_channels(errors, data, elsewhere)
+            if elsewhere
+            else [len(options) // 2] * errors.shape[2]
+        )
+        values = {number: options[number] for number in chosen}
+        every = {n: bank.prediction(fold, ridge) for n, (_, ridge, bank) in values.items()}
+        columns = [every[number][:, c] for c, number in enumerate(chosen)]
+        predicted.append(np.stack(columns, axis=1))
+    best = _best_of_channels(errors, data, range(len(data.folds)))
+    return [options[number][0] for number in best], predicted
+
+
+def _best_of_channels(errors: Array, data: TrainingSet, folds: Sequence[int]) -> list[int]:
+    """Return the best option of each channel, for which all channels together speak too.
+
+    All channels see the same heat flow.  With few folds a channel alone would choose by luck;
+    with many it knows better what it needs.
+    """
+    square = errors[:, list(folds)]
+    independent = independent_folds([data.folds[fold] for fold in folds])
+    together = 0.5 * np.log(np.nanmean(square, axis=(1, 2)))
+    level = log_residual(square) + COMMON_WEIGHT / independent * together[:, np.newaxis]
+    return [int(np.nanargmin(channel)) for channel in level.T]
 
 
 class _Bank:
-    """Features of the training samples, ready for held-out fits of all channels.
+    """Features of the training samples, ready for held-out fits of all channels."""
 
-    Errors are pooled over the channels.  All channels see the same heat flow, and pooling them
-    leaves few settings to be chosen from many samples: choosing per channel from the few cycles
-    of one recording was worse on cycles that the choice had not seen.
-    """
-
-    def __init__(self, data: TrainingSet, features: Array, *, intercept: bool) -> None:
+    def __init__(
+        self, data: TrainingSet, features: Callable[[TrainingSet], Array], *, intercept: bool
+    ) -> None:
         self._data = data
         self._intercept = intercept
-        self._features = features
         target, self._unit = data.scaled_target()
-        self._moments = Moments.of(self._features, target, data.block)
+        self._groups = data.channel_groups()
+        sums: dict[int, tuple[Array, list[Moments]]] = {}
+        self._of_fold = []
+        for fold in range(len(data.folds)):
+            seen = data.seen_by(fold)
+            if id(seen) not in sums:
+                values = features(seen)
+                moments = [
+                    Moments.of(values, target[:, group], data.block) for group in self._groups
+                ]
+                sums[id(seen)] = (values, moments)
+            self._of_fold.append(sums[id(seen)])
 
-    def error(self, ridge: float) -> float:
-        """Return the held-out mean square error relative to the channels' own variance."""
-        errors = [
-            mean_square_error(self._moments.over(fold.test), *self._fit(fold, ridge)).mean()
-            for fold in self._data.folds
-        ]
-        return float(np.mean(errors))
+    def errors(self, ridge: float) -> Array:
+        """Return the mean square errors over the channels' own variance, (folds, c)."""
+        errors = np.empty((len(self._data.folds), len(self._unit)))
+        for number, fold in enumerate(self._data.folds):
+            for group, moments in zip(self._groups, self._of_fold[number][1], strict=True):
+                weights = self._fit(moments, number, ridge)
+                errors[number, group] = mean_square_error(moments.over(fold.test), *weights)
+        return errors
 
-    def predictions(self, ridge: float) -> list[Array]:
-        """Return the held-out predictions (n, c) of each fold [m]."""
-        predicted = []
-        for fold in self._data.folds:
-            weight, constant = self._fit(fold, ridge)
-            values = self._features[self._data.tested(fold)] @ weight + constant
-            predicted.append(values * self._unit)
-        return predicted
+    def prediction(self, fold: int, ridge: float) -> Array:
+        """Return the held-out prediction of a fold, shape (tested, c) [m]."""
+        values, moments = self._of_fold[fold]
+        tested = values[self._data.tested(self._data.folds[fold])]
+        predicted = np.empty((len(tested), len(self._unit)))
+        for group, sums in zip(self._groups, moments, strict=True):
+            weight, constant = self._fit(sums, fold, ridge)
+            predicted[:, group] = tested @ weight + constant
+        return predicted * self._unit
 
-    def _fit(self, fold: Fold, ridge: float) -> tuple[Array, Array]:
-        sums = self._moments.over(fold.train)
-        return ridge_from_sums(sums, self._moments.inputs, ridge, self._intercept)
+    def _fit(self, moments: Moments, fold: int, ridge: float) -> tuple[Array, Array]:
+        sums = moments.over(self._data.folds[fold].train)
+        return ridge_from_sums(sums, moments.inputs, ridge, self._intercept)
 
 
-_LINEAR: dict[str, Callable[[TrainingSet], tuple[Settings, list[Array]]]] = {
+_LINEAR: dict[str, Callable[[TrainingSet], tuple[list[Settings], list[Array]]]] = {
     'least_squares': _judge_least_squares,
     'static_ridge': _judge_static_ridge,
     'stable_grey': _judge_stable_grey,

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal.band import Band
-from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, Candidate
+from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, UNCOMPENSATED, Candidate
+from fuzzycnc_ros.core.thermal.cold_start import ColdStart
 from fuzzycnc_ros.core.thermal.document import ModelFileError
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.drivers import (
@@ -21,6 +22,7 @@ from fuzzycnc_ros.core.thermal.drivers import (
     speed_drive,
     speed_known,
 )
+from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
 from fuzzycnc_ros.core.thermal.model_checks import check_output, check_parts
 from fuzzycnc_ros.core.thermal.model_document import read_document, write_document
 from fuzzycnc_ros.core.thermal.recursions import (
@@ -64,8 +66,8 @@ class ThermalModel:
         How the inputs were chosen, with their substitutes and gains.
     domain : Domain
         Rises that it was trained on.
-    residual_deviation : ndarray, shape (c,)
-        Standard deviation of the default's held-out residual [m].
+    band : Band
+        How far the default may be off, from samples that neither fit nor choice had seen.
     drivers : tuple of str, length d
         What the candidates may read behind the rises: the driver of the spindle speed, or
         nothing where it was not recorded.
@@ -79,6 +81,10 @@ class ThermalModel:
     watch : SensorWatchModel, optional
         How the sensors follow each other, to find faulty ones and to stand in for them; files
         of earlier versions have none.
+    cold_start : ColdStart, optional
+        How the inputs differ before the machine is used; files of earlier versions have none.
+    fingerprints : tuple of Fingerprint
+        What it was trained on, to recognise it; files of earlier versions have none.
     """
 
     inputs: tuple[str, ...]
@@ -90,12 +96,14 @@ class ThermalModel:
     default: tuple[str, ...]
     selection: SensorSelection
     domain: Domain
-    residual_deviation: Array
+    band: Band
     drivers: tuple[str, ...] = ()
     bound: Array | None = None
     omitted: Mapping[str, str] = field(default_factory=dict)
     reference: str = REFERENCE_RULE
     watch: SensorWatchModel | None = None
+    cold_start: ColdStart | None = None
+    fingerprints: tuple[Fingerprint, ...] = ()
     _default_recursion: Recursion = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -147,6 +155,54 @@ class ThermalModel:
     def hash(self) -> str:
         """SHA-256 of the model file's text, 64 hexadecimal digits."""
         return text_hash(self.to_json())
+
+    @property
+    def held_out_rms(self) -> Array:
+        """Root mean square that the default left on held-out samples, (c,) [m]."""
+        return np.array(
+            [
+                self.candidates[used].held_out_rms[number]
+                for number, used in enumerate(self.default)
+            ]
+        )
+
+    @property
+    def uncompensated(self) -> tuple[str, ...]:
+        """Channels that the default leaves as they are: no model improved them beyond chance."""
+        pairs = zip(self.channel, self.default, strict=True)
+        return tuple(name for name, used in pairs if used == UNCOMPENSATED)
+
+    @property
+    def losing(self) -> dict[str, tuple[float, float]]:
+        """Channels that are worse with the default than without, on held-out samples.
+
+        Their residual with it and without [m].  Only a model that was named for all channels
+        can be so; files of earlier versions cannot tell.
+        """
+        bare = self.candidates.get(UNCOMPENSATED)
+        if bare is None:
+            return {}
+        found = {}
+        for number, (name, used) in enumerate(zip(self.channel, self.default, strict=True)):
+            left = float(self.candidates[used].held_out_rms[number])
+            none = float(bare.held_out_rms[number])
+            if used != UNCOMPENSATED and left >= none:
+                found[name] = (left, none)
+        return found
+
+    def warmth(self, reference: ArrayLike) -> dict[str, float]:
+        """Return the inputs that are warmer than at a cold start, by how much [K].
+
+        Parameters
+        ----------
+        reference : array_like, shape (p,)
+            Temperature of each input at the start of a run [degC].
+        """
+        if self.cold_start is None:
+            return {}
+        warmth = self.cold_start.warmth(reference)
+        pairs = zip(self.inputs, warmth.tolist(), strict=True)
+        return {name: kelvin for name, kelvin in pairs if kelvin}
 
     @property
     def needs_speed(self) -> bool:
@@ -318,7 +374,7 @@ class ThermalModel:
         samples = np.asarray(rise, dtype=np.float64)
         if not self.needs_speed:
             samples = samples[..., : len(self.inputs)]
-        return np.asarray(self.domain.distance(samples) / self.domain.limit)
+        return self.domain.distance(samples)
 
     def in_domain(self, rise: ArrayLike) -> NDArray[np.bool_]:
         """Return whether samples (..., p + d) lie where the model was trained, shape (...)."""
@@ -335,10 +391,10 @@ class ThermalModel:
         """
         samples = np.asarray(rise, dtype=np.float64)
         said = self._default_recursion.standard_deviation(samples)
-        return Band(self.residual_deviation, 1.0).at(self.distance(samples), said)
+        return self.band.at(self.distance(samples), said)
 
     def with_interval(self, interval: float) -> 'ThermalModel':
-        """Return the model for another sampling interval [s], method sheet 001 section 3.1.
+        """Return the model for another sampling interval [s], with the same time constants.
 
         Raises
         ------

@@ -28,7 +28,7 @@ def check_parts(model: 'ThermalModel') -> None:
     for name, found in (
         ('axis', len(model.axis)),
         ('default', len(model.default)),
-        ('residual_deviation', len(model.residual_deviation)),
+        ('residual_deviation', len(model.band.deviation)),
     ):
         if found != channels:
             raise ValueError(f'{name}: expected one per channel ({channels}), but found {found}')
@@ -50,10 +50,11 @@ def check_parts(model: 'ThermalModel') -> None:
             f'watch: expected the inputs {", ".join(model.inputs)}, but found '
             f'{", ".join(model.watch.input)}'
         )
-    if model.domain.mean.shape != (inputs,) or model.domain.inverse_covariance.shape != (
-        inputs,
-        inputs,
-    ):
+    if model.cold_start is not None and model.cold_start.pattern.shape != (inputs,):
+        raise ValueError(
+            f'cold_start: expected {inputs} inputs, but found {model.cold_start.pattern.shape}'
+        )
+    if model.domain.mean.shape != (inputs,):
         raise ValueError(f'domain: expected {inputs} inputs, but found {model.domain.mean.shape}')
     for name, candidate in model.candidates.items():
         shape = (candidate.recursion.channels, candidate.recursion.inputs)

@@ -8,15 +8,18 @@ and finiteness are checked, and nothing is executed, unlike with pickle.
 
 import json
 from collections.abc import Mapping, Sequence
-from math import isfinite
+from math import inf, isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, Candidate, Settings
+from fuzzycnc_ros.core.thermal.band import Band
+from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, UNCOMPENSATED, Candidate, Settings
+from fuzzycnc_ros.core.thermal.cold_start import ColdStart
 from fuzzycnc_ros.core.thermal.document import ModelFileError, Node, parse_document
 from fuzzycnc_ros.core.thermal.domain import Domain
+from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
 from fuzzycnc_ros.core.thermal.recursions import read_recursion, write_recursion
 from fuzzycnc_ros.core.thermal.selected import SensorCluster, SensorSelection
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatchModel
@@ -27,11 +30,17 @@ if TYPE_CHECKING:
 SCHEMA = 'fuzzycnc/thermal-model'
 """What a model file says it is."""
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Version of the layout that is written."""
 
-READABLE_VERSIONS = (1, 2)
-"""Versions that are read; the first knew neither drivers nor bounds."""
+READABLE_VERSIONS = (1, 2, 3)
+"""Versions that are read.
+
+The first knew neither drivers nor bounds; the second had an ellipsoid in all directions as its
+domain, one growth of the band for all models, and neither cold starts nor fingerprints."""
+
+GROWTH_BEFORE = 2.0
+"""Growth of the band in files of earlier versions [-]."""
 
 UNITS = {'time': 's', 'rise': 'K', 'displacement': 'm'}
 """Units of the numbers in a model file."""
@@ -62,7 +71,7 @@ def write_document(model: 'ThermalModel') -> str:
                 model.channel,
                 model.axis,
                 model.default,
-                model.residual_deviation.tolist(),
+                model.band.deviation.tolist(),
                 [None] * len(model.channel) if model.bound is None else model.bound.tolist(),
                 strict=True,
             )
@@ -71,12 +80,16 @@ def write_document(model: 'ThermalModel') -> str:
         'candidates': {name: _candidate(item) for name, item in model.candidates.items()},
         'omitted': dict(model.omitted),
         'selection': _selection(model.selection),
+        'band_growth': model.band.growth,
         'domain': {
             'mean': model.domain.mean.tolist(),
-            'inverse_covariance': model.domain.inverse_covariance.tolist(),
-            'limit': model.domain.limit,
+            'directions': model.domain.directions.tolist(),
+            'reach': model.domain.reach.tolist(),
+            'thickness': model.domain.thickness if isfinite(model.domain.thickness) else None,
             'drive': model.domain.drive.tolist(),
         },
+        'cold_start': None if model.cold_start is None else model.cold_start.document(),
+        'fingerprints': [item.document() for item in model.fingerprints],
         'watch': None if model.watch is None else model.watch.document(),
     }
     return json.dumps(document, allow_nan=False) + '\n'
@@ -131,7 +144,7 @@ def _held_out(values: Array) -> list[float | None] | None:
 
 def _candidate(candidate: Candidate) -> dict[str, Any]:
     return {
-        'settings': candidate.settings,
+        'settings': list(candidate.settings),
         'problems': list(candidate.problems),
         'held_out_rms': _held_out(candidate.held_out_rms),
         'held_out_max': _held_out(candidate.held_out_max),
@@ -163,8 +176,8 @@ def _selection(selection: SensorSelection) -> dict[str, Any]:
 def _fields(root: Node) -> dict[str, Any]:
     inputs = root.get('inputs').texts()
     channels = root.get('channels').list()
-    domain = root.get('domain')
-    first = root.get('schema_version').value == 1
+    version = root.get('schema_version').value
+    first = version == 1
     drivers = () if first else root.get('drivers').texts()
     width = len(inputs) + len(drivers)
     return dict(
@@ -179,21 +192,55 @@ def _fields(root: Node) -> dict[str, Any]:
         },
         default=tuple(node.get('default').text() for node in channels),
         selection=_read_selection(root.get('selection')),
-        domain=Domain(
-            mean=np.array(domain.get('mean').numbers()),
-            inverse_covariance=domain.get('inverse_covariance').matrix(len(inputs)),
-            limit=domain.get('limit').number(),
-            drive=np.empty(0) if first else domain.get('drive').vector(),
+        domain=(_read_ellipsoid if version < 3 else _read_domain)(
+            root.get('domain'), len(inputs), first
         ),
-        residual_deviation=np.array(
-            [_positive(node.get('residual_deviation')) for node in channels]
+        band=Band(
+            np.array([_positive(node.get('residual_deviation')) for node in channels]),
+            GROWTH_BEFORE if version < 3 else _positive(root.get('band_growth')),
         ),
         drivers=drivers,
         bound=_read_bound(channels, first),
         omitted={name: node.text() for name, node in root.get('omitted').items().items()},
         reference=root.get('reference').text(),
         watch=None if first else _read_watch(root.get('watch')),
+        cold_start=None if version < 3 else _read_start(root.get('cold_start')),
+        fingerprints=()
+        if version < 3
+        else tuple(Fingerprint.read(node) for node in root.get('fingerprints').list()),
     )
+
+
+def _read_domain(node: Node, inputs: int, first: bool) -> Domain:
+    thickness = node.get('thickness')
+    return Domain(
+        mean=node.get('mean').vector(),
+        directions=node.get('directions').matrix(inputs),
+        reach=node.get('reach').vector(),
+        thickness=inf if thickness.value is None else thickness.number(),
+        drive=np.empty(0) if first else node.get('drive').vector(),
+    )
+
+
+def _read_ellipsoid(node: Node, inputs: int, first: bool) -> Domain:
+    """Return the domain of an earlier version, which has the border in every direction."""
+    inverse = node.get('inverse_covariance').matrix(inputs)
+    if inverse.shape != (inputs, inputs):
+        node.get('inverse_covariance').refuse(f'{inputs} rows')
+    curvature, directions = np.linalg.eigh(0.5 * (inverse + inverse.T))
+    if not (curvature > 0.0).all():
+        node.get('inverse_covariance').refuse('a positive definite matrix')
+    return Domain(
+        mean=node.get('mean').vector(),
+        directions=directions.T,
+        reach=node.get('limit').number() / np.sqrt(curvature),
+        thickness=inf,
+        drive=np.empty(0) if first else node.get('drive').vector(),
+    )
+
+
+def _read_start(node: Node) -> ColdStart | None:
+    return None if node.value is None else ColdStart.read(node)
 
 
 def _read_watch(node: Node) -> SensorWatchModel | None:
@@ -215,7 +262,7 @@ def _positive(node: Node) -> float:
 
 
 def _read_candidate(name: str, node: Node, inputs: int) -> Candidate:
-    if name not in CANDIDATES:
+    if name not in (UNCOMPENSATED, *CANDIDATES):
         node.refuse(f'one of {", ".join(CANDIDATES)} and not {name!r}')
     recursion = read_recursion(node.get('recursion'), inputs)
     unknown = np.full(recursion.channels, np.nan)
@@ -228,7 +275,7 @@ def _read_candidate(name: str, node: Node, inputs: int) -> Candidate:
             node.get(field).refuse(f'{recursion.channels} numbers')
     return Candidate(
         name=name,
-        settings=_read_settings(node.get('settings')),
+        settings=_read_settings(node.get('settings'), recursion.channels),
         recursion=recursion,
         problems=node.get('problems').texts(),
         held_out_rms=scores['held_out_rms'],
@@ -236,7 +283,17 @@ def _read_candidate(name: str, node: Node, inputs: int) -> Candidate:
     )
 
 
-def _read_settings(node: Node) -> Settings:
+def _read_settings(node: Node, channels: int) -> tuple[Settings, ...]:
+    """Return the settings of each channel; earlier versions have one for all."""
+    if not isinstance(node.value, list):
+        return (_read_setting(node),) * channels
+    settings = tuple(_read_setting(item) for item in node.list())
+    if len(settings) != channels:
+        node.refuse(f'settings of {channels} channels')
+    return settings
+
+
+def _read_setting(node: Node) -> Settings:
     settings: Settings = {}
     for name, item in node.items().items():
         if isinstance(item.value, list):

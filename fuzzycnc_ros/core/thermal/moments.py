@@ -16,6 +16,14 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.core.arrays import Array
 
 
+def measured_together(targets: Array) -> list[NDArray[np.int64]]:
+    """Return the columns of targets (n, c) that are NaN in the same samples, group by group."""
+    groups: dict[bytes, list[int]] = {}
+    for column, values in enumerate(targets.T):
+        groups.setdefault(np.isfinite(values).tobytes(), []).append(column)
+    return [np.array(group, dtype=np.int64) for group in groups.values()]
+
+
 @dataclass(frozen=True)
 class Fold:
     """Stretches of samples to train on and to judge on, by their numbers."""
@@ -43,7 +51,8 @@ class Moments:
     def of(features: Array, targets: Array, block: NDArray[np.int64]) -> 'Moments':
         """Take the sums of features (..., n, q) and targets (n, c); block (n,) numbers stretches.
 
-        Samples of block -1, and those with a target that is NaN, are left out.
+        Samples of block -1, and those with a target that is NaN, are left out: give targets that
+        were measured together, see `measured_together`.
         """
         used = np.isfinite(targets).all(axis=1) & (block >= 0)
         lead = features.shape[:-2]
@@ -120,19 +129,23 @@ def ridge_from_sums(
 
 
 def mean_square_error(sums: Array, weight: Array, constant: Array) -> Array:
-    """Return the mean square error (..., c) of weights (..., q, c) and constants (..., c)."""
+    """Return the mean square error (..., c) of weights (..., q, c) and constants (..., c).
+
+    NaN over stretches in which nothing was measured.
+    """
     channels = weight.shape[-1]
     # Residual = (1, features, targets) @ [-constant; -weight; identity].
     identity = np.broadcast_to(np.eye(channels), (*weight.shape[:-2], channels, channels))
     combination = np.concatenate([-constant[..., np.newaxis, :], -weight, identity], axis=-2)
     energy = np.einsum('...ic,...ij,...jc->...c', combination, sums, combination, optimize=True)
-    return np.asarray(np.maximum(energy, 0.0) / sums[..., 0, 0, np.newaxis])
+    count = sums[..., 0, 0, np.newaxis]
+    return np.where(count > 0.0, np.maximum(energy, 0.0) / np.maximum(count, 1.0), np.nan)
 
 
 def stable_grey_from_sums(
     moments: Moments, train: Sequence[int], scale: Array, ridge: float
 ) -> tuple[NDArray[np.int64], Array]:
-    """Choose the pole of the stable grey model per channel, method sheet 001 section 3.2.
+    """Choose the pole of the stable grey model per channel, docs/thermal-fuzzy-and-grey.md.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Improve a choice of sensors on held-out samples, method sheet 001 section 5."""
+"""Improve a choice of sensors on held-out samples, docs/thermal.md, step 4 of choosing."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,6 +16,7 @@ from fuzzycnc_ros.core.thermal.moments import (
     Fold,
     Moments,
     mean_square_error,
+    measured_together,
     spread,
     stable_grey_from_sums,
 )
@@ -91,24 +92,35 @@ class _Judge:
         lagged = lagged.reshape(len(drivers), len(poles), len(pool)).transpose(1, 0, 2)
         # Targets of order 1 keep the sums of products well scaled.
         target = field.displacement / np.nanmax(np.abs(field.displacement))
-        self._moments = Moments.of(lagged, target, block)
-        self._drivers = Moments.of(drivers, target, block)
+        self._moments = [
+            (
+                Moments.of(lagged, target[:, group], block),
+                Moments.of(drivers, target[:, group], block),
+            )
+            for group in measured_together(target)
+        ]
         self._known: dict[tuple[int, ...], float] = {}
 
     def error(self, sensors: Sequence[int]) -> float:
         """Return the sum over channels and folds of the held-out mean square error."""
         key = tuple(self._position[sensor] for sensor in sensors)
         if key not in self._known:
-            moments = self._moments.pick(key)
-            self._known[key] = sum(self._fold_error(moments, key, fold) for fold in self._folds)
+            picked = [(lags.pick(key), drivers.pick(key)) for lags, drivers in self._moments]
+            self._known[key] = sum(
+                _fold_error(lags, drivers, fold)
+                for lags, drivers in picked
+                for fold in self._folds
+            )
         return self._known[key]
 
-    def _fold_error(self, moments: Moments, key: tuple[int, ...], fold: Fold) -> float:
-        scale = spread(self._drivers.over(fold.train), slice(1, 1 + self._drivers.inputs))
-        pole, weight = stable_grey_from_sums(moments, fold.train, scale[list(key)], REFINE_RIDGE)
-        sums = moments.over(fold.test)
-        total = 0.0
-        for channel, chosen in enumerate(pole):
-            error = mean_square_error(sums[chosen], weight, np.zeros(weight.shape[1]))
-            total += float(error[channel])
-        return total
+
+def _fold_error(lags: Moments, drivers: Moments, fold: Fold) -> float:
+    """Return the sum over channels of the mean square error; what was not measured is 0."""
+    scale = spread(drivers.over(fold.train), slice(1, 1 + drivers.inputs))
+    pole, weight = stable_grey_from_sums(lags, fold.train, scale, REFINE_RIDGE)
+    sums = lags.over(fold.test)
+    total = 0.0
+    for channel, chosen in enumerate(pole):
+        error = mean_square_error(sums[chosen], weight, np.zeros(weight.shape[1]))
+        total += float(np.nan_to_num(error[channel]))
+    return total

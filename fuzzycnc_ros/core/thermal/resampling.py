@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readings at one interval from readings at another, or at none."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
@@ -58,6 +60,67 @@ def mean_of_measured(values: Array) -> Array:
     count = measured.sum(axis=1)
     total = np.where(measured, values, 0.0).sum(axis=1)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def mean_of_most(values: Array) -> Array:
+    """Return the mean over axis 1 of what is not NaN, NaN unless that is more than half."""
+    enough = 2 * np.isfinite(values).sum(axis=1) > values.shape[1]
+    return np.where(enough, mean_of_measured(values), np.nan)
+
+
+def gaps_of(values: Array) -> Iterator[tuple[int, int, int]]:
+    """Yield column, first and last row of each stretch of NaN in values (n, w)."""
+    for column, readings in enumerate(values.T):
+        lost = np.concatenate([[False], np.isnan(readings), [False]])
+        edges = np.flatnonzero(lost[1:] != lost[:-1])
+        for first, end in edges.reshape(-1, 2):
+            yield column, int(first), int(end) - 1
+
+
+def bridged(time: Array, values: Array, longest: float, free: float, begin: int) -> Array:
+    """Return readings whose short gaps are filled.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Increasing times of the readings [s].
+    values : ndarray, shape (n, w)
+        Readings; NaN where one is missing.
+    longest : float
+        Longest time between two readings that is bridged [s].
+    free : float
+        Time up to which nothing depends on the values [s]: gaps that end by then are bridged
+        however long they are.
+    begin : int
+        Number of first samples whose mean the readings are meant against.
+
+    Returns
+    -------
+    ndarray, shape (n, w)
+        A straight line from the last reading before a gap to the first one behind it; at the end
+        the last reading is held.  What lacks of the first samples takes the mean of those that
+        are there, so that this mean stays as it is; a column without any of them keeps its gaps.
+        `values` itself where nothing was filled.
+    """
+    filled = values
+    for column, first, last in gaps_of(values):
+        before, behind = max(first - 1, 0), min(last + 1, len(time) - 1)
+        head = values[:begin, column]
+        too_long = time[behind] - time[before] > longest and time[behind] > free
+        if too_long or np.isnan(head).all():
+            continue
+        if filled is values:
+            filled = values.copy()
+        own = filled[:, column]
+        if first < begin:
+            own[first : last + 1] = np.nanmean(head)
+            first = min(begin, last + 1)
+        rows, before = slice(first, last + 1), first - 1
+        if last + 1 == len(time):
+            own[rows] = own[before]
+        else:
+            own[rows] = np.interp(time[rows], time[[before, behind]], own[[before, behind]])
+    return filled
 
 
 def _moved(time: Array, values: Array, grid: Array) -> Array:

@@ -4,12 +4,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.repeated_names import repeated_names
-from fuzzycnc_ros.core.thermal.resampling import even_blocks, mean_of_measured
+from fuzzycnc_ros.core.thermal.resampling import (
+    bridged,
+    even_blocks,
+    gaps_of,
+    mean_of_measured,
+    mean_of_most,
+)
 
 SAMPLES_MIN = 8
 """Fewest samples of a run; below that not even one heating slope is visible."""
@@ -32,8 +39,18 @@ RISE_MIN = 0.5
 JITTER_MAX = 0.1
 """Largest deviation of a sampling interval from the median, as a fraction of the median [-]."""
 
-GAP_MAX = 10.0
-"""Longest gap that is bridged, in intervals [-]; over a longer one a straight line is a guess."""
+GAP_MAX = 1200.0
+"""Longest gap in the readings that is bridged [s], by training and by the predictor alike: 19 min
+along a straight line right after a change of speed cost 0.6 um on the simulated mill."""
+
+SETTLE_TIME = 14400.0
+"""Time after a longer gap from which the history that was lost no longer matters [s]."""
+
+HOLE_MAX = 7.0 * 86400.0
+"""Longest time without any sample that is filled where nothing depends on it [s]."""
+
+STEPS_MAX = 10.0
+"""Most samples that are made of one step of the readings [-]: they cannot be made up."""
 
 REFERENCE_SAMPLES = 3
 """Number of first samples whose mean is the reference of a run, so that noise averages out."""
@@ -41,6 +58,26 @@ REFERENCE_SAMPLES = 3
 
 class ThermalDataError(ValueError):
     """A run or its samples cannot be used; the message says why and what to do."""
+
+
+class Gap(NamedTuple):
+    """Samples in which a sensor reads nothing.
+
+    Parameters
+    ----------
+    sensor : str
+        Its name.
+    samples : int
+        Number of samples without a reading.
+    start, stop : float
+        Times of the readings before and behind it [s]; where there is none, those of the first
+        or the last sample of the run.
+    """
+
+    sensor: str
+    samples: int
+    start: float
+    stop: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +159,11 @@ class ThermalRun:
         return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
 
     def reference(self) -> NDArray[np.float64]:
-        """Return the mean of the first three samples of each sensor, shape (s,) [degC]."""
-        return np.asarray(self.temperature[:REFERENCE_SAMPLES].mean(axis=0))
+        """Return the mean of what each sensor read in the first three samples, shape (s,) [degC].
+
+        NaN for one that read nothing.
+        """
+        return np.asarray(mean_of_measured(self.temperature[np.newaxis, :REFERENCE_SAMPLES])[0])
 
     def rise(self, reference: ArrayLike | None = None) -> NDArray[np.float64]:
         """Return temperature minus reference.
@@ -171,6 +211,8 @@ class ThermalRun:
     def resample(self, interval: float) -> 'ThermalRun':
         """Return the run at another interval, each sample the mean of one block of readings.
 
+        What `bridged` can fill is filled.
+
         Parameters
         ----------
         interval : float
@@ -186,32 +228,33 @@ class ThermalRun:
         ------
         ThermalDataError
             If `interval` is not positive, far below the run's step or leaves fewer than 8
-            samples, or if readings are missing for more than ten intervals.
+            samples, or if no sensor has readings for more than `GAP_MAX`.
+        """
+        return self.averaged(interval).bridged()
+
+    def averaged(self, interval: float) -> 'ThermalRun':
+        """Return what `resample` does, before gaps are bridged.
 
         Notes
         -----
         Uneven readings, or an interval that is no multiple of theirs, are interpolated
-        linearly onto an even grid first.  Channels with gaps are averaged over what was
-        measured in the block; a block without a measurement stays NaN.
+        linearly onto an even grid first.  A sensor is averaged over its readings where it has
+        more than half of the block, as by `temperature_acquisition`, and is NaN else.  Channels
+        with gaps are averaged over what was measured in the block; a block without a measurement
+        stays NaN.
         """
         if not (np.isfinite(interval) and interval > 0.0):
             raise ThermalDataError(
                 f'interval: expected a positive number of s, but found {interval}'
             )
         steps = np.diff(self.time)
-        shortest = float(np.median(steps)) / GAP_MAX
+        shortest = float(np.median(steps)) / STEPS_MAX
         if interval < shortest:
             raise ThermalDataError(
                 f'interval: expected at least {shortest:g} s, a tenth of the step of run '
                 f'{self.name!r}, but found {interval:g} s; readings cannot be made up'
             )
-        gap = int(np.argmax(steps))
-        longest = GAP_MAX * max(interval, float(np.median(steps)))
-        if steps[gap] > longest:
-            raise ThermalDataError(
-                f'run {self.name!r}: expected gaps of at most {longest:g} s, but found '
-                f'{steps[gap]:.6g} s after sample {gap}; use the part before or after it'
-            )
+        self._check_steps(_bridged_max(max(interval, float(np.median(steps)))))
         columns = [self.temperature, self.displacement]
         if self.spindle_speed is not None:
             columns.append(self.spindle_speed[:, np.newaxis])
@@ -224,19 +267,70 @@ class ThermalRun:
                 f'run {self.name!r}: expected at least {SAMPLES_MIN} samples, but found '
                 f'{len(time)} blocks of {interval:g} s; choose a shorter interval or record longer'
             )
-        # A reading that is missing spoils the mean of its sensor, but a probe that is missing
-        # leaves the other probes of the block.
         sensors, channels = len(self.sensor), len(self.channel)
         temperature, displacement, speed = np.split(values, [sensors, sensors + channels], axis=2)
         return replace(
             self,
             time=time,
-            temperature=temperature.mean(axis=1),
+            temperature=mean_of_most(temperature),
             displacement=mean_of_measured(displacement),
             spindle_speed=None
             if self.spindle_speed is None
             # Heat goes with the square of the speed, and so must its mean.
             else np.sqrt(mean_of_measured(speed**2))[:, 0],
+        )
+
+    def bridged(self) -> 'ThermalRun':
+        """Return the run with the short gaps of its sensors filled, as the predictor does.
+
+        A straight line goes over gaps of up to `GAP_MAX`; at the end the last reading is held.
+        What lacks of the first three samples takes the mean of those that are there.  Longer gaps
+        are bridged where the first displacement comes `SETTLE_TIME` later, else they stay, and so
+        do all of a sensor without any of the first three samples.
+        """
+        longest = _bridged_max(float(np.median(np.diff(self.time))))
+        values = bridged(
+            self.time, self.temperature, longest, self._settled_until, REFERENCE_SAMPLES
+        )
+        return self if values is self.temperature else replace(self, temperature=values)
+
+    @property
+    def _settled_until(self) -> float:
+        """Time up to which the temperatures do not matter to any displacement [s]."""
+        measured = np.isfinite(self.displacement).any(axis=1)
+        return float(self.time[measured.argmax()]) - SETTLE_TIME
+
+    def _check_steps(self, longest: float) -> None:
+        """Refuse times without any sample that are longer than what is bridged [s]."""
+        steps = np.diff(self.time)
+        matters = (self.time[1:] > self._settled_until) | (steps > HOLE_MAX)
+        refused = np.where((steps > longest) & matters, steps, 0.0)
+        gap = int(np.argmax(refused))
+        if not refused[gap]:
+            return
+        settled = float(self.time[gap + 1]) + SETTLE_TIME
+        behind = (
+            f', or what comes {SETTLE_TIME / 3600.0:g} h behind it, --start {settled:.10g}'
+            if settled < self.time[-1] and steps[gap] <= HOLE_MAX
+            else ''
+        )
+        raise ThermalDataError(
+            f'run {self.name!r}: expected gaps of at most {longest:g} s, but found '
+            f'{steps[gap]:.6g} s after sample {gap}; use the part before it, --end '
+            f'{self.time[gap]:.10g}{behind}'
+        )
+
+    def gaps(self) -> tuple[Gap, ...]:
+        """Return where sensors read nothing, sensor by sensor."""
+        end = len(self.time) - 1
+        return tuple(
+            Gap(
+                self.sensor[column],
+                last + 1 - first,
+                float(self.time[max(first - 1, 0)]),
+                float(self.time[min(last + 1, end)]),
+            )
+            for column, first, last in gaps_of(self.temperature)
         )
 
     def window(self, start: float | None = None, stop: float | None = None) -> 'ThermalRun':
@@ -261,6 +355,11 @@ class ThermalRun:
         low = -np.inf if start is None else start
         high = np.inf if stop is None else stop
         return np.asarray((self.time >= low) & (self.time <= high))
+
+
+def _bridged_max(interval: float) -> float:
+    """Return the longest time between two readings that is bridged [s]; the stamps round."""
+    return GAP_MAX + interval + 1e-6
 
 
 def _read_only(values: ArrayLike) -> NDArray[np.float64]:
@@ -331,7 +430,8 @@ def _check_values(run: ThermalRun) -> None:
         raise ThermalDataError(
             f'run {run.name!r}: expected temperatures within {TEMPERATURE_MIN:g} and '
             f'{TEMPERATURE_MAX:g} degC, but found {run.temperature[row, column]:g} of sensor '
-            f'{run.sensor[column]!r} at sample {row}; check its unit, or mark the reading as NaN'
+            f'{run.sensor[column]!r} at sample {row}; check its unit, mark the reading as NaN, or '
+            f'leave the sensor out: --drop-sensor {run.sensor[column]}'
         )
     far = np.abs(run.displacement) > DISPLACEMENT_MAX
     if far.any():

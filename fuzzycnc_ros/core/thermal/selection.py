@@ -20,6 +20,7 @@ from fuzzycnc_ros.core.thermal.folds import run_rows
 from fuzzycnc_ros.core.thermal.grey import GreyModel
 from fuzzycnc_ros.core.thermal.ranking import correlation_of, grey_relational_grade
 from fuzzycnc_ros.core.thermal.refinement import Progress, TemperatureField, refined
+from fuzzycnc_ros.core.thermal.residuals import largest_of, mean_of_square
 from fuzzycnc_ros.core.thermal.run import (
     RISE_MIN,
     ThermalDataError,
@@ -224,8 +225,8 @@ def sensor_count_curve(
             SensorCount(
                 count=count,
                 chosen=selection.chosen,
-                rms=np.asarray(np.sqrt(np.nanmean(residual**2, axis=0))),
-                largest=np.asarray(np.nanmax(np.abs(residual), axis=0)),
+                rms=np.sqrt(mean_of_square(residual)),
+                largest=largest_of(residual),
             )
         )
         if progress is not None:
@@ -234,6 +235,7 @@ def sensor_count_curve(
 
 
 def _usable(runs: Sequence[ThermalRun]) -> TemperatureField:
+    runs = [run.bridged() for run in runs]
     check_training_runs(runs)
     rises = [run.rise() for run in runs]
     warm = np.max([np.ptp(rise, axis=0) for rise in rises], axis=0) >= RISE_MIN

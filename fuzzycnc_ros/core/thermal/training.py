@@ -3,18 +3,24 @@
 """Train a thermal model: sensors, candidates, choice on held-out runs, domain."""
 
 from collections.abc import Callable, Sequence
+from itertools import combinations
 
 import numpy as np
 
+from fuzzycnc_ros.core.thermal.band import fitted_band
 from fuzzycnc_ros.core.thermal.candidate import (
     CANDIDATES,
     COMPARED_ONLY,
     SPEED_SUFFIX,
     STANDARD,
+    UNCOMPENSATED,
 )
-from fuzzycnc_ros.core.thermal.candidates import JudgedCandidate, fit_candidate, preferred
-from fuzzycnc_ros.core.thermal.domain import Domain
+from fuzzycnc_ros.core.thermal.candidates import JudgedCandidate, fit_candidate, uncompensated
+from fuzzycnc_ros.core.thermal.choice import preferred, unseen_residual
+from fuzzycnc_ros.core.thermal.cold_start import ColdStart
+from fuzzycnc_ros.core.thermal.domain import trained_domain
 from fuzzycnc_ros.core.thermal.drivers import drivers_of
+from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
 from fuzzycnc_ros.core.thermal.folds import independent_folds
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.recursions import bound_of
@@ -32,6 +38,7 @@ from fuzzycnc_ros.core.thermal.selection import (
 from fuzzycnc_ros.core.thermal.training_runs import check_training_runs
 from fuzzycnc_ros.core.thermal.training_set import TrainingSet
 from fuzzycnc_ros.core.thermal.watch_training import learn_watch
+from fuzzycnc_ros.core.thermal.windows import hidden
 from fuzzycnc_ros.core.threads import single_threaded
 
 SENSORS_MAX = 24
@@ -39,6 +46,14 @@ SENSORS_MAX = 24
 
 Clusters exist to reduce a dense field such as the 76 sensors of method sheet 001.  On its two
 public recordings, with 16 and 22 sensors, ridge models on all sensors beat five chosen ones."""
+
+PAIR = 2
+"""Number of runs of which each fold sees one: its sensors say little of those of both.
+
+Candidates are then judged with the sensors of all runs, and only the band without."""
+
+COPY_SHARE = 0.5
+"""Share of common samples from which two runs are taken for one recording [-]."""
 
 
 @single_threaded
@@ -98,10 +113,17 @@ def train_model(
     names = _names(model, candidates, compared)
     even = [at_interval(run, interval) for run in runs]
     check_training_runs(even)
+    fingerprints = tuple(Fingerprint.of(run) for run in runs)
+    _check_copies(fingerprints)
     selection = _selected(even, sensors, n_clusters, random_state, progress)
     drivers = drivers_of(even) if spindle_speed else ()
     data = TrainingSet.of(even, selection.chosen, drivers)
-    judged: dict[str, JudgedCandidate] = {}
+    nested = None
+    if selection.method != 'all':
+        nested = _nested(data, even, selection.chosen, sensors, n_clusters, random_state, progress)
+        if len(even) != PAIR:
+            data, nested = nested, None
+    judged = {UNCOMPENSATED: uncompensated(data)}
     omitted: dict[str, str] = {}
     for done, name in enumerate(names):
         if name.endswith(SPEED_SUFFIX) and not drivers:
@@ -125,8 +147,10 @@ def train_model(
             omitted[name] = str(error)
     if progress is not None:
         progress('fit', names[-1], len(names), len(names))
-    default = _default(model, candidates, judged, data)
-    deviation = np.array([judged[name].deviation[column] for column, name in enumerate(default)])
+    sound = _sound(model, candidates, judged, omitted)
+    default = preferred(sound, data) if model == 'auto' else (model,) * len(even[0].channel)
+    residual = unseen_residual(sound, data, default, nested)
+    domain, distance = trained_domain(data.rise, data.drive, data.trained, data.block, data.folds)
     return ThermalModel(
         inputs=selection.chosen,
         interval=data.interval,
@@ -136,12 +160,16 @@ def train_model(
         candidates={name: item.candidate for name, item in judged.items()},
         default=default,
         selection=selection,
-        domain=Domain.of(data.rise, data.drive),
+        domain=domain,
         drivers=drivers,
         bound=bound_of(data.displacement),
-        residual_deviation=deviation,
+        band=fitted_band(
+            np.concatenate(residual), np.concatenate(distance), independent_folds(data.folds)
+        ),
         omitted=omitted,
         watch=learn_watch(even, selection, data.interval),
+        cold_start=ColdStart.of(even, selection.chosen),
+        fingerprints=fingerprints,
     )
 
 
@@ -204,31 +232,68 @@ def _selected(
     )
 
 
-def _default(
+def _nested(
+    data: TrainingSet,
+    runs: Sequence[ThermalRun],
+    chosen: Sequence[str],
+    sensors: str,
+    n_clusters: int,
+    random_state: int,
+    progress: Progress | None,
+) -> TrainingSet:
+    """Choose the sensors of each fold without what it judges on."""
+    rows = data.rows
+    inputs = []
+    for fold in data.folds:
+        seen = np.isin(data.block, fold.train)
+        part = [
+            run if seen[own].all() else hidden(run, ~seen[own])
+            for run, own in zip(runs, rows, strict=True)
+            if seen[own].any()
+        ]
+        try:
+            inputs.append(_selected(part, sensors, n_clusters, random_state, progress).chosen)
+        except ThermalDataError:
+            inputs.append(tuple(chosen))  # too little is left to choose anew
+    return data.nested(runs, inputs)
+
+
+def _check_copies(fingerprints: Sequence[Fingerprint]) -> None:
+    """Refuse a recording that is there twice: what is held out would be trained on."""
+    for first, second in combinations(fingerprints, 2):
+        if (share := first.shared(second)) > COPY_SHARE:
+            raise ThermalDataError(
+                f'run {second.run!r}: expected another recording than {first.run!r}, but '
+                f'found {100.0 * share:.0f} % of its samples in it; leave one of them out'
+            )
+
+
+def _sound(
     model: str,
     candidates: Sequence[str],
     judged: dict[str, JudgedCandidate],
-    data: TrainingSet,
-) -> tuple[str, ...]:
-    """Return the candidate of each channel."""
-    channels = int(data.displacement.shape[1])
-    if model == 'auto':
-        sound = [
-            item
-            for name, item in judged.items()
-            if name in candidates and name not in COMPARED_ONLY and not item.candidate.problems
-        ]
-        if not sound:
-            reasons = [
-                f'{name}: {"; ".join(item.candidate.problems) or "for comparison only"}'
-                for name, item in judged.items()
-            ]
-            raise ThermalDataError(
-                'model: expected a candidate that can be trusted, but found none; '
-                + ' | '.join(reasons)
-            )
-        return preferred(sound, data.scaled_target()[1], independent_folds(data.folds))
-    problems = judged[model].candidate.problems
-    if problems:
-        raise ThermalDataError(f'model {model!r} is refused: {"; ".join(problems)}')
-    return (model,) * channels
+    omitted: dict[str, str],
+) -> list[JudgedCandidate]:
+    """Return the candidates that the choice may fall on.
+
+    Raises
+    ------
+    ThermalDataError
+        If there is none, or the requested one cannot be trusted.
+    """
+    if model != 'auto':
+        if problems := judged[model].candidate.problems:
+            raise ThermalDataError(f'model {model!r} is refused: {"; ".join(problems)}')
+        return [judged[model]]
+    able = [
+        item for name, item in judged.items() if name in candidates and name not in COMPARED_ONLY
+    ]
+    if not able:
+        reasons = [f'{name}: for comparison only' for name in judged if name != UNCOMPENSATED]
+        reasons += [f'{name}: {reason}' for name, reason in omitted.items()]
+        raise ThermalDataError(
+            'model: expected a candidate that can be chosen, but found none; '
+            + ' | '.join(reasons)
+        )
+    sound = [item for item in able if not item.candidate.problems]
+    return [*sound, judged[UNCOMPENSATED]]

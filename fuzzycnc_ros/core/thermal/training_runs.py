@@ -7,16 +7,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from fuzzycnc_ros.core.thermal.run import (
+    GAP_MAX,
     JITTER_MAX,
     RISE_MIN,
     RISE_RATE_MAX,
     SAMPLES_MIN,
+    SETTLE_TIME,
+    Gap,
     ThermalDataError,
     ThermalRun,
 )
 
 SENSORS_MAX = 500
 """Most sensors that are clustered: every pair of them is compared, and no machine has so many."""
+
+
+GAPS_NAMED = 3
+"""Gaps that a refusal names."""
 
 
 def check_training_runs(runs: Sequence[ThermalRun]) -> None:
@@ -32,6 +39,7 @@ def check_training_runs(runs: Sequence[ThermalRun]) -> None:
     ThermalDataError
         If there is no run, runs disagree or have over 500 sensors, a temperature is NaN, rises
         faster than 10 K per minute, no sensor warms by 0.5 K, or a channel was never measured.
+        A gap that `ThermalRun.bridged` fills is none: see that first.
     """
     if not runs:
         raise ThermalDataError('runs: expected at least one run, but found none')
@@ -46,6 +54,8 @@ def check_training_runs(runs: Sequence[ThermalRun]) -> None:
         raise ThermalDataError(f'runs: expected each name once, but found {", ".join(names)}')
     for run in runs:
         _check_same(first, run)
+    check_gaps(runs)
+    for run in runs:
         _check_rise(run)
     if max(float(np.ptp(run.temperature, axis=0).max()) for run in runs) < RISE_MIN:
         raise ThermalDataError(
@@ -59,6 +69,58 @@ def check_training_runs(runs: Sequence[ThermalRun]) -> None:
                 f'channel {channel!r}: expected at least {SAMPLES_MIN} measured displacements, '
                 f'but found {count}'
             )
+
+
+def check_gaps(runs: Sequence[ThermalRun]) -> None:
+    """Refuse runs whose sensors have gaps that were not bridged.
+
+    Raises
+    ------
+    ThermalDataError
+        It names sensors and times, and what helps for all of the runs: the sensors to leave out,
+        and the window between the gaps.
+    """
+    lost = [(run, gap) for run in runs for gap in run.gaps()]
+    if not lost:
+        return
+    texts = [
+        f'{gap.sensor} of run {run.name!r} from {gap.start:.6g} to {gap.stop:.6g} s'
+        for run, gap in lost
+    ]
+    more = f', and {len(texts) - GAPS_NAMED} more' if len(texts) > GAPS_NAMED else ''
+    remedies = []
+    sensors = tuple(dict.fromkeys(gap.sensor for _, gap in lost))
+    if len(sensors) < len(runs[0].sensor):
+        remedies.append(f'leave out with --drop-sensor {",".join(sensors)}')
+    window = _window_between([gap for _, gap in lost], runs)
+    if window:
+        remedies.append(f'use the part with all readings, {window}')
+    raise ThermalDataError(
+        f'runs: expected readings of every sensor at most {GAP_MAX / 60.0:g} min apart, and one '
+        f'of the first three, but found none of {", ".join(texts[:GAPS_NAMED])}{more}; '
+        + (', or '.join(remedies) or 'record anew')
+    )
+
+
+def _window_between(gaps: Sequence[Gap], runs: Sequence[ThermalRun]) -> str:
+    """Return the options of the longest window without gaps; '' if a run has too little in it.
+
+    Behind a gap it begins when the history of before no longer matters.
+    """
+    first = min(float(run.time[0]) for run in runs)
+    last = max(float(run.time[-1]) for run in runs)
+    free, best = first, (first, first)
+    for gap in [*sorted(gaps, key=lambda gap: gap.start), Gap('', 0, last, last)]:
+        best = max(best, (free, gap.start), key=lambda window: window[1] - window[0])
+        free = max(free, gap.stop + SETTLE_TIME)
+    if min(int(run.inside(*best).sum()) for run in runs) < SAMPLES_MIN:
+        return ''
+    options = []
+    if best[0] > first:
+        options.append(f'--start {best[0]:.10g}')
+    if best[1] < last:
+        options.append(f'--end {best[1]:.10g}')
+    return ' '.join(options)
 
 
 def _check_same(first: ThermalRun, run: ThermalRun) -> None:
@@ -77,13 +139,6 @@ def _check_same(first: ThermalRun, run: ThermalRun) -> None:
 
 
 def _check_rise(run: ThermalRun) -> None:
-    lost = np.atleast_1d(np.isnan(run.temperature).any(axis=0))
-    if lost.any():
-        names = [run.sensor[column] for column in np.flatnonzero(lost)]
-        raise ThermalDataError(
-            f'run {run.name!r}: expected a temperature in every sample, but found gaps in '
-            f'{", ".join(names)}; leave these sensors out of the training'
-        )
     minute = max(1, round(60.0 / run.interval))
     if minute >= len(run.time):
         return
@@ -94,5 +149,6 @@ def _check_rise(run: ThermalRun) -> None:
         raise ThermalDataError(
             f'run {run.name!r}: expected at most {RISE_RATE_MAX:g} K per minute, but found '
             f'{change[row, column]:.3g} K within {minute * run.interval:.3g} s of sensor '
-            f'{run.sensor[column]!r} at sample {row}; check its plug or leave it out'
+            f'{run.sensor[column]!r} at sample {row}; check its plug; import the run without a '
+            f'single odd reading, or leave the sensor out: --drop-sensor {run.sensor[column]}'
         )

@@ -20,7 +20,7 @@ FIRST_STAMP = SECOND
 
 
 class CsvFile(Source):
-    """Play a CSV file: a time column in seconds and one column per sensor in degC.
+    """Play a CSV file: a time column in seconds, or of dates, and one column per sensor in degC.
 
     Readings carry the times of the file, moved so that the first is at least 1 s; an empty cell
     is a missing reading.  The whole file is read and checked at once.
@@ -77,6 +77,7 @@ def _read(path: Path, time_column: str) -> tuple[list[str], Floats, Floats]:
     sensors = [name for name in table.header if name != time_column]
     if not sensors:
         raise BagError(f'{path}: expected a column for each sensor beside {time_column!r}')
-    table.time(time_column, 's')  # refuses what is missing or does not increase
+    times = table.time(time_column, 's')
+    start = times.date or 0.0 if times.form else float(table.column(time_column)[0])
     values = np.stack([table.column(name) for name in sensors], axis=1)
-    return sensors, table.column(time_column), values
+    return sensors, start + times.seconds, values

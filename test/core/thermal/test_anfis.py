@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.thermal.anfis import Anfis, GreyAnfis
+from fuzzycnc_ros.core.thermal.anfis import Anfis, GreyAnfis, mahalanobis
 from fuzzycnc_ros.core.thermal.document import ModelFileError, Node
-from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.linear import ridge_solution
 from fuzzycnc_ros.core.thermal.recursions import (
     CorrectedRecursion,
@@ -258,10 +257,10 @@ def test_the_corrector_never_steps(seed, way):
 def test_outside_its_domain_only_the_grey_model_speaks():
     rise, target, runs = warm_up()
     model = GreyAnfis().fit(rise, target, runs=runs)
-    domain = Domain.of(rise)
+    mean, whitening, limit = mahalanobis(rise)
     beyond = 5.0 * rise[runs == 0]
-    far = domain.distance(beyond) > 1.5 * domain.limit
-    near = domain.distance(beyond) <= domain.limit
+    distance = np.linalg.norm((beyond - mean) @ whitening.T, axis=1)
+    far, near = distance > 1.5 * limit, distance <= limit
     assert far.any()
     assert near.any()
     grey = model.grey_.predict(beyond)

@@ -144,9 +144,15 @@ def test_cycles_of_a_single_run_are_held_out_with_their_neighbours_unmixed():
     parts = splits([run])
     assert len(parts) == 3
     for part in parts:
-        hidden = np.isnan(part.training[0].displacement[:, 0])
-        assert np.array_equal(hidden, part.held_out.inside(part.start, part.stop))
-        assert np.isfinite(part.training[0].temperature).all()
+        (seen,) = part.training
+        inside = part.held_out.inside(part.start, part.stop)
+        assert np.array_equal(np.isnan(seen.displacement[:, 0]), inside[: len(seen.time)])
+        assert np.isfinite(seen.temperature).all()
+        # What is held out is not there, and nothing is behind a stretch that ends the run.
+        gone = np.flatnonzero(inside[3 : len(seen.time)]) + 3
+        bent = np.diff(seen.temperature[gone], n=2, axis=0)
+        assert np.abs(bent).max(initial=0.0) < 1e-9
+    assert parts[-1].training[0].time[-1] < parts[-1].start
     window = splits([run], [(6000.0, 12000.0)])
     assert len(window) == 1
     assert np.isnan(window[0].training[0].displacement).sum() == 101

@@ -120,9 +120,9 @@ def test_domain_covers_training_and_flags_what_is_far(model):
     far = np.full(3, 50.0)
     assert not model.in_domain(far)
     near = model.domain.mean
-    assert np.allclose(model.standard_deviation(near), model.residual_deviation)
-    wider = 2.0 * model.domain.distance(far) / model.domain.limit
-    assert np.allclose(model.standard_deviation(far), wider * model.residual_deviation)
+    assert np.allclose(model.standard_deviation(near), model.band.deviation)
+    wider = model.band.growth * model.distance(far)
+    assert np.allclose(model.standard_deviation(far), wider * model.band.deviation)
     assert model.standard_deviation(run.rise()).shape == (200, 2)
 
 
@@ -160,7 +160,7 @@ def changed(document, *path, value):
     ('path', 'value', 'message'),
     [
         (('schema',), 'something', "schema 'fuzzycnc/thermal-model'"),
-        (('schema_version',), 3, 'schema version 2, but found 3'),
+        (('schema_version',), 4, 'schema version 3, but found 4'),
         (('units', 'displacement'), 'um', 'expected the units'),
         (('interval',), -60.0, 'interval'),
         (('interval',), True, 'interval: expected a number'),
@@ -184,8 +184,13 @@ def changed(document, *path, value):
         (('candidates', 'classical_grey', 'recursion', 'exact'), 1, 'true or false'),
         (('selection', 'clusters', 0, 'gain'), [], 'expected'),
         (('selection', 'clusters', 0, 'chosen'), 'T9', 'chosen sensors'),
-        (('domain', 'mean'), [0.0], 'domain'),
-        (('domain', 'limit'), {}, 'limit: expected a number'),
+        (('domain', 'mean'), [0.0], 'directions'),
+        (('domain', 'thickness'), {}, 'thickness: expected a number'),
+        (('domain', 'thickness'), 0.0, 'positive lengths'),
+        (('domain', 'directions'), [[1.0]], 'expected 3 numbers'),
+        (('band_growth',), -1.0, 'a number of 0 or more'),
+        (('cold_start', 'tolerance'), [0.0, 1.0, 1.0], 'positive numbers'),
+        (('fingerprints', 0, 'complete'), 1, 'true or false'),
     ],
 )
 def test_damaged_files_are_refused(document, path, value, message):

@@ -1,5 +1,7 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 from fuzzycnc_ros.core.thermal.training_runs import check_training_runs
+from fuzzycnc_ros.core.thermal.windows import counted
 
 
 def make(samples=20, interval=60.0, **changes):
@@ -134,16 +137,107 @@ def test_bad_intervals_are_refused(interval):
         make().resample(interval)
 
 
+def holed(samples, hole):
+    """Return a run without any sample for some time after the hundredth."""
+    time = 15.0 * np.arange(samples)
+    time[100:] += hole
+    flat = np.full((samples, 2), 20.0)
+    return make(time=time, temperature=flat, displacement=np.zeros((samples, 2)))
+
+
 def test_long_gaps_are_not_bridged():
-    time = 15.0 * np.arange(200)
-    time[100:] += 3600.0
-    run = make(
-        time=time,
-        temperature=np.full((200, 2), 20.0),
-        displacement=np.zeros((200, 2)),
-    )
-    with pytest.raises(ThermalDataError, match=r'at most 600 s, but found 3615 s after sample 99'):
+    with pytest.raises(ThermalDataError, match=r'at most 1260 s, .* 3615 s .*, --end 1485$'):
+        holed(200, 3600.0).resample(60.0)
+    assert holed(200, 3600.0).window(stop=1485.0).resample(60.0).interval == 60.0
+
+
+def test_a_window_long_behind_a_gap_is_offered_and_taken():
+    run = holed(2000, 3600.0)
+    with pytest.raises(ThermalDataError, match='or what comes 4 h behind it, --start 19500') as e:
         run.resample(60.0)
+    assert '--end 1485' in str(e.value)
+    assert counted(run, start=19500.0).resample(60.0).interval == 60.0
+    with pytest.raises(ThermalDataError, match='expected gaps of at most'):
+        counted(run, start=19400.0).resample(60.0)
+    with pytest.raises(ThermalDataError, match=r'--end 1485$'):
+        counted(holed(2000, 1e9), start=1e9 + 19500.0).resample(60.0)
+
+
+def lacking(rows, column=1, samples=60):
+    """Return a run whose sensor T2 lacks some samples."""
+    temperature = np.array(make(samples=samples).temperature)
+    temperature[rows, column] = np.nan
+    return make(samples=samples, temperature=temperature)
+
+
+@pytest.mark.parametrize('rows', [slice(9, 10), slice(10, 30), [5, 7, 8, 9, 40]])
+def test_short_gaps_are_bridged_by_a_straight_line(rows):
+    whole, run = make(samples=60), lacking(rows)
+    filled = run.bridged()
+    assert np.allclose(filled.temperature, whole.temperature, rtol=0.0, atol=1e-12)
+    assert np.array_equal(filled.temperature[:, 0], whole.temperature[:, 0])
+    assert np.allclose(run.resample(60.0).temperature, whole.temperature, rtol=0.0, atol=1e-12)
+    assert whole.bridged() is whole
+
+
+def test_a_gap_as_long_as_the_predictor_bridges_is_the_longest():
+    """`gap_max` is 1200 s: 20 samples of a minute; the reading behind is a sample later."""
+    longest, too_long = lacking(slice(10, 30)), lacking(slice(10, 31))
+    assert not longest.bridged().gaps()
+    assert too_long.gaps() == (('T2', 21, 540.0, 1860.0),)
+    assert np.isnan(too_long.bridged().temperature[:, 1]).sum() == 21
+
+
+def test_the_reference_is_the_mean_of_what_was_read():
+    run = lacking([0, 2])
+    assert run.reference()[1] == run.temperature[1, 1]
+    filled = run.bridged()
+    assert filled.reference()[1] == pytest.approx(run.temperature[1, 1], abs=1e-12)
+    assert filled.temperature[0, 1] == filled.temperature[2, 1] == run.temperature[1, 1]
+    never = lacking([0, 1, 2, 9]).bridged()
+    assert np.isnan(never.reference()[1])
+    assert np.isnan(never.temperature[:, 1]).sum() == 4
+
+
+def test_the_last_reading_is_held():
+    run = lacking(slice(50, 60))
+    assert (run.bridged().temperature[50:, 1] == run.temperature[49, 1]).all()
+    assert np.isnan(lacking(slice(30, 60)).bridged().temperature[:, 1]).sum() == 30
+
+
+def test_a_sample_is_the_mean_of_more_than_half_of_its_readings():
+    time = 15.0 * np.arange(80)
+    temperature = 20.0 + np.column_stack([time, time]) / 100.0
+    temperature[[4, 8, 9], 1] = np.nan
+    run = make(80, 15.0, temperature=temperature, displacement=np.zeros((80, 2)))
+    slow = run.averaged(60.0)
+    assert slow.temperature[1, 1] == pytest.approx(temperature[5:8, 1].mean())
+    assert np.isnan(slow.temperature[2, 1])
+    assert [gap.samples for gap in slow.gaps()] == [1]
+
+
+def test_a_refusal_of_long_gaps_offers_the_longest_window_of_all_runs():
+    one, other = lacking(slice(20, 45), 1, 400), lacking(slice(5, 26), 0, 400)
+    with pytest.raises(ThermalDataError) as caught:
+        check_training_runs([one.bridged(), replace(other, name='other').bridged()])
+    text = str(caught.value)
+    assert "T2 of run 'run' from 1140 to 2700 s, T1 of run 'other' from 240 to 1560 s" in text
+    # The lags know again where the machine stands four hours behind the gap.
+    assert text.endswith('; use the part with all readings, --start 17100')
+    with pytest.raises(ThermalDataError, match='leave out with --drop-sensor T2, or use the part'):
+        check_training_runs([one.bridged()])
+    with pytest.raises(ThermalDataError, match='; record anew'):
+        check_training_runs([lacking(slice(5, 56), [0, 1])])
+
+
+def test_a_long_gap_long_before_the_first_displacement_is_no_reason_to_refuse():
+    run = lacking(slice(20, 45), 1, 400)
+    later, soon = counted(run, start=17100.0), counted(run, start=17040.0)
+    check_training_runs([later.bridged()])
+    whole = make(samples=400).temperature
+    assert np.allclose(later.bridged().temperature, whole, rtol=0.0, atol=1e-12)
+    with pytest.raises(ThermalDataError, match='from 1140 to 2700 s'):
+        check_training_runs([soon.bridged()])
 
 
 def test_window_is_inclusive():
@@ -175,7 +269,7 @@ def test_missing_sensors_are_named():
             'at most 500 sensors, but found 501',
         ),
         ([make(temperature=np.full((20, 2), 20.0))], 'warms by 0.5 K'),
-        ([make(temperature=with_value(make().temperature, 3, 1, np.nan))], 'gaps in T2'),
+        ([make(temperature=with_value(make().temperature, 3, 1, np.nan))], 'none of T2 of run'),
         ([make(temperature=with_value(make().temperature, 9, 0, 40.0))], "'T1' at sample"),
         ([make(displacement=np.full((20, 2), np.nan))], "channel 'Y'"),
     ],

@@ -1,0 +1,244 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sensors of recorded runs: which are left out, and what became of readings that are missing."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fuzzycnc_ros.cli.console import words
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun
+
+LINE, MATES = 'line', 'mates'
+"""What stands where readings are missing: a straight line, or what other sensors say."""
+
+IN_WORDS = {LINE: 'straight lines bridge them', MATES: 'other sensors stand in'}
+
+DOUBTS_NAMED = 3
+"""Single values of a run that are named."""
+
+
+@dataclass(frozen=True)
+class Bridged:
+    """A gap in the readings of a sensor, and what stands in its place.
+
+    Parameters
+    ----------
+    sensor : str
+        The sensor.
+    samples : int
+        Samples without a reading.
+    start_s, stop_s : float
+        Times of the readings before and behind it [s].
+    by : str
+        `LINE` or `MATES`.
+    """
+
+    sensor: str
+    samples: int
+    start_s: float
+    stop_s: float
+    by: str
+
+
+def sensors_but(drop: list[str] | None, bags: Sequence[Path]) -> 'Callable[[str], bool] | None':
+    """Return what `read_run` asks of each sensor; None if all are kept.
+
+    Parameters
+    ----------
+    drop : list of str, optional
+        What --drop-sensor says.
+    bags : sequence of Path
+        All bags of the command; a sensor that one of them lacks may be dropped from the others.
+
+    Raises
+    ------
+    ValueError
+        If none of the bags has such a sensor.
+    """
+    from fuzzycnc_ros.bags.errors import BagError
+    from fuzzycnc_ros.bags.runs import sensor_names
+
+    names = words(drop or [])
+    if not names:
+        return None
+    known: dict[str, None] = {}
+    for bag in bags:
+        try:
+            known |= dict.fromkeys(sensor_names(bag))
+        except BagError:
+            continue  # whoever reads it for its run says why it cannot be read
+    unknown = [name for name in names if name not in known]
+    if unknown and known:
+        raise ValueError(
+            f'--drop-sensor: expected some of the sensors {", ".join(known)} but found '
+            f'{", ".join(unknown)}'
+        )
+    return partial(_is_outside, frozenset(names))
+
+
+def _is_outside(names: Collection[str], name: str) -> bool:
+    return name not in names
+
+
+def bridged_gaps(run: 'ThermalRun', interval: float) -> tuple[Bridged, ...]:
+    """Return the gaps that are bridged where a run is brought to an interval [s]."""
+    return tuple(Bridged(*gap, by=LINE) for gap in run.averaged(interval).gaps())
+
+
+def as_predicted(
+    model: 'ThermalModel', run: 'ThermalRun'
+) -> 'tuple[ThermalRun, tuple[Bridged, ...]]':
+    """Return a run with what the predictor would have read where inputs of a model are missing.
+
+    Other sensors stand in for an input as long as the model knows some that can; else a straight
+    line goes over the gap.
+
+    Raises
+    ------
+    ThermalDataError
+        If an input is missing for longer than that, or the run is too slow for the model.
+    """
+    from fuzzycnc_ros.core.thermal import ThermalDataError
+    from fuzzycnc_ros.core.thermal.training import at_interval
+
+    at_interval(run, model.interval)  # refuses what is too slow
+    even = run.averaged(model.interval)
+    gaps = [gap for gap in even.gaps() if gap.sensor in model.inputs]
+    if not gaps:
+        return run, ()
+    filled = replace(even, temperature=_with_mates(model, even))
+    left = {(gap.sensor, gap.start) for gap in filled.gaps()}
+    whole = filled.bridged()
+    lost = [gap for gap in whole.gaps() if gap.sensor in model.inputs]
+    if lost:
+        first = lost[0]
+        raise ThermalDataError(
+            f'run {run.name!r}: expected readings of {first.sensor}, which the model reads, but '
+            f'found none from {first.start:.6g} to {first.stop:.6g} s, nor sensors that can stand '
+            f'in for it; judge the part before with --end {first.start:.10g}, or train a model '
+            f'that does without it: --drop-sensor {first.sensor}'
+        )
+    return whole, tuple(
+        Bridged(*gap, by=LINE if (gap.sensor, gap.start) in left else MATES) for gap in gaps
+    )
+
+
+def _with_mates(model: 'ThermalModel', run: 'ThermalRun') -> 'NDArray[Any]':
+    """Return the temperatures (n, s) of a run, other sensors standing in for lost inputs."""
+    import numpy as np
+
+    from fuzzycnc_ros.components.records import ThermalReference
+    from fuzzycnc_ros.components.substitution import RiseSource
+    from fuzzycnc_ros.core.thermal import ModelMismatchError
+    from fuzzycnc_ros.core.thermal.run import REFERENCE_SAMPLES
+
+    values = run.temperature.copy()
+    columns = run.columns(model.inputs)
+    zero = run.reference()
+    try:
+        source = RiseSource(
+            model,
+            run.sensor,
+            ThermalReference(
+                stamp=0,
+                frame_id='',
+                cold_since=0,
+                set_by='recording',
+                sensor=run.sensor,
+                temperature=zero,
+                samples=REFERENCE_SAMPLES,
+            ),
+            None,
+        )
+    except ModelMismatchError:
+        return values  # no zero to count rises from, neither of an input nor of those like it
+    # Whatever is taken for an unknown zero drops out where rises are meant against it again.
+    level = np.where(np.isfinite(zero), zero, np.nanmean(zero))[columns]
+    known = np.isfinite(zero[columns])
+    lost = ~np.isfinite(values[:, columns]) | ~known
+    # What lacks of the zero itself is left to `bridged`, which keeps it as it is.
+    lost[:REFERENCE_SAMPLES, known] = False
+    for row in np.flatnonzero(lost.any(axis=1)):
+        rise = source.rise(run.temperature[row], np.isfinite(run.temperature[row]))
+        if rise is not None:
+            own = columns[lost[row]]
+            values[row, own] = (level + rise)[lost[row]]
+    return values
+
+
+def gap_lines(run: str, gaps: Sequence[Bridged], interval: float) -> list[str]:
+    """Return what was missing in a run and what stands for it, a line for each kind."""
+    lines = []
+    for by, stands in IN_WORDS.items():
+        own = [gap for gap in gaps if gap.by == by]
+        if not own:
+            continue
+        longest = max(own, key=lambda gap: gap.samples)
+        number = '1 gap' if len(own) == 1 else f'{len(own)} gaps, the longest'
+        sensors = ', '.join(dict.fromkeys(gap.sensor for gap in own))
+        lines.append(
+            f'{run}: {sensors} read nothing in {number} of '
+            f'{longest.samples * interval / 60.0:.3g} min after {longest.start_s:.6g} s; '
+            f'{stands}, as in the predictor'
+        )
+    return lines
+
+
+def doubt_lines(runs: 'Sequence[ThermalRun]') -> list[str]:
+    """Return what looks like a mistake in recorded runs, a sentence each with the remedy."""
+    from fuzzycnc_ros.core.thermal.plausibility import (
+        DISPLACEMENT_STEP,
+        TEMPERATURE_STEP,
+        lone_values,
+        turned_channels,
+    )
+
+    lines = []
+    for run in runs:
+        for names, values, step, scale, unit in (
+            (run.sensor, run.temperature, TEMPERATURE_STEP, 1.0, 'degC'),
+            (run.channel, run.displacement, DISPLACEMENT_STEP, 1e6, 'um'),
+        ):
+            found = sorted(lone_values(values, step))
+            lines += [
+                f'{run.name}: {names[item.column]} is {item.value * scale:.4g} {unit} at '
+                f'{run.time[item.row]:.6g} s, alone between {item.before * scale:.4g} and '
+                f'{item.behind * scale:.4g}; if nothing of the kind happened, import the run '
+                'without this value'
+                for item in found[:DOUBTS_NAMED]
+            ]
+            if len(found) > DOUBTS_NAMED:
+                more = len(found) - DOUBTS_NAMED
+                lines.append(f'{run.name}: {more} more values in {unit} stand alone like these')
+    for channel, against, others in turned_channels(runs):
+        odd = ', '.join(against)
+        lines.append(
+            f'{odd}: {channel} moves {_way(against)} the temperatures '
+            f'({_least(against):+.2f}), but {_way(others)} them in {", ".join(others)} '
+            f'({_least(others):+.2f}); if a probe was turned round or a sign changed, import '
+            f'{odd if len(against) < len(others) else "some of them"} anew with the other sign of '
+            'the axis'
+        )
+    return lines
+
+
+def _way(correlation: dict[str, float]) -> str:
+    return 'with' if _least(correlation) > 0.0 else 'against'
+
+
+def _least(correlation: dict[str, float]) -> float:
+    return min(correlation.values(), key=abs)
+
+
+def gap_document(gaps: Sequence[Bridged]) -> list[dict[str, Any]]:
+    """Return the figures of gaps."""
+    return [asdict(gap) for gap in gaps]

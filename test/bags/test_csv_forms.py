@@ -1,0 +1,437 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""CSV recordings as other programs write them: what is recognised, and which option is named."""
+
+import re
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.bags.csv import CsvMapping, import_csv
+from fuzzycnc_ros.bags.csv_time import KNOWN_FORMATS, known_forms, read_time, strptime_form
+from fuzzycnc_ros.bags.errors import CsvError
+from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.bags.runs import read_run
+
+COUNT = 120
+SECONDS = 60.0 * np.arange(COUNT)
+FRONT = 21.0 + 12.0 * (1.0 - np.exp(-SECONDS / 1800.0))
+REAR = 20.5 + 0.5 * (FRONT - 21.0)
+MOVED = 2.5 * (FRONT - 21.0)
+BEGIN = datetime(2026, 3, 12, 21, 30)
+
+
+def table(times=None, head='t;a;b;ch', separator=';', change=lambda rows: None):
+    """Return a recording as text; `change` edits its rows of texts, the header being row 0."""
+    times = times or [f'{second:g}' for second in SECONDS]
+    rows = [head.split(';')] if head else []
+    for time, *values in zip(times, FRONT, REAR, MOVED, strict=True):
+        rows.append([time, *(f'{value:.3f}' for value in values)])
+    change(rows)
+    return '\r\n'.join(separator.join(row) for row in rows) + '\r\n'
+
+
+def clock(form, begin=BEGIN, step=60.0):
+    """Return the times of the rows in some form."""
+    return [(begin + timedelta(seconds=step * row)).strftime(form) for row in range(COUNT)]
+
+
+def german(head='Zeit;Vorn [°C];Hinten [°C];Z [µm]'):
+    times = [
+        (BEGIN + timedelta(seconds=second)).strftime('%d.%m.%Y %H:%M:%S') for second in SECONDS
+    ]
+    return table(times, head).replace('.', ',').replace(',03,2026', '.03.2026')
+
+
+GERMAN = {
+    'time': 'Zeit',
+    'temperatures': ['Vorn*', 'Hinten*'],
+    'displacements': ['Z [µm]=Z:um'],
+    'decimal': ',',
+}
+
+
+@pytest.fixture
+def importing(tmp_path):
+    """Import a text, written in some encoding."""
+
+    def run(text, written='utf-8', **options):
+        file = tmp_path / 'recording.csv'
+        file.write_bytes(text if isinstance(text, bytes) else text.encode(written))
+        plain = {'time': 't', 'temperatures': ['a', 'b'], 'displacements': ['ch=Z:um']}
+        return import_csv(file, tmp_path / 'bag', CsvMapping(**{**plain, **options}))
+
+    return run
+
+
+@pytest.fixture
+def complaint(importing, tmp_path):
+    """Return the one line in which a text is refused."""
+
+    def run(text, written='utf-8', **options):
+        with pytest.raises(CsvError) as caught:
+            importing(text, written, **options)
+        assert '\n' not in str(caught.value)
+        assert not (tmp_path / 'bag').exists()
+        return str(caught.value)
+
+    return run
+
+
+# Encodings
+
+
+@pytest.mark.parametrize('encoding', ['cp1252', 'latin-1', 'utf-16', 'utf-16-le'])
+def test_other_encodings_are_named_and_read(importing, complaint, tmp_path, encoding):
+    text = complaint(german(), encoding, **GERMAN)
+    named = 'utf-16' if encoding.startswith('utf-16') else 'cp1252'
+    assert f'import with --encoding {named}' in text
+    report = importing(german(), encoding, **GERMAN, encoding=encoding)
+    assert report.sensors == ('Vorn [°C]', 'Hinten [°C]')
+    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
+
+
+def test_a_byte_order_mark_is_no_part_of_the_first_name(importing):
+    assert importing(german(), 'utf-8-sig', **GERMAN).samples == COUNT
+
+
+def test_a_wrong_byte_is_placed(complaint):
+    text = complaint(german(), 'cp1252', **GERMAN)
+    assert "line 1: expected text in utf-8 but byte 11 is 0xb0, in cp1252 '°'" in text
+    text = complaint(b't;a;b;ch\r\n\x81', encoding='cp1252')
+    assert '0x81' in text
+    assert '--encoding latin-1, or else utf-16' in text
+
+
+def test_text_that_is_utf8_is_not_read_as_another_encoding(importing, complaint):
+    text = complaint(german(), **GERMAN, encoding='cp1252')
+    assert text.endswith('expected text in cp1252 but it is UTF-8; import without --encoding')
+    assert importing(table(), encoding='cp1252').samples == COUNT  # the same in both
+
+
+def test_a_workbook_is_no_csv_file(complaint):
+    for data in (b'PK\x03\x04rest', b'\xd0\xcf\x11\xe0rest'):
+        assert 'found a workbook; save its sheet as CSV' in complaint(data)
+
+
+@pytest.mark.parametrize('name', ['foo', 'base64', ''])
+def test_an_encoding_must_be_known(name):
+    with pytest.raises(CsvError, match=r'encoding: expected a text encoding such as utf-8'):
+        CsvMapping(encoding=name)
+
+
+# Times
+
+
+FORMS = (
+    '%d.%m.%Y %H:%M:%S',
+    '%d.%m.%y %H:%M',
+    '%Y-%m-%d %H:%M:%S',
+    '%Y-%m-%dT%H:%M:%S',
+    '%Y/%m/%d %H:%M:%S',
+    '%d/%m/%Y %H:%M:%S',
+    '%m/%d/%Y %I:%M:%S %p',
+    '%m-%d-%Y %H:%M',
+)
+
+
+@pytest.mark.parametrize('form', FORMS)
+def test_usual_dates_are_recognised_and_said(importing, tmp_path, form):
+    report = importing(table(clock(form, datetime(2026, 3, 25, 21, 30))))
+    iso = form.startswith('%Y-')
+    assert report.remarks == (f"times of 't' read as {'iso8601' if iso else form}",)
+    assert report.interval == 60.0
+    with BagReader(tmp_path / 'bag') as reader:
+        assert reader.start == 1774474200 * 10**9
+
+
+def test_a_time_of_day_goes_past_midnight(importing, tmp_path):
+    report = importing(table(clock('%H:%M:%S', step=180.0)))
+    assert report.remarks == (
+        "times of 't' read as %H:%M:%S",
+        'the clock passes midnight before line 52: a day was added',
+    )
+    assert read_run(tmp_path / 'bag').time[-1] == 3 * SECONDS[-1]
+
+
+def test_a_clock_that_goes_back_by_less_than_half_a_day_was_set(complaint):
+    times = clock('%H:%M:%S')
+    times[60:] = times[:60]
+    text = complaint(table(times))
+    assert "line 62, column 't': expected a time after 22:29:00 but found 21:30:00" in text
+    assert text.endswith('import runs one by one with --rows 0:59 and --rows 60:119')
+
+
+def test_rows_of_a_refusal_count_as_rows_of_the_option_do(complaint):
+    times = [f'{second:g}' for second in [*SECONDS[:60], *SECONDS[:60]]]
+    text = complaint(table(times), rows=(20, 110))
+    assert text.endswith('with --rows 20:59 and --rows 60:110')
+
+
+def test_fractions_of_a_second_stand_behind_point_or_comma(importing, tmp_path):
+    for sign in '.,':
+        times = clock('%d.%m.%Y %H:%M:%S', step=0.25)
+        times = [f'{time}{sign}{25 * (row % 4):02d}' for row, time in enumerate(times)]
+        importing(table(times))
+        found = read_run(tmp_path / 'bag').time
+        np.testing.assert_allclose(found, 0.25 * np.arange(COUNT), atol=1e-6)
+        (tmp_path / 'bag').rename(tmp_path / f'bag{sign}')
+
+
+def test_a_date_that_can_be_read_in_two_ways_is_asked_for(importing, complaint):
+    begin = datetime(2026, 3, 4, 23, 30)
+    times = [
+        (begin + timedelta(seconds=second)).strftime('%d/%m/%Y %H:%M:%S') for second in SECONDS
+    ]
+    text = complaint(table(times))
+    assert "--time-format '%d/%m/%Y %H:%M:%S' or '%m/%d/%Y %H:%M:%S'" in text
+    report = importing(table(times), time_format='%d/%m/%Y %H:%M:%S')
+    assert (report.remarks, report.interval) == ((), 60.0)
+
+
+def test_the_other_way_is_said_where_it_makes_no_difference(importing):
+    times = clock('%d/%m/%Y %H:%M', datetime(2026, 3, 4, 8, 30))
+    (remark,) = importing(table(times)).remarks
+    assert 'read as %d/%m/%Y %H:%M, which could be %m/%d/%Y %H:%M: see --time-format' in remark
+
+
+@pytest.mark.parametrize(
+    ('form', 'expected'),
+    [
+        ('%d.%m.%Y %H:%M:%S', '%d.%m.%Y %H:%M:%S'),
+        ('dd.mm.yyyy hh:mm:ss', '%d.%m.%Y %H:%M:%S'),
+        ('TT.MM.JJ hh:mm', '%d.%m.%y %H:%M'),
+        ('mm/dd/yyyy h:mm AM/PM', '%m/%d/%Y %I:%M %p'),
+        ('mm:ss', '%M:%S'),
+        ('iso8601', 'iso8601'),
+    ],
+)
+def test_forms_of_spreadsheets_are_understood(form, expected):
+    assert strptime_form(form) == CsvMapping(time_format=form).time_format == expected
+
+
+@pytest.mark.parametrize('form', ['', 'german', '%q', '%d.%m.%', 'seconds'])
+def test_other_forms_are_not(form):
+    with pytest.raises(CsvError, match=r'time_format: expected a form such as %d\.%m\.%Y'):
+        CsvMapping(time_format=form)
+
+
+def test_every_known_form_is_its_own():
+    date = datetime(2026, 12, 31, 13, 59, 58)
+    for form in KNOWN_FORMATS[1:]:
+        text = date.strftime(form)
+        assert form in known_forms([text])
+        assert date.strftime(form) == datetime.utcfromtimestamp(read_time(text, form)).strftime(
+            form
+        )
+
+
+@pytest.mark.parametrize(
+    ('row', 'cell', 'naming'),
+    [
+        (7, 'gestern', "line 8, column 't': expected a time as %d.%m.%Y %H:%M:%S but found"),
+        (1, 'gestern', "line 2, column 't': expected a time but found 'gestern'; name its form"),
+        (7, '', "line 8, column 't': expected a time but found none"),
+        (1, '12.03.2026', "found '12.03.2026'; it is a date without a time of day"),
+    ],
+)
+def test_a_time_that_is_none(complaint, row, cell, naming):
+    times = [
+        (BEGIN + timedelta(seconds=second)).strftime('%d.%m.%Y %H:%M:%S') for second in SECONDS
+    ]
+
+    def change(rows):
+        rows[row][0] = cell
+
+    assert naming in complaint(table(times, change=change))
+
+
+def test_times_that_stand_still(complaint):
+    def twice(rows):
+        rows[50][0] = rows[49][0]
+
+    assert 'line 51, ' in (text := complaint(table(change=twice)))
+    assert text.endswith('expected a time after 2880 but found 2880; delete one of the two rows')
+    assert complaint(table(clock('%H:%M', step=6.0))).endswith(
+        '108 rows have the time of the row before: log finer times'
+    )
+
+
+# Numbers and columns
+
+
+def cell(row, column, text):
+    def change(rows):
+        rows[row][column] = text
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ('text', 'options', 'naming'),
+    [
+        (table(change=cell(5, 1, '21,5')), {}, 'with decimal commas import with --decimal ,'),
+        (table(change=cell(5, 1, '1.234,5')), {}, 'remove what stands between thousands'),
+        (table(change=cell(5, 1, '21.5 °C')), {}, 'remove the unit from the cells'),
+        (table(change=cell(5, 1, '08:15:00')), {}, 'name the time column with --time'),
+        (
+            table(change=lambda rows: rows.insert(1, ['s', '°C', '°C', 'µm'])),
+            {},
+            "line 2, column 't': expected a time but found 's'; leave out a line of units below "
+            'the header with --rows 1:120',
+        ),
+        (german(), {**GERMAN, 'decimal': '.'}, "found '21,000'; with decimal commas"),
+        (table(change=cell(18, 0, '1.020')), {}, 'remove what stands between thousands'),
+        (
+            table(change=cell(18, 0, '1.020')).replace('.', ',').replace('1,020', '1.020'),
+            {'decimal': ','},
+            "line 19, column 't': .* '1.020'; .* remove the points between thousands",
+        ),
+        (table(separator='|'), {}, r"found one, 't\|a\|b\|ch'; .* with --delimiter '\|'"),
+        (
+            'Logger 7\r\nNo 4711; rev B\r\n' + table(),
+            {},
+            "line 1: expected 4 columns, as from line 3 on, but found 'Logger 7'; delete what",
+        ),
+        (
+            table(separator=',').replace('.', ','),
+            {},
+            'line 2: expected 4 columns as in the header but found 7; .* export with ; between',
+        ),
+        (
+            table(head=''),
+            {},
+            'line 1: expected the names of the columns but found 0, 21.000, 20.500, 0.000; .*'
+            '--no-header, which calls the columns c1 to c4',
+        ),
+        (table(), {'header': False}, 'found t, a, b, ch; .*leave out --no-header'),
+        (table(), {'time': 'zeit'}, 'name it with --time$'),
+        (table(), {'displacements': ['dz=Z:um']}, 'name it with --displacement$'),
+        (table(), {'spindle_speed': 'rpm'}, 'name it with --speed$'),
+        (table(), {'temperatures': ['T*']}, 'name one with --temperature$'),
+        (table(), {'temperatures': []}, 'name them with --temperature$'),
+    ],
+)  # fmt: skip
+def test_a_refusal_names_what_helps(complaint, text, options, naming):
+    assert re.search(naming, complaint(text, **options))
+
+
+def test_columns_without_a_header_are_numbered(importing, tmp_path):
+    report = importing(
+        table(head=''),
+        header=False, time='c1', temperatures=['c[23]'], displacements=['c4=Z:um'],
+    )  # fmt: skip
+    assert (report.samples, report.sensors, report.channels) == (COUNT, ('c2', 'c3'), ('c4',))
+    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[0], [21.0, 20.5])
+
+
+@pytest.mark.parametrize('head', ['sep=;\r\n', '"sep=;"\r\n', '\r\nSEP=;\r\n'])
+def test_what_excel_writes_above_the_header_names_the_separator(importing, head):
+    assert importing(head + german(), **GERMAN).samples == COUNT
+
+
+def test_commas_are_decimal_signs_where_other_signs_separate(importing, tmp_path):
+    plain = table([f'{second:.1f}' for second in SECONDS], head='').replace('.', ',')
+    assert plain.count(',') > plain.count(';')
+    importing(
+        plain,
+        header=False, time='c1', temperatures=['c2', 'c3'], displacements=['c4=Z:um'], decimal=',',
+    )  # fmt: skip
+    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
+
+
+def test_quoted_numbers_may_have_the_comma_that_separates(importing, tmp_path):
+    lines = table().replace('.', ',').splitlines()
+    text = '\n'.join(','.join(f'"{part}"' for part in line.split(';')) for line in lines)
+    importing(text, decimal=',')
+    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
+
+
+def test_names_may_be_broken_over_lines_and_empty_ones_repeat(importing):
+    text = table(head='t;"a\nfront";b;ch').replace('\r\n', ';;\r\n').replace('ch;;', 'ch;;')
+    assert importing(text, temperatures=['a front', 'b']).sensors == ('a front', 'b')
+
+
+# What looks like a mistake
+
+
+def scaled(column, scale, offset=0.0, digits=3):
+    def change(rows):
+        for row in rows[1:]:
+            row[column] = f'{float(row[column]) * scale + offset:.{digits}f}'
+
+    return change
+
+
+def both(*changes):
+    def change(rows):
+        for one in changes:
+            one(rows)
+
+    return change
+
+
+FAHRENHEIT = both(scaled(1, 1.8, 32.0), scaled(2, 1.8, 32.0))
+
+
+@pytest.mark.parametrize(
+    ('text', 'options', 'remedy'),
+    [
+        (table(change=FAHRENHEIT), {}, {'temperature_unit': 'degF'}),
+        (table(), {'temperature_unit': 'degF'}, {'temperature_unit': 'degC'}),
+        (table(change=scaled(0, 1 / 60)), {}, {'time_unit': 'min'}),
+        (table(change=scaled(0, 1000.0)), {}, {'time_unit': 'ms'}),
+        (table(change=scaled(0, 1 / 3600, digits=9)), {}, {'time_unit': 'h'}),
+        (table(), {'time_unit': 'ms'}, {'time_unit': 's'}),
+        (table(head='t;a (°F);b;ch', change=FAHRENHEIT), {'temperatures': ['a*', 'b']},
+         {'temperature_unit': 'degF'}),
+        (table(head='t_ms;a;b;ch', change=scaled(0, 1000.0)), {'time': 't_ms'},
+         {'time_unit': 'ms'}),
+        (table(head='t;a;b;ch [mm]', change=scaled(3, 1.0)), {'displacements': ['ch [mm]=Z:um']},
+         None),
+    ],
+)  # fmt: skip
+def test_a_unit_that_is_not_plausible_is_doubted_and_the_option_ends_it(
+    importing, tmp_path, text, options, remedy
+):
+    (doubt,) = importing(text, **options).doubts
+    if remedy is None:
+        assert doubt.endswith("import with --displacement 'ch [mm]=AXIS:mm'")
+        return
+    ((option, value),) = remedy.items()
+    assert doubt.endswith(f'import with --{option.replace("_", "-")} {value}')
+    (tmp_path / 'bag').rename(tmp_path / 'first')
+    assert importing(text, **{**options, **remedy}).doubts == ()
+
+
+def test_temperatures_beyond_every_shop_name_the_option(complaint):
+    text = complaint(table(change=both(scaled(1, 1.0, 273.15), scaled(2, 1.0, 273.15))))
+    assert text.endswith('in K they would fit: --temperature-unit K')
+
+
+def test_single_values_are_named_with_line_and_column(importing):
+    text = table(change=both(cell(50, 1, '85'), cell(80, 3, '-90'), cell(90, 2, '')))
+    doubts = importing(text).doubts
+    assert len(doubts) == 2
+    assert "line 51, column 'a': 85 degC stands alone between 30." in doubts[0]
+    assert "line 81, column 'ch': -90 um stands alone between 2" in doubts[1]
+    assert all(doubt.endswith('empty the cell') for doubt in doubts)
+
+
+def test_many_single_values_are_counted(importing):
+    text = table(change=both(*(cell(row, 1, '85') for row in range(10, 60, 10))))
+    assert importing(text).doubts[-1].endswith('2 more values in degC stand alone like these')
+
+
+def test_dates_tell_their_own_unit(importing):
+    assert importing(table(clock('%H:%M:%S', step=1.0))).doubts == ()
+
+
+def test_a_real_recording_raises_no_doubt(data, tmp_path):
+    mapping = CsvMapping(
+        time='t', temperatures=['t*'], displacements=[f'ch{k}=X:um' for k in range(1, 6)]
+    )
+    file = data / 'spindle-thermal' / 'spindle_thermal.csv'
+    report = import_csv(file, tmp_path / 'spindle', mapping)
+    assert report.remarks == report.doubts == ()
