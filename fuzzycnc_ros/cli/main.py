@@ -26,6 +26,8 @@ from fuzzycnc_ros.cli.foam import HELP as FOAM_HELP
 from fuzzycnc_ros.cli.graph_processes import GraphError
 from fuzzycnc_ros.cli.import_csv import import_csv
 from fuzzycnc_ros.cli.info import info
+from fuzzycnc_ros.cli.machine import COMMANDS as MACHINE_COMMANDS
+from fuzzycnc_ros.cli.machine import HELP as MACHINE_HELP
 from fuzzycnc_ros.cli.operate import COMMANDS as OPERATE_COMMANDS
 from fuzzycnc_ros.cli.operate import HELP as OPERATE_HELP
 from fuzzycnc_ros.cli.pareto import pareto
@@ -62,6 +64,10 @@ Which model, and how many sensors, on runs that nothing has seen:
 
     fuzzycnc compare monday tuesday wednesday --report models.html
     fuzzycnc curve monday tuesday wednesday --report sensors.html
+
+What is known of your machine, in one file for the commands below:
+
+    fuzzycnc machine new mill.yaml
 
 Feeds of a part program that keep a contour tolerance, and methods side by side:
 
@@ -108,6 +114,7 @@ COMMANDS: dict[str, Callable[..., Any] | CommandGroup] = {
     'evaluate': evaluate,
     'compare': compare,
     'curve': curve,
+    'machine': CommandGroup(MACHINE_HELP, MACHINE_COMMANDS),
     'schedule': schedule,
     'pareto': pareto,
     'position': position,

@@ -13,6 +13,9 @@ from fuzzycnc_ros.cli.console import words
 ALL = 'all'
 """Word for every model."""
 
+BUILT_IN_MACHINES = ('mill', 'lathe', 'ballscrew')
+"""Machines that come with the package, as machine files; their reader would load numpy."""
+
 Bags = Annotated[
     list[Path], typer.Argument(metavar='BAG...', help='Bags of runs, each from a cold start.')
 ]

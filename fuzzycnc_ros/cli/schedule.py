@@ -22,7 +22,6 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_text,
 )
-from fuzzycnc_ros.cli.machine_file import Machine, MachineFile, read_machine
 from fuzzycnc_ros.cli.options import Report
 from fuzzycnc_ros.cli.program_files import (
     STREAM,
@@ -32,6 +31,7 @@ from fuzzycnc_ros.cli.program_files import (
     program_lines,
 )
 from fuzzycnc_ros.cli.quantities import FEEDS, LENGTHS, SHARES, quantity
+from fuzzycnc_ros.cli.scheduling_machine import Machine, SchedulingMachine, read_machine
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings
@@ -183,13 +183,13 @@ def schedule(
 
 
 def _settled(
-    machine: MachineFile,
+    machine: SchedulingMachine,
     tolerance: str | None,
     method: str | None,
     blend: str | None,
     feed: str | None,
     override: str | None,
-) -> MachineFile:
+) -> SchedulingMachine:
     """Return a machine with what the options say."""
     given: dict[str, Any] = {}
     if tolerance is not None:
@@ -209,7 +209,7 @@ def _settled(
     return replace(machine, scheduler=replace(machine.scheduler, **given))
 
 
-def _settings(machine: MachineFile, feed: str | None, feed_step: str) -> 'ProgramSettings':
+def _settings(machine: SchedulingMachine, feed: str | None, feed_step: str) -> 'ProgramSettings':
     """Return how programs are scheduled."""
     from fuzzycnc_ros.components.program_request import program_settings
 
@@ -281,7 +281,7 @@ def _write_report(
     stretch: Stretch,
     figures: 'ScheduleFigures',
     trace: 'PathTrace',
-    machine: MachineFile,
+    machine: SchedulingMachine,
 ) -> None:
     """Drive a stretch of the program with every method, and write the page."""
     from fuzzycnc_ros.report.schedule import speed

@@ -38,6 +38,9 @@ FAULTS = frozenset(
 )  # fmt: skip
 """Parameters of plants that no machine file has: faults of a simulation, and its own."""
 
+SECTIONS = ('machine', 'linuxcnc', 'axes', 'path', 'loop', 'contour_constant')
+"""Names at the top of a machine file."""
+
 _WANTED = 'a machine file'
 
 SomeConfig = TypeVar('SomeConfig', bound=Config)
@@ -123,6 +126,21 @@ def built_in_path(name: str) -> Path:
     return Path(str(files('fuzzycnc_ros.machine_file') / 'built_in' / f'{name}.yaml'))
 
 
+def is_machine_file(path: Path | str) -> bool:
+    """Whether a file says at its top what machine files do, or is a built-in machine's name."""
+    import yaml
+
+    if str(path) in BUILT_IN:
+        return True
+    try:
+        root = compose(Path(path), _WANTED)
+    except ValueError:
+        return False  # whoever reads it says why
+    return isinstance(root, yaml.MappingNode) and any(
+        key.value in SECTIONS for key, _ in root.value
+    )
+
+
 def read_machine_file(path: Path | str) -> MachineData:
     """Read a machine file, or a machine that comes with the package by its name.
 
@@ -149,9 +167,7 @@ def read_machine_file(path: Path | str) -> MachineData:
         raise ValueError(f'{place}: expected {_WANTED} but found an empty file')
     reading = _Reading(place)
     found = reading.mapping(_Entry(1, root), _WANTED)
-    reading.known(
-        found, ('machine', 'axes', 'path', 'loop', 'contour_constant', 'linuxcnc'), _WANTED
-    )
+    reading.known(found, SECTIONS, _WANTED)
     ini = _ini(reading, found)
     name = str(reading.value(found['machine'])) if 'machine' in found else ini.name or place.stem
     axes = dict(_axes(reading, found, ini))
@@ -169,6 +185,8 @@ def read_machine_file(path: Path | str) -> MachineData:
             'path_acceleration_max': path_limits.acceleration,
         },
     )
+    for limit in ('velocity_max', 'acceleration_max', 'path_acceleration_max'):
+        reading.source.setdefault(f'loop.{limit}', 'the limits above')
     constant = _constants(reading, _section(reading, found, 'contour_constant'))
     try:
         return MachineData(

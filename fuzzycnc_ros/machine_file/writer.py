@@ -22,7 +22,13 @@ _HEADER = """\
 _COMMENT_COLUMN = 44
 
 
-def machine_text(machine: MachineData, *, ini: str = '', about: str = '') -> str:
+def machine_text(
+    machine: MachineData,
+    *,
+    ini: str = '',
+    about: str = '',
+    without: frozenset[str] = frozenset(),
+) -> str:
     """Return the machine file of some machine data; read again it gives them to ten digits.
 
     Parameters
@@ -33,6 +39,8 @@ def machine_text(machine: MachineData, *, ini: str = '', about: str = '') -> str
         LinuxCNC configuration that the file refers to; empty for none.
     about : str
         Lines of comment at the top: where the data come from.
+    without : frozenset of str
+        Places that are left out, such as `axes.X.limits.velocity`: the configuration has them.
     """
     lines = [_HEADER.rstrip('\n')]
     lines += [f'# {line}'.rstrip() for line in about.splitlines()]
@@ -42,10 +50,11 @@ def machine_text(machine: MachineData, *, ini: str = '', about: str = '') -> str
     if machine.axes:
         lines.append('axes:')
     for name, axis in machine.axes.items():
-        lines += [f'  {_text(name)}:', '    limits:', *_section(axis.limits, 6)]
+        lines += [f'  {_text(name)}:', '    limits:']
+        lines += _section(axis.limits, 6, f'axes.{name}.limits', without)
         if axis.plant is not None:
             lines += ['    plant:', f'      model: {axis.model}']
-            lines += _section(axis.plant, 6, without=FAULTS)
+            lines += _section(axis.plant, 6, '', FAULTS)
         if axis.controller or axis.settings:
             lines.append('    controller:')
             if axis.controller:
@@ -53,8 +62,8 @@ def machine_text(machine: MachineData, *, ini: str = '', about: str = '') -> str
             if axis.settings:
                 lines.append('      settings:')
                 lines += [f'        {key}: {value!r}' for key, value in _plain(axis.settings)]
-    lines += ['path:', *_section(machine.path, 2)]
-    lines += ['loop:', *_section(machine.loop, 2)]
+    lines += ['path:', *_section(machine.path, 2, 'path', without)]
+    lines += ['loop:', *_section(machine.loop, 2, 'loop', without)]
     if machine.contour_constant:
         lines.append('contour_constant:')
         lines += [
@@ -64,12 +73,10 @@ def machine_text(machine: MachineData, *, ini: str = '', about: str = '') -> str
     return '\n'.join(lines) + '\n'
 
 
-def _section(
-    config: Config, indent: int, *, without: frozenset[str] = frozenset()
-) -> Iterator[str]:
+def _section(config: Config, indent: int, place: str, without: frozenset[str]) -> Iterator[str]:
     """Yield the lines of a configuration, each with its meaning."""
     for item in fields(config):
-        if item.name in without:
+        if (f'{place}.{item.name}' if place else item.name) in without:
             continue
         text = f'{" " * indent}{item.name}: {_value(item, getattr(config, item.name))}'
         yield f'{text:<{_COMMENT_COLUMN}}  # {item.metadata["doc"]}'
