@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc position`: one move of a simulated axis."""
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -42,6 +43,9 @@ GAIN_MIN, GAIN_MAX = 0.01, 100.0
 
 STEP_MIN = 1e-6
 """Least way of a move [m]."""
+
+BESIDE_LOAD = 0.12
+"""What friction takes beside the load [-], as duty."""
 
 
 def position(
@@ -161,6 +165,10 @@ def position(
     plant = make_axis(axis, knobs)
     with warnings_said():
         chosen = make_controller(controller, axis, plant, _settings(params))
+    # It is told of the load, as a machine's data tell of it, or it would take it for a run-away.
+    limits = chosen.watch.limits
+    pull = abs(signed('--load', load, SHARES, example='10%')) + BESIDE_LOAD
+    chosen.watch.limits = dataclasses.replace(limits, load=max(limits.load, min(pull, 1.0)))
     run = moved(chosen, plant, _reference(target, profile, plant.period), length)
     table = shown.positioning_table(run, controller, _title(axis, to, profile))
     show(table)

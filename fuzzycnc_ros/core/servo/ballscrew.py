@@ -18,6 +18,10 @@ Chosen on the nominal EMPS axis: the loop crosses over at 129 rad/s with a phase
 degrees; the loop that the real machine was recorded with at 138 rad/s with 38 degrees.
 """
 
+LOAD = 0.6
+"""Load and friction that the watch believes [-], as duty: the real machine bore pulses of half of
+its drive."""
+
 _RELIEF = StickSlipParams()
 
 _MOVING = 1e-3
@@ -146,7 +150,7 @@ class BallscrewController(VariableUniverseController):
             noise=ObserverNoise.of_bandwidth(axis, observer_bandwidth),
             stick_slip=stick_slip,
             duty_max=known.duty_max,
-            limits=FeedbackLimits.of(axis, count=known.count),
+            limits=FeedbackLimits.of(axis, count=known.count, load=LOAD),
         )
         self._coulomb = 0.5 * friction * (known.coulomb_forward + known.coulomb_backward)
         self._coulomb *= self._direction / known.force_max
