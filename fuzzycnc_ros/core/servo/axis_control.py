@@ -11,6 +11,7 @@ model does not know is found.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from math import inf, sqrt
 from types import MappingProxyType
 from typing import Any
@@ -49,6 +50,10 @@ SETTINGS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
 its damping.  `estimator`: natural frequency of the disturbance observer over the bandwidth; of the
 PID, three times the rate at which its integral acts over the bandwidth.
 """
+
+
+_ELASTIC = 4.0
+"""By how much more than its rigid model an elastic axis may accelerate [-]."""
 
 
 class LinearSurface(ContractedSurface):
@@ -269,6 +274,8 @@ def _common(data: AxisData) -> tuple[LinearAxis, dict[str, Any]]:
         travel=data.limits.travel_high - data.limits.travel_low,
         load=min(max(data.limits.load + data.limits.friction, 0.2), 1.0),
     )
+    # An encoder at the motor sees it swing against its load, with its own mass alone.
+    limits = replace(limits, acceleration_max=_ELASTIC * limits.acceleration_max)
     return axis, {'duty_max': data.plant.duty_max, 'limits': limits}
 
 

@@ -29,8 +29,8 @@ GAINS = (0.5, 0.75, 1.0, 1.4, 2.0)
 """Factors on the gain for which an axis is tuned."""
 
 MARGINS = (0.4, 2.4)
-"""Gains beyond these, with a period more of dead time, on a long fast way with little friction: what
-swings there has no margin."""
+"""Gains beyond these, with a period more of dead time, on a long fast way with little friction:
+what swings there has no margin."""
 
 HELD_OUT_GAINS = (0.5, 0.62, 0.85, 1.2, 1.7, 2.0)
 """Factors on the gain on which it is judged."""
@@ -40,6 +40,9 @@ _CHANCE = 2.0
 
 _GIVEN_UP = 0.1
 """Error that a run counts which ends in a fault, as share of the axis' travel [-]."""
+
+_PER_FAULT = 100.0
+"""Factor on the cost for each case that is given up [-]."""
 
 Progress = Callable[[int, int], None]
 """Told how many generations are done, and how many there are."""
@@ -423,7 +426,11 @@ def case_cost(data: AxisData, figures: AxisFigures) -> float:
 
 def _cost(data: AxisData, figures: Sequence[AxisFigures]) -> float:
     costs = [case_cost(data, one) for one in figures]
-    return float(np.exp(np.mean(np.log(costs)))) if all(map(isfinite, costs)) else inf
+    if not all(map(isfinite, costs)):
+        return inf
+    # No accuracy elsewhere makes up for a loop that gives up.
+    lost = sum(bool(one.fault) for one in figures)
+    return float(np.exp(np.mean(np.log(costs)))) * _PER_FAULT**lost
 
 
 def _logs(figures: Sequence[AxisFigures]) -> Array:
