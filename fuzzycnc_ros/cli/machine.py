@@ -18,6 +18,7 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_text,
 )
+from fuzzycnc_ros.cli.machine_identify import identify
 from fuzzycnc_ros.cli.options import BUILT_IN_MACHINES
 
 HELP = """Write down what is known of your machine, in one file for all commands.
@@ -25,6 +26,7 @@ HELP = """Write down what is known of your machine, in one file for all commands
     fuzzycnc machine new mill.yaml --linuxcnc-ini mill.ini
     fuzzycnc machine show mill.yaml
     fuzzycnc machine check mill.yaml
+    fuzzycnc machine identify drive.csv --columns command=duty,position=pos --out axis.yaml
 
 `schedule`, `pareto`, `position`, `servo`, `up` and the nodes take it as --machine-file.
 """
@@ -163,6 +165,7 @@ def check(file: File, json_file: JsonFile = None) -> None:
 COMMANDS: dict[str, Callable[..., Any]] = {
     'new': new,
     'show': show_machine,
+    'identify': identify,
     'check': check,
 }
 """The commands on machine files in the order of the help."""

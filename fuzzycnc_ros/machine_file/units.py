@@ -26,6 +26,7 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         '1/s': {'1/s': 1.0},
         's^2': {'s^2': 1.0},
         'rad/s': {'rad/s': 1.0, 'Hz': 2.0 * pi},
+        'Hz': {'Hz': 1.0},
         'kg': {'kg': 1.0},
         'N': {'N': 1.0},
         'N s/m': {'N s/m': 1.0},

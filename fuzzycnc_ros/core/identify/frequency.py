@@ -22,7 +22,7 @@ from fuzzycnc_ros.core.identify.axis_fit import AxisRecording
 _SEGMENT = 512
 """Samples of each segment that is averaged over."""
 
-_TOLD, _SURE = 0.7, 0.9
+_TOLD, _SURE = 0.8, 0.9
 """Coherence from which a resonance is believed, and from which a phase is."""
 
 _PEAK = 2.0

@@ -55,6 +55,13 @@ class AxisLimits(Config):
     positioning_jerk: float = param(
         30.0, 'm/s^3', 'Jerk on the way to a position', low=1e-3, high=1e6
     )
+    resonance: float = param(
+        0.0,
+        'Hz',
+        'Lowest resonance, of which controllers stay well below; 0 if none is known',
+        low=0.0,
+        high=1e4,
+    )
     load: float = param(
         0.12, '-', 'Largest steady load either way, as share of full duty', low=0.0, high=1.0
     )

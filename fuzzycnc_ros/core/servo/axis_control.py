@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from math import inf, sqrt
+from math import inf, pi, sqrt
 from types import MappingProxyType
 from typing import Any
 
@@ -54,6 +54,14 @@ PID, three times the rate at which its integral acts over the bandwidth.
 
 _ELASTIC = 4.0
 """By how much more than its rigid model an elastic axis may accelerate [-]."""
+
+
+_BELOW_RESONANCE = 20.0
+"""By how much the loop has to stay below a resonance [-].
+
+Of twelve axes with two masses, drawn at random (40 to 300 Hz, damping 3 to 10 %, dead times to
+2 ms, gains from half to twice), none swung with 20, three of 36 cases did with 16, 16 with 10.
+"""
 
 
 class LinearSurface(ContractedSurface):
@@ -202,13 +210,15 @@ def _friction_fed(
 ) -> AxisController:
     axis, common = _common(data)
     forward, backward = _friction(data)
-    bandwidth, observer = _bandwidths(axis, settings)
+    bandwidth, observer = _bandwidths(data, axis, settings)
     return kind(
         axis,
         forward=forward,
         backward=backward,
         observer_bandwidth=observer,
-        params=VariableUniverseParams.for_axis(axis, bandwidth, damping=_damping(axis, settings)),
+        params=VariableUniverseParams.for_axis(
+            axis, bandwidth, damping=_damping(axis, bandwidth, settings)
+        ),
         noise=ObserverNoise.of_bandwidth(axis, observer, _reading_error(data)),
         stick_slip=_relief(data),
         **common,
@@ -217,8 +227,8 @@ def _friction_fed(
 
 def _cascade(data: AxisData, settings: Mapping[str, float]) -> AxisController:
     axis, common = _common(data)
-    bandwidth, observer = _bandwidths(axis, settings)
-    damping = _damping(axis, settings)
+    bandwidth, observer = _bandwidths(data, axis, settings)
+    damping = _damping(axis, bandwidth, settings)
     return FrictionFedCascade(
         axis,
         _reference_friction(data, axis),
@@ -232,7 +242,7 @@ def _cascade(data: AxisData, settings: Mapping[str, float]) -> AxisController:
 
 def _pid(data: AxisData, settings: Mapping[str, float]) -> AxisController:
     axis, common = _common(data)
-    bandwidth, estimator = _bandwidths(axis, settings)
+    bandwidth, estimator = _bandwidths(data, axis, settings)
     lag, gain = velocity_lag(axis), abs(axis.gain)
     proportional = bandwidth**2 * lag / gain
     return FrictionFedPid(
@@ -240,7 +250,7 @@ def _pid(data: AxisData, settings: Mapping[str, float]) -> AxisController:
         _reference_friction(data, axis),
         proportional=proportional,
         integral=proportional * estimator / 3.0,
-        derivative=(2.0 * _damping(axis, settings) * bandwidth * lag - 1.0) / gain,
+        derivative=(2.0 * _damping(axis, bandwidth, settings) * bandwidth * lag - 1.0) / gain,
         rate_lag=max(0.2 * response_lag(axis), axis.period),
         integral_band=inf,
         **common,
@@ -279,16 +289,23 @@ def _common(data: AxisData) -> tuple[LinearAxis, dict[str, Any]]:
     return axis, {'duty_max': data.plant.duty_max, 'limits': limits}
 
 
-def _bandwidths(axis: LinearAxis, settings: Mapping[str, float]) -> tuple[float, float]:
-    """Return the natural frequencies of loop and observer [rad/s]."""
+def _bandwidths(
+    data: AxisData, axis: LinearAxis, settings: Mapping[str, float]
+) -> tuple[float, float]:
+    """Return the natural frequencies of loop and observer, below a resonance [rad/s]."""
     bandwidth = settings['bandwidth'] * default_crossover(axis)
-    return bandwidth, settings['estimator'] * bandwidth
+    observer = settings['estimator'] * bandwidth
+    if data.limits.resonance:
+        most = 2.0 * pi * data.limits.resonance / _BELOW_RESONANCE
+        # What is damped more acts as fast as the damping says.
+        bandwidth = min(bandwidth, most / max(settings['damping'], 1.0))
+        observer = min(observer, 3.0 * most)
+    return bandwidth, observer
 
 
-def _damping(axis: LinearAxis, settings: Mapping[str, float]) -> float:
+def _damping(axis: LinearAxis, bandwidth: float, settings: Mapping[str, float]) -> float:
     """Return the damping [-]: at least what the axis has by itself, and a little."""
-    own = 0.5 / (settings['bandwidth'] * default_crossover(axis) * velocity_lag(axis))
-    return max(settings['damping'], 1.05 * own)
+    return max(settings['damping'], 1.05 * 0.5 / (bandwidth * velocity_lag(axis)))
 
 
 def _friction(data: AxisData) -> tuple[float, float]:
