@@ -170,8 +170,9 @@ def tune(
 
     With a machine file all four controllers - PID with feedforward, cascade, linear tangent,
     variable universe - are tuned with the same number of trials, with gains from half to twice,
-    loads and friction within the file's limits, and judged on other cases. The simplest that none
-    beats beyond chance is written into --out, a new machine file. It takes about two minutes.
+    loads and friction within the file's limits, and judged on other cases. The best one,
+    or a simpler one that is as good to 5 %, is written into --out, a new machine file. It takes
+    about two minutes.
 
         fuzzycnc servo tune --machine-file mill.yaml --axis X --out tuned.yaml
     """

@@ -77,12 +77,10 @@ def axis_tuning_remarks(found: AxisTuning) -> list[Remark]:
             )
         )
     else:
-        least, _ = winner.against(best)
         lines.append(
             Remark(
-                f'{LABELS[winner.name]} suits this axis: {LABELS[best.name]} has '
-                f'{100.0 * (1.0 - 1.0 / least):.0f} % smaller errors, which is not beyond chance, '
-                'and of equals the simpler one is taken'
+                f'{LABELS[winner.name]} suits this axis: {LABELS[best.name]} is no better by more '
+                'than 5 %, and of equals the simpler one is taken'
             )
         )
     lines.append(_fuzzy(found))

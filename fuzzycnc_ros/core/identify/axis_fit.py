@@ -24,19 +24,14 @@ from fuzzycnc_ros.core.identify.axis_model import AxisModel
 
 STRUCTURES: dict[str, tuple[str, ...]] = {
     'one friction': ('gain', 'viscous', 'coulomb', 'offset'),
-    'one friction, dead time': ('gain', 'viscous', 'coulomb', 'offset', 'delay'),
-    'one friction, dead time, lag': ('gain', 'viscous', 'coulomb', 'offset', 'delay', 'drive_lag'),
     'friction by direction': (
         'gain', 'viscous_forward', 'viscous_backward', 'coulomb', 'offset',
     ),
-    'friction by direction, dead time': (
-        'gain', 'viscous_forward', 'viscous_backward', 'coulomb', 'offset', 'delay',
-    ),
-    'friction by direction, dead time, lag': (
-        'gain', 'viscous_forward', 'viscous_backward', 'coulomb', 'offset', 'delay', 'drive_lag',
-    ),
 }  # fmt: skip
 """Structures that compete, the simplest first, by the parameters that each has."""
+
+FURTHER: dict[str, str] = {'dead time': 'delay', 'lag': 'drive_lag'}
+"""Parameters that are added one after the other, as long as each is worth it."""
 
 BETTER = 0.97
 """Held-out error, as share of a simpler structure's, from which a further parameter is taken."""
@@ -114,7 +109,7 @@ class AxisFit:
     model : AxisModel
         The model.
     structure : str
-        Of `STRUCTURES`.
+        Of `STRUCTURES`, with what of `FURTHER` was worth it.
     parameters : tuple of Parameter
         What was identified, with its uncertainty.
     rms : float
@@ -163,24 +158,34 @@ def fit_axis(recordings: Sequence[AxisRecording], progress: Progress | None = No
     """
     _check(recordings)
     halves = _halves(recordings)
+    plain = _inverse_dynamics(recordings)
     trials: dict[str, float] = {}
     starts: dict[str, AxisModel] = {}
-    chosen = ''
-    plain = _inverse_dynamics(recordings)
-    for place, (name, names) in enumerate(STRUCTURES.items()):
+    structures = dict(STRUCTURES)
+    work = len(STRUCTURES) + len(FURTHER) + 1
+
+    def worth(name: str, names: tuple[str, ...], than: str) -> bool:
+        """Judge a structure on halves that its fit has not seen."""
         if progress is not None:
-            progress(name, place, len(STRUCTURES) + 1)
-        errors = []
+            progress(name, len(trials), work)
+        structures[name], errors = names, []
         for train, judge in (halves, halves[::-1]):
-            model = _fit(_cut(train, _SHORT), plain, names)
-            errors += [_errors(model, one) for one in _cut(judge, 2)]
+            starts[name] = _fit(_cut(train, _SHORT), plain, names)
+            errors += [_errors(starts[name], one) for one in _cut(judge, 2)]
         trials[name] = sqrt(float(np.mean([np.mean(error**2) for error in errors])))
-        starts[name] = model
-        if not chosen or trials[name] < BETTER * trials[chosen]:
-            chosen = name
+        return not than or trials[name] < BETTER * trials[than]
+
+    chosen = ''
+    for name, names in STRUCTURES.items():
+        chosen = name if worth(name, names, chosen) else chosen
+    for word, parameter in FURTHER.items():
+        name = f'{chosen}, {word}'
+        if not worth(name, (*structures[chosen], parameter), chosen):
+            break
+        chosen = name
     if progress is not None:
-        progress('all data', len(STRUCTURES), len(STRUCTURES) + 1)
-    names = STRUCTURES[chosen]
+        progress('all data', work - 1, work)
+    names = structures[chosen]
     # Drift leaves many minima: the best of several beginnings is taken.
     ends = [_fit_horizons(recordings, start, names) for start in (plain, starts[chosen])]
     model = min(ends, key=lambda end: _misfit(recordings, end))
@@ -353,7 +358,7 @@ def _fit(recordings: Sequence[AxisRecording], start: AxisModel, names: Sequence[
 
     begin = np.clip(_vector(start, names), low + 1e-6, high - 1e-6)
     search: Any = least_squares
-    found = search(residual, begin, slope, bounds=(low, high), x_scale='jac', max_nfev=20)
+    found = search(residual, begin, slope, bounds=(low, high), x_scale='jac', max_nfev=10)
     return _model(found.x, names)
 
 
@@ -401,16 +406,19 @@ def _slopes(
     recordings: Sequence[AxisRecording], point: Array, names: Sequence[str], unit: float
 ) -> Array:
     """Return the derivative of the residuals by the parameters, shape (n, k)."""
-    low, high = _bounds(names)
+    _, high = _bounds(names)
     steps = _steps(point, names, recordings[0].period)
+
+    def errors(at: Array) -> Array:
+        model = _model(at, names)
+        return np.concatenate([_errors(model, one) for one in recordings])
+
+    here = errors(point)
     columns = []
     for index, step in enumerate(steps.tolist()):
-        above, below = point.copy(), point.copy()
-        above[index] = min(point[index] + step, high[index])
-        below[index] = max(point[index] - step, low[index])
-        models = _model(above, names), _model(below, names)
-        pair = [np.concatenate([_errors(one, item) for item in recordings]) for one in models]
-        columns.append(unit * (pair[0] - pair[1]) / (above[index] - below[index]))
+        beside = point.copy()
+        beside[index] += step if point[index] + step <= high[index] else -step
+        columns.append(unit * (errors(beside) - here) / (beside[index] - point[index]))
     return np.column_stack(columns)
 
 

@@ -179,6 +179,7 @@ def _search(commanded: Array, actual: Array, period: float) -> Array:
             bounds=(_LOW, _HIGH),
             x_scale=[0.1, 0.1, 0.1, 1e-3],
             diff_step=1e-5,
+            max_nfev=100,
             args=(commanded, actual, period),
         )
         if best is None or found.cost < best.cost:

@@ -35,8 +35,8 @@ what swings there has no margin."""
 HELD_OUT_GAINS = (0.5, 0.62, 0.85, 1.2, 1.7, 2.0)
 """Factors on the gain on which it is judged."""
 
-_CHANCE = 2.0
-"""Standard errors by which one controller has to be better than a simpler one."""
+_EQUAL = 1.05
+"""Factor between the errors of two controllers up to which the simpler one is taken [-]."""
 
 _GIVEN_UP = 0.1
 """Error that a run counts which ends in a fault, as share of the axis' travel [-]."""
@@ -169,13 +169,13 @@ class AxisTuning:
 
     @property
     def winner(self) -> TunedController:
-        """The simplest of those that the best one does not beat beyond chance."""
+        """The simplest of those that are as good as the best one, to 5 %."""
         best = self.best
-        for one in self.controllers:
-            ratio, spread = one.against(best)
-            if one is best or (one.faults <= best.faults and ratio <= spread**_CHANCE):
-                return one
-        return best
+        return next(
+            one
+            for one in self.controllers
+            if one is best or (one.faults <= best.faults and one.against(best)[0] <= _EQUAL)
+        )
 
 
 def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tuple[AxisCase, ...]:
