@@ -77,6 +77,8 @@ def move(line: Line, number: int, state: State) -> Segment | None:
         state.lose(named_axes(line))
         raise UnreadableError(_why(motion, strange, state))
     state.position = target
+    if state.assumed and state.absolute:
+        state.assumed.difference_update(named_axes(line))
     if not all(map(math.isfinite, (*start, *target))):
         state.kind = ''
         raise UnreadableError('a motion from or to a place that the program does not say')
