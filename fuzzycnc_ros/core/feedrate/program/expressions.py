@@ -5,7 +5,9 @@
 import math
 import re
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
+
+import numpy as np
 
 
 class Values(Protocol):
@@ -26,6 +28,10 @@ Expression = Callable[[Values], float | None]
 
 EQUAL = 1e-4
 """Numbers closer than this count as equal in EQ, NE, GE and LE, as in LinuxCNC."""
+
+# LinuxCNC turns angles with long numbers: at 90 degrees that decides the sign of a cosine.
+_LONG = np.longdouble
+_PI = np.longdouble('3.14159265358979323846264338327950288')
 
 _BLANK = re.compile(r'[ \t]*')
 _NUMBER = re.compile(r'[-+]?(?:\d+\.?\d*|\.\d+)', re.ASCII)
@@ -174,7 +180,7 @@ def _function(text: str, match: re.Match[str]) -> tuple[Expression, int]:
         if text[end : end + 1] != '/' or text[_skip(text, end + 1) :][:1] != '[':
             raise ExpressionError('expected ATAN[...]/[...] but found no second bracket')
         other, end = _bracket(text, _skip(text, end + 1))
-        return _both(lambda y, x: math.degrees(math.atan2(y, x)), inner, other), end
+        return _both(lambda y, x: _degrees(math.atan2(y, x)), inner, other), end
     compute = _FUNCTIONS[name]
 
     def function(values: Values) -> float | None:
@@ -216,6 +222,15 @@ def _modulo(left: float, right: float) -> float:
     return rest + abs(right) if rest < 0.0 else rest
 
 
+def _degrees(angle: float) -> float:
+    return float(_LONG(angle) * 180 / _PI)
+
+
+def _turned(function: Callable[..., Any]) -> Callable[[float], float]:
+    """Return a function of an angle in degrees."""
+    return lambda value: float(function(_LONG(value) * _PI / 180))
+
+
 def _round(value: float) -> float:
     return float(int(value + math.copysign(0.5, value)))
 
@@ -248,15 +263,15 @@ _OPERATIONS: dict[str, Callable[[float, float], float]] = {
 
 _FUNCTIONS: dict[str, Callable[[float], float]] = {
     'ABS': abs,
-    'ACOS': lambda value: math.degrees(math.acos(value)),
-    'ASIN': lambda value: math.degrees(math.asin(value)),
-    'COS': lambda value: math.cos(value * math.pi / 180.0),
+    'ACOS': lambda value: _degrees(math.acos(value)),
+    'ASIN': lambda value: _degrees(math.asin(value)),
+    'COS': _turned(np.cos),
     'EXP': math.exp,
     'FIX': math.floor,
     'FUP': math.ceil,
     'LN': math.log,
     'ROUND': _round,
-    'SIN': lambda value: math.sin(value * math.pi / 180.0),
+    'SIN': _turned(np.sin),
     'SQRT': math.sqrt,
-    'TAN': lambda value: math.tan(value * math.pi / 180.0),
+    'TAN': _turned(np.tan),
 }

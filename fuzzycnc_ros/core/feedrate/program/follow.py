@@ -134,14 +134,15 @@ class _Run:
         self._repeats: dict[tuple[int, int], int] = {}
         self._index = 0
         self._line = Line()
-        # LinuxCNC forgets neither a `break` out of while nor a `continue` in do at its loop.
+        # LinuxCNC keeps a `break` out of while, and a `continue` in do, beyond its loop: so the
+        # next loop of the other kind ends early, or begins once more.
         self._broken = self._continued = False
         self.astray: tuple[int, str] | None = None
 
     def blocks(self) -> Iterator[Block]:
         """Yield a block for each line that is run."""
         count = 0
-        while not self._interpreter.ended:
+        while not self._interpreter.state.ended:
             if not self._frames and self._index == self._stop:
                 return
             at, listing = self._index, self._listing
@@ -251,7 +252,7 @@ class _Run:
                 return
 
     def _on_else(self, word: FlowWord) -> None:
-        self._leap(('endif',))
+        self._index = self._end(self._index - 1, ('endif',)) + 1
 
     _on_elseif = _on_else
 
@@ -265,7 +266,7 @@ class _Run:
         here = self._index - 1
         if not self._listing.closes(here):
             if not self._condition(word):
-                self._leave_while(here)
+                self._leave(here, 'while')
             return
         if self._broken:
             self._broken = False
@@ -284,7 +285,7 @@ class _Run:
             self._repeats[key] -= 1
         else:
             del self._repeats[key]
-            self._leap(('endrepeat',))
+            self._leave(here, 'repeat')
 
     def _on_endrepeat(self, word: FlowWord) -> None:
         self._back(self._index - 1, 'repeat', again=True)
@@ -300,23 +301,19 @@ class _Run:
     def _leave_loop(self) -> None:
         """Skip to the end of a loop, which decides whether it goes on."""
         here = self._index - 1
-        end = self._listing.next(here, ('endwhile', 'while'))
-        if end is None:
-            raise _AstrayError('no end of a loop follows')
+        end = self._end(here, ('endwhile', 'while'))
         if self._listing.closes(end):
             self._index = end
         else:
-            self._leave_while(here)
+            self._leave(here, 'while')
 
-    def _leave_while(self, here: int) -> None:
-        """Go behind `endwhile`, or back to the loop where a `continue` waits for it."""
-        end = self._listing.next(here, ('endwhile',))
-        if end is None:
-            raise _AstrayError('no endwhile follows')
+    def _leave(self, here: int, kind: str) -> None:
+        """Go behind the end of a loop, or back to its begin where a `continue` waits for that."""
+        end = self._end(here, (f'end{kind}',))
         self._index = end + 1
         if self._continued:
             self._continued = False
-            self._back(end, 'while', again=True)
+            self._back(end, kind, again=True)
 
     def _back(self, here: int, kind: str, again: bool = False) -> None:
         """Go back to the line that begins a loop, or behind it."""
@@ -325,11 +322,14 @@ class _Run:
             raise _AstrayError(f'no {kind} stands before')
         self._index = begin + (not again)
 
-    def _leap(self, kinds: tuple[str, ...]) -> None:
-        end = self._listing.next(self._index - 1, kinds)
+    def _end(self, here: int, kinds: tuple[str, ...]) -> int:
+        """Return where a loop or a branch ends; LinuxCNC heeds each `break` on the way there."""
+        end = self._listing.next(here, kinds)
         if end is None:
             raise _AstrayError(f'no {kinds[0]} follows')
-        self._index = end + 1
+        passed = self._listing.next(here, ('break',))
+        self._broken = self._broken or (passed is not None and passed < end)
+        return end
 
     def _condition(self, word: FlowWord) -> bool:
         return self._condition_value(word) != 0.0

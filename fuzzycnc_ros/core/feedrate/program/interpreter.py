@@ -34,6 +34,8 @@ class Interpreter:
 
     Attributes
     ----------
+    state : State
+        Modal state after the last line.
     parameters : Parameters
         Values that the program has set.
     notes : Notes
@@ -43,20 +45,15 @@ class Interpreter:
     """
 
     def __init__(self, length_unit: float = modal.MILLIMETRE) -> None:
-        self._state = modal.State(length_unit)
+        self.state = modal.State(length_unit)
         self._curve: CurveBlock | None = None
         self._held: list[Block] = []
         self._saved: list[tuple[dict[str, object], bool] | None] = [None]
         self._line = 0
         self.notes = Notes()
-        self.parameters = Parameters(self._state)
+        self.parameters = Parameters(self.state)
         self.followed = False
-        self._words = GWords(self._state, self._say)
-
-    @property
-    def ended(self) -> bool:
-        """The program is over."""
-        return self._state.ended
+        self._words = GWords(self.state, self._say)
 
     def read(self, text: str, line: Line, number: int) -> list[Block]:
         """Read the next line.
@@ -83,7 +80,7 @@ class Interpreter:
         """
         self._line = number
         if not line.computed and not line.settings:
-            return self._take(text, line)
+            return self._open(text, line) if self._curve is None else self._continue(text, line)
         line = resolved(line, self.parameters, number)
         # Parameters change behind the line: all of its values are those from before it.
         found = [
@@ -93,7 +90,7 @@ class Interpreter:
             )
             for target, expression in line.settings
         ]
-        blocks = self._take(text, line)
+        blocks = self._open(text, line) if self._curve is None else self._continue(text, line)
         for where, value in found:
             if isinstance(where, str):
                 self.parameters.set_named(where, value)
@@ -113,8 +110,8 @@ class Interpreter:
     def lose(self, reason: str) -> None:
         """Note why nothing is known any more: neither places nor the feed."""
         self._say(reason)
-        self._state.lose()
-        self._state.lose_feed()
+        self.state.lose()
+        self.state.lose_feed()
 
     def seal(self, text: str, number: int) -> Block:
         """Return the block from which on nothing is known: the program's feed has to be there."""
@@ -157,15 +154,10 @@ class Interpreter:
         except ExpressionError as error:
             raise ProgramError(self._line, str(error)) from error
 
-    def _take(self, text: str, line: Line) -> list[Block]:
-        if self._curve is None:
-            return self._open(text, line)
-        return self._continue(text, line, self._curve)
-
     def _open(self, text: str, line: Line) -> list[Block]:
         role, segment = self._meaning(line)
         if line.optional:
-            self._state.kind = ''
+            self.state.kind = ''
             if role in (Role.FEED, Role.KEPT):
                 role = Role.SEALED
                 segment = None if segment is None else replace(segment, feed=None)
@@ -175,12 +167,14 @@ class Interpreter:
         self._held = [block]
         return self._finish() if self._curve.take(line.words, self._line) else []
 
-    def _continue(self, text: str, line: Line, curve: CurveBlock) -> list[Block]:
+    def _continue(self, text: str, line: Line) -> list[Block]:
+        curve = self._curve
+        assert curve is not None
         code = [round(10.0 * (word.value or 0.0)) for word in line.words if word.letter == 'G']
-        if code and code != [self._state.motion]:
+        if code and code != [self.state.motion]:
             done = self._finish()
             if code in ([53], [63]):
-                self._state.motion = None
+                self.state.motion = None
                 return [*done, self._block(text, line, Role.PLAIN, None)]
             return [*done, *self._open(text, line)]
         letters = {word.letter for word in line.words}
@@ -196,7 +190,7 @@ class Interpreter:
 
     def _finish(self) -> list[Block]:
         """Close the curve and return its blocks, the first one with the segment."""
-        curve, held, state = self._curve, self._held, self._state
+        curve, held, state = self._curve, self._held, self.state
         assert curve is not None
         self._curve, self._held = None, []
         shape = curve.close()
@@ -225,7 +219,7 @@ class Interpreter:
         return [replace(held[0], role=role, segment=segment), *held[1:]]
 
     def _block(self, text: str, line: Line, role: Role, segment: Segment | None) -> Block:
-        state = self._state
+        state = self.state
         word = None
         for letter, value, start, end in line.words:
             if letter == 'F' and value is not None and state.feed_mode == 94:
@@ -247,7 +241,7 @@ class Interpreter:
         )
 
     def _meaning(self, line: Line) -> tuple[Role, Segment | None]:
-        state = self._state
+        state = self.state
         if line.percent:
             state.percents += 1
             state.ended = state.percents > 1
@@ -272,7 +266,7 @@ class Interpreter:
                 codes.append(-1 if value is None else round(10.0 * value))
             elif letter == 'M':
                 ms.append(value)
-        if not modal.LATHE_CYCLES.isdisjoint(codes) and any(w.letter == 'Q' for w in line.words):
+        if codes and not modal.LATHE_CYCLES.isdisjoint(codes) and _names(line, 'Q'):
             self.lose(f'turning cycle (G70 to G72): {LOST}, the feed until F')
             return Role.SEALED, None
         elsewhere, feed_unit = 'SUPA' in line.names, state.feed_unit
@@ -284,7 +278,7 @@ class Interpreter:
             moves = moves and kind not in ('call', 'shift', 'dwell')
         if 40 not in codes:
             self._set_feed(line)
-            if state.feed_unit != feed_unit and any(word.letter == 'F' for word in line.words):
+            if state.feed_unit != feed_unit and _names(line, 'F'):
                 self._say('feed beside a change of units: taken in the new unit (LinuxCNC: old)')
         if ms:
             self._machine(ms)
@@ -309,8 +303,8 @@ class Interpreter:
         return self._move(line)
 
     def _move(self, line: Line) -> tuple[Role, Segment | None]:
-        state = self._state
-        if any(word.letter in polar.LETTERS for word in line.words):
+        state = self.state
+        if line.polar:
             line = polar.cartesian(line, state)
         if state.motion == -1 and not state.modal_call and cycles.runs(line, state):
             self._say(
@@ -338,7 +332,7 @@ class Interpreter:
         return (Role.FEED if segment.schedulable else Role.PLAIN), segment
 
     def _begin_curve(self, line: Line) -> tuple[Role, Segment | None]:
-        state = self._state
+        state = self.state
         if not any(
             word.letter in 'XYZKP' or (word.letter == 'G' and word.value in (5.2, 6.2))
             for word in line.words
@@ -350,7 +344,7 @@ class Interpreter:
 
     def _names(self, line: Line) -> Role | None:
         """Heed identifiers and calls; return the role of a line that they decide alone."""
-        state = self._state
+        state = self.state
         names = set(line.names)
         if 'MCALL' in names:
             state.modal_call = bool(line.calls)
@@ -377,7 +371,7 @@ class Interpreter:
         return None
 
     def _set_feed(self, line: Line) -> None:
-        state = self._state
+        state = self.state
         for letter, value, _, _ in line.words:
             if letter == 'F' and state.feed_mode == 94:
                 if value is None:
@@ -390,24 +384,28 @@ class Interpreter:
 
     def _machine(self, numbers: list[float | None]) -> None:
         if any(number in modal.STOPS for number in numbers):
-            self._state.kind = ''
+            self.state.kind = ''
         if any(number in modal.ENDS for number in numbers):
-            self._state.ended = True
+            self.state.ended = True
         if any(number in (70.0, 73.0) for number in numbers):
-            self._saved[-1] = (self._state.saved(), 73.0 in numbers)
+            self._saved[-1] = (self.state.saved(), 73.0 in numbers)
         elif 71.0 in numbers:
             self._saved[-1] = None
         elif 72.0 in numbers and self._saved[-1] is not None:
             self._restore(self._saved[-1][0])
 
     def _restore(self, modes: dict[str, object]) -> None:
-        self._state.restore(modes)
+        self.state.restore(modes)
         self._say('M72 or M73 restores the feed: unknown until F')
 
     def _called(self, line: Line) -> bool:
         """Whether the line is a Siemens call of a subprogram, `L100`."""
         letters = {word.letter for word in line.words}
-        return 'L' in letters and not letters & _CALL_LETTERS and self._state.motion != 52
+        return 'L' in letters and not letters & _CALL_LETTERS and self.state.motion != 52
 
     def _say(self, text: str) -> None:
         self.notes.add(self._line, text)
+
+
+def _names(line: Line, letter: str) -> bool:
+    return any(word.letter == letter for word in line.words)

@@ -103,7 +103,9 @@ def read_line(text: str, number: int) -> Line:
         raise ProgramError(
             number, 'expected text but found control characters; is this a binary file?'
         )
+    line.open()
     _scan(text, number, line)
+    line.polar = any(word.letter in '@^' for word in line.words)
     return line
 
 

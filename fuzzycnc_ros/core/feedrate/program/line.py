@@ -74,6 +74,8 @@ class Line:
         The line starts with `/`: a switch at the machine may skip it.
     percent : bool
         The line is a `%`.
+    polar : bool
+        It names a radius or an angle (`@`, `^`).
     end : int
         Where the last word ends; comments and line ending follow.
     """
@@ -88,6 +90,7 @@ class Line:
         'names',
         'optional',
         'percent',
+        'polar',
         'settings',
         'strange',
         'words',
@@ -95,14 +98,22 @@ class Line:
 
     def __init__(self) -> None:
         self.words: list[Word] = []
-        self.names: list[str] = []
-        self.calls: list[str] = []
-        self.assigned: dict[str, float | None] = {}
-        self.computed: list[tuple[int, Expression]] = []
-        self.settings: list[tuple[Target, Expression | None]] = []
+        # Most lines are words alone: what is rare is shared until `open` is called.
+        self.names = self.calls = _NAMES
+        self.assigned = _ASSIGNED
+        self.computed = _COMPUTED
+        self.settings = _SETTINGS
         self.flow: FlowWord | None = None
-        self.command = False
-        self.strange = False
-        self.optional = False
-        self.percent = False
+        self.command = self.strange = self.optional = self.percent = self.polar = False
         self.end = 0
+
+    def open(self) -> None:
+        """Make the line ready for more than words."""
+        self.names, self.calls = [], []
+        self.assigned, self.computed, self.settings = {}, [], []
+
+
+_NAMES: list[str] = []
+_ASSIGNED: dict[str, float | None] = {}
+_COMPUTED: list[tuple[int, Expression]] = []
+_SETTINGS: list[tuple[Target, Expression | None]] = []

@@ -58,9 +58,12 @@ def move(line: Line, number: int, state: State) -> Segment | None:
     start = state.position
     target = start.copy()
     turning = arc_words = named = False
+    assumed = state.assumed if state.absolute else None
     for letter, value, _, _ in line.words:
         if letter in AXES:
             named = True
+            if assumed:
+                assumed.discard(letter)
             axis = AXES.index(letter)
             target[axis] = _coordinate(value, start[axis], state)
         elif letter in OTHER_AXES:
@@ -77,8 +80,6 @@ def move(line: Line, number: int, state: State) -> Segment | None:
         state.lose(named_axes(line))
         raise UnreadableError(_why(motion, strange, state))
     state.position = target
-    if state.assumed and state.absolute:
-        state.assumed.difference_update(named_axes(line))
     if not all(map(math.isfinite, (*start, *target))):
         state.kind = ''
         raise UnreadableError('a motion from or to a place that the program does not say')

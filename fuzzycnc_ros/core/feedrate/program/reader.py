@@ -68,36 +68,32 @@ class ProgramReader:
         ProgramError
             At the first line that says something impossible, and if no line says anything.
         """
-        empty = True
-        for block in self._run(iter(lines)):
-            empty = empty and block.insert == 0
-            yield block
-        if empty:
-            raise ProgramError(1, 'expected a part program but found no word in it: it is empty')
-
-    def _run(self, lines: Iterator[str]) -> Iterator[Block]:
-        interpreter, follow = self._interpreter, self._follow
-        number = 0
-        for text in lines:
+        interpreter, follow, source = self._interpreter, self._follow, iter(lines)
+        state, number, empty = interpreter.state, 0, True
+        while (text := next(source, None)) is not None:
             number += 1
-            if interpreter.ended:
+            if state.ended:
                 if says(text):
                     interpreter.notes.add(number, 'text after the end of the program: not read')
                 yield from interpreter.pass_by(text, number)
                 continue
             line = read_line(text, number)
+            empty = empty and line.end == 0
             if follow and (line.flow is not None or '98' in text) and steers(line):
-                rest = list(islice(chain([text], lines), LINES + 1))
+                rest = list(islice(chain([text], source), LINES + 1))
                 if len(rest) <= LINES:
                     yield from Follower(interpreter, rest, number, self._files).blocks()
                     return
+                follow = False
                 interpreter.notes.add(
                     number,
                     f'O-words are not followed: more than {LINES:,} lines come from here on',
                 )
-                lines, follow = chain(rest[1:], lines), False
+                source = chain(rest[1:], source)
             yield from interpreter.read(text, line, number)
         yield from interpreter.close()
+        if empty:
+            raise ProgramError(1, 'expected a part program but found no word in it: it is empty')
 
 
 def read_program(text: str, units: str = 'mm') -> Program:
