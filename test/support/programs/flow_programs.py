@@ -213,9 +213,7 @@ class FlowProgram:
 
     def _call(self) -> None:
         name = self._random.choice(self._subroutines)
-        arguments = ' '.join(
-            f'[{self._expression(1)}]' for _ in range(self._random.randint(0, 3))
-        )
+        arguments = ' '.join(f'[{self._expression(1)}]' for _ in range(self._random.randint(0, 3)))
         self._lines.append(f'o{name} call {arguments}')
         if self._random.random() < 0.3:
             self._lines.append('G1 X[[#<_value>] MOD 40]')

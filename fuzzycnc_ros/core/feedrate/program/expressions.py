@@ -22,12 +22,15 @@ class Values(Protocol):
     def exists(self, name: str) -> float | None:
         """Return 1 where a named parameter is set, 0 where not, None where nobody knows."""
 
+    def doubt(self, what: str) -> None:
+        """Be told what makes a value unknown, for messages."""
+
 
 Expression = Callable[[Values], float | None]
 """Computes a value; None where it depends on what only the controller knows."""
 
 EQUAL = 1e-4
-"""Numbers closer than this count as equal in EQ, NE, GE and LE, as in LinuxCNC."""
+"""Numbers closer than this count as equal in EQ and NE, in newer LinuxCNC in GE and LE too."""
 
 # LinuxCNC turns angles with long numbers: at 90 degrees that decides the sign of a cosine.
 _LONG = np.longdouble
@@ -159,13 +162,16 @@ def _operations(text: str, at: int, lowest: int) -> tuple[Expression, int]:
 
 
 def _both(
-    compute: Callable[[float, float], float], left: Expression, right: Expression
+    compute: Callable[[float, float], float | None], left: Expression, right: Expression
 ) -> Expression:
     def both(values: Values) -> float | None:
         first, second = left(values), right(values)
         if first is None or second is None:
             return None
-        return _finite(compute, first, second)
+        value = _finite(compute, first, second)
+        if value is None:
+            values.doubt(f'whether {first:.9g} and {second:.9g} are equal')
+        return value
 
     return both
 
@@ -202,17 +208,20 @@ def _existence(text: str, at: int) -> tuple[Expression, int]:
     return _constant(1.0), end + 1
 
 
-def _finite(compute: Callable[..., float], *operands: float) -> float:
+def _finite(compute: Callable[..., float | None], *operands: float) -> float | None:
     """Compute, and refuse what is no number."""
     try:
-        value = float(compute(*operands))
+        found = compute(*operands)
+        if found is None:
+            return None
+        value = float(found)
     except (ArithmeticError, ValueError, TypeError):  # a root that is complex is no float
         value = math.nan
     if not math.isfinite(value):
-        found = ' and '.join(f'{operand:g}' for operand in operands)
+        what = ' and '.join(f'{operand:g}' for operand in operands)
         raise ExpressionError(
             f'expected an expression that has a value but found a division by 0, a root or a '
-            f'logarithm of {found} that has none'
+            f'logarithm of {what} that has none'
         )
     return value
 
@@ -220,6 +229,13 @@ def _finite(compute: Callable[..., float], *operands: float) -> float:
 def _modulo(left: float, right: float) -> float:
     rest = math.fmod(left, right)
     return rest + abs(right) if rest < 0.0 else rest
+
+
+def _above(left: float, right: float) -> bool | None:
+    """Compare; None where versions of LinuxCNC differ: whether almost equal is enough."""
+    if left >= right:
+        return True
+    return None if abs(left - right) < EQUAL else False
 
 
 def _degrees(angle: float) -> float:
@@ -243,7 +259,7 @@ _RANKS = {
     '**': 5,
 }
 
-_OPERATIONS: dict[str, Callable[[float, float], float]] = {
+_OPERATIONS: dict[str, Callable[[float, float], float | None]] = {
     '**': pow,
     '*': lambda left, right: left * right,
     '/': lambda left, right: left / right,
@@ -253,9 +269,9 @@ _OPERATIONS: dict[str, Callable[[float, float], float]] = {
     'EQ': lambda left, right: abs(left - right) < EQUAL,
     'NE': lambda left, right: abs(left - right) >= EQUAL,
     'GT': lambda left, right: left > right,
-    'GE': lambda left, right: left >= right or abs(left - right) < EQUAL,
+    'GE': _above,
     'LT': lambda left, right: left < right,
-    'LE': lambda left, right: left <= right or abs(left - right) < EQUAL,
+    'LE': lambda left, right: _above(right, left),
     'AND': lambda left, right: left != 0.0 and right != 0.0,
     'OR': lambda left, right: left != 0.0 or right != 0.0,
     'XOR': lambda left, right: (left != 0.0) != (right != 0.0),

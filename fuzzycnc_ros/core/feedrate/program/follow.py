@@ -14,7 +14,7 @@ from fuzzycnc_ros.core.feedrate.program.lexer import FlowWord, Line, ProgramErro
 from fuzzycnc_ros.core.feedrate.program.parameters import ARGUMENTS
 from fuzzycnc_ros.core.feedrate.program.subroutines import Files, Subroutines
 
-PASSES = 500_000
+PASSES = 200_000
 """Lines that are run at most."""
 
 DEPTH = 9
@@ -341,7 +341,7 @@ class _Run:
         if value is None:
             unknown = self._interpreter.parameters.unknown
             raise _AstrayError(
-                f'{word.kind} depends on {unknown}, whose value only the controller knows'
+                f'{word.kind} depends on {unknown}, which only the controller knows'
             )
         return value
 

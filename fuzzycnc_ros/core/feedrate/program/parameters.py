@@ -30,7 +30,7 @@ class Parameters:
     Attributes
     ----------
     unknown : str
-        The parameter that was unknown when it was read last, for messages.
+        What was unknown when it was read last, mostly a parameter, for messages.
 
     Notes
     -----
@@ -85,6 +85,10 @@ class Parameters:
             return 1.0
         self.unknown = f'#<{name}>'
         return None
+
+    def doubt(self, what: str) -> None:
+        """Remember what is unknown."""
+        self.unknown = what
 
     def set_number(self, index: float | None, value: float | None) -> None:
         """Set a numbered parameter; with an unknown index every one of them becomes unknown."""
