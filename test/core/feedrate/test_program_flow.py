@@ -148,6 +148,7 @@ def test_what_only_the_controller_knows_stays_unknown(value):
         ('#1=SQRT[-1]\n', 'line 1: expected an expression that has a value'),
         ('#1=[0-2]\nG0 X[#1**0.5]\n', 'line 2: expected an expression that has a value'),
         ('#1=1e9\nG0 X[2000000*2]\n', 'lengths up to 1e.06'),
+        ('o1 if [' + 50 * '[' + '1' + 51 * ']' + '\no1 endif\n', 'at most 40 brackets'),
     ],
 )
 def test_expressions_without_a_value_are_refused(text, said):

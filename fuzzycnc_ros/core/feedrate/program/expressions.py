@@ -36,6 +36,12 @@ EQUAL = 1e-4
 _LONG = np.longdouble
 _PI = np.longdouble('3.14159265358979323846264338327950288')
 
+LENGTH = 512
+"""Longest line with an expression; LinuxCNC takes 255."""
+
+DEPTH = 40
+"""Brackets that lie in each other at most."""
+
 _BLANK = re.compile(r'[ \t]*')
 _NUMBER = re.compile(r'[-+]?(?:\d+\.?\d*|\.\d+)', re.ASCII)
 _NAME = re.compile(r'<([^>\r\n]+)>')
@@ -50,7 +56,7 @@ class ExpressionError(ValueError):
     """No expression stands there, or it has no value; its message says what was expected."""
 
 
-def read_value(text: str, at: int) -> tuple[Expression, int]:
+def read_value(text: str, at: int, depth: int = 0) -> tuple[Expression, int]:
     """Read a value: a number, a parameter, a bracket or a function, with or without a sign.
 
     Parameters
@@ -59,6 +65,8 @@ def read_value(text: str, at: int) -> tuple[Expression, int]:
         The line.
     at : int
         Where the value begins.
+    depth : int
+        In how many brackets and signs it lies.
 
     Returns
     -------
@@ -77,31 +85,35 @@ def read_value(text: str, at: int) -> tuple[Expression, int]:
     >>> read_value('X[2 + 3*2**2]', 1)[0](None)
     14.0
     """
+    if len(text) > LENGTH:
+        raise ExpressionError(f'expected a line of at most {LENGTH} signs around an expression')
     at = _skip(text, at)
     match = _NUMBER.match(text, at)
-    if match:
-        return _constant(float(match[0])), match.end()
+    if match and math.isfinite(value := float(match[0])):
+        return (lambda _: value), match.end()
+    if depth > DEPTH:
+        raise ExpressionError(f'expected at most {DEPTH} brackets in each other but found more')
     sign = text[at : at + 1]
     if sign == '[':
-        return _bracket(text, at)
+        return _bracket(text, at, depth + 1)
     if sign == '#':
-        return _parameter(text, at)
+        return _parameter(text, at, depth + 1)
     if sign and sign in '+-':
-        inner, end = read_value(text, at + 1)
+        inner, end = read_value(text, at + 1, depth + 1)
         return (inner if sign == '+' else _negative(inner)), end
     match = _FUNCTION.match(text, at)
     if match:
-        return _function(text, match)
+        return _function(text, match, depth + 1)
     raise ExpressionError(f'expected a number, # or [ but found {text[at:].rstrip()[:20]!r}')
 
 
-def read_target(text: str, at: int) -> tuple['Target', int]:
+def read_target(text: str, at: int, depth: int = 0) -> tuple['Target', int]:
     """Read the parameter that an assignment sets, from its `#` on; as `read_value`."""
     at = _skip(text, at + 1)
     match = _NAME.match(text, at)
     if match:
         return parameter_name(match[1]), match.end()
-    return read_value(text, at)
+    return read_value(text, at, depth)
 
 
 Target = str | Expression
@@ -118,10 +130,6 @@ def _skip(text: str, at: int) -> int:
     return match.end() if match else at
 
 
-def _constant(value: float) -> Expression:
-    return lambda _: value
-
-
 def _negative(inner: Expression) -> Expression:
     def negative(values: Values) -> float | None:
         value = inner(values)
@@ -130,8 +138,8 @@ def _negative(inner: Expression) -> Expression:
     return negative
 
 
-def _parameter(text: str, at: int) -> tuple[Expression, int]:
-    target, end = read_target(text, at)
+def _parameter(text: str, at: int, depth: int) -> tuple[Expression, int]:
+    target, end = read_target(text, at, depth)
     if isinstance(target, str):
         name = target
         return (lambda values: values.named(name)), end
@@ -139,24 +147,24 @@ def _parameter(text: str, at: int) -> tuple[Expression, int]:
     return (lambda values: values.number(index(values))), end
 
 
-def _bracket(text: str, at: int) -> tuple[Expression, int]:
-    found, end = _operations(text, at + 1, 1)
+def _bracket(text: str, at: int, depth: int) -> tuple[Expression, int]:
+    found, end = _operations(text, at + 1, 1, depth)
     end = _skip(text, end)
     if text[end : end + 1] != ']':
         raise ExpressionError(f'expected ] or an operator but found {text[end:].rstrip()[:20]!r}')
     return found, end + 1
 
 
-def _operations(text: str, at: int, lowest: int) -> tuple[Expression, int]:
+def _operations(text: str, at: int, lowest: int, depth: int) -> tuple[Expression, int]:
     """Read operations that bind at least as strongly as `lowest`, from the left."""
-    left, at = read_value(text, at)
+    left, at = read_value(text, at, depth)
     while match := _OPERATION.match(text, _skip(text, at)):
         name = match[0].upper()
         if name not in _RANKS:
             raise ExpressionError(f'expected an operator but found {match[0]!r}')
         if _RANKS[name] < lowest:
             break
-        right, at = _operations(text, match.end(), _RANKS[name] + 1)
+        right, at = _operations(text, match.end(), _RANKS[name] + 1, depth)
         left = _both(_OPERATIONS[name], left, right)
     return left, at
 
@@ -176,16 +184,16 @@ def _both(
     return both
 
 
-def _function(text: str, match: re.Match[str]) -> tuple[Expression, int]:
+def _function(text: str, match: re.Match[str], depth: int) -> tuple[Expression, int]:
     name = match[1].upper()
     if name == 'EXISTS':
         return _existence(text, match.end())
-    inner, end = _bracket(text, match.end())
+    inner, end = _bracket(text, match.end(), depth)
     if name == 'ATAN':
         end = _skip(text, end)
         if text[end : end + 1] != '/' or text[_skip(text, end + 1) :][:1] != '[':
             raise ExpressionError('expected ATAN[...]/[...] but found no second bracket')
-        other, end = _bracket(text, _skip(text, end + 1))
+        other, end = _bracket(text, _skip(text, end + 1), depth)
         return _both(lambda y, x: _degrees(math.atan2(y, x)), inner, other), end
     compute = _FUNCTIONS[name]
 
@@ -205,7 +213,7 @@ def _existence(text: str, at: int) -> tuple[Expression, int]:
     if isinstance(target, str):
         name = target
         return (lambda values: values.exists(name)), end + 1
-    return _constant(1.0), end + 1
+    return (lambda _: 1.0), end + 1
 
 
 def _finite(compute: Callable[..., float | None], *operands: float) -> float | None:

@@ -12,6 +12,7 @@ ARGUMENTS = 30
 _SETTINGS = 5061
 """From here on the controller keeps its own values: probed places, offsets, the tool."""
 
+_LAST = 10_000  # above all numbers of parameters
 _PLACES = 5420
 """`#5420` to `#5428` are the places of X, Y, Z, A, B, C, U, V and W."""
 
@@ -56,8 +57,8 @@ class Parameters:
         """Return a numbered parameter; None for an unknown one."""
         if index is None:
             return None
-        whole = round(index)
         found = None
+        whole = round(index) if abs(index) < _LAST else 0
         if abs(index - whole) <= _INTEGER:
             if _PLACES <= whole < _PLACES + len(_AXES):
                 found = self._place(_AXES[whole - _PLACES])
@@ -94,7 +95,7 @@ class Parameters:
         """Set a numbered parameter; with an unknown index every one of them becomes unknown."""
         if index is None:
             self._numbered.clear()
-        elif round(index) < _SETTINGS:
+        elif 0.0 < index < _SETTINGS - 0.5:
             self._numbered[round(index)] = value
 
     def set_named(self, name: str, value: float | None) -> None:
