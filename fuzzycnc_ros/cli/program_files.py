@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
@@ -18,6 +19,8 @@ from fuzzycnc_ros.cli.console import check_folder
 
 STREAM = '-'
 """Name of the standard streams."""
+
+_FILE_NAME = re.compile(r'[\w-][\w.-]*')
 
 
 @contextmanager
@@ -45,6 +48,22 @@ def program_lines(path: Path) -> Iterator[Path]:
 def open_program(path: Path) -> IO[str]:
     """Open a program so that writing its lines gives back every byte."""
     return open(path, encoding='utf-8', errors='surrogateescape', newline='')
+
+
+def subroutine_files(program: Path) -> Callable[[str], str | None]:
+    """Return what finds subroutines in files beside a program, as LinuxCNC names them.
+
+    It is told the name of a subroutine, and returns the text of its file, None where there is
+    none.  Nothing lies beside standard input, and names that lead to other folders find nothing.
+    """
+
+    def found(name: str) -> str | None:
+        path = program.parent / f'{name}.ngc'
+        if str(program) == STREAM or not _FILE_NAME.fullmatch(name) or not path.is_file():
+            return None
+        return path.read_text(encoding='utf-8', errors='surrogateescape')
+
+    return found
 
 
 def check_output(program: Path, out: Path, in_place: bool) -> None:

@@ -3,10 +3,10 @@
 """`fuzzycnc schedule`: a part program with feeds that keep a contour tolerance."""
 
 import sys
-from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import nullcontext, redirect_stdout
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -29,13 +29,14 @@ from fuzzycnc_ros.cli.program_files import (
     new_program,
     open_program,
     program_lines,
+    subroutine_files,
 )
 from fuzzycnc_ros.cli.quantities import FEEDS, LENGTHS, SHARES, quantity
 from fuzzycnc_ros.cli.scheduling_machine import Machine, SchedulingMachine, read_machine
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings
-    from fuzzycnc_ros.core.feedrate.program import Block, Program
+    from fuzzycnc_ros.core.feedrate.program import Block, Program, ProgramReader
     from fuzzycnc_ros.report.schedule import ScheduleFigures
     from fuzzycnc_ros.report.schedule_trace import PathTrace
 
@@ -55,8 +56,10 @@ class Words:
 
     added: int = 0
     changed: int = 0
+    unchanged: str = ''
+    """Why no word is another one; empty where one is."""
     stretch: int = 0
-    """Lines at the beginning whose motion takes `STRETCH` or less, and one that moves."""
+    """Blocks at the beginning whose motion takes `STRETCH` or less, and one that moves."""
 
 
 def schedule(
@@ -154,7 +157,9 @@ def schedule(
     for path in (report, json_file):
         check_folder(path)
     with program_lines(program) as source:
-        words, reader, trace = Words(), ProgramReader(units), PathTrace()
+        files = subroutine_files(program)
+        words, trace = Words(), PathTrace()
+        reader = ProgramReader(units, follow=True, files=files)
         scheduler = ProgramScheduler(settings, trace.add if report is not None else None)
         try:
             with (
@@ -173,11 +178,12 @@ def schedule(
         )  # fmt: skip
         with redirect_stdout(sys.stderr) if str(out) == STREAM else nullcontext():
             show(schedule_table(figures))
-            for line in _lines(figures, out):
+            for line in _lines(figures, words, out):
                 say(line)
         write_json(json_file, schedule_document(figures))
         if report is not None:
-            stretch = _stretch(source, units, words.stretch, figures.times.blocks)
+            reader = ProgramReader(units, follow=True, files=files)
+            stretch = _stretch(source, reader, words.stretch, figures.times.blocks)
             _write_report(report, stretch, figures, trace, known)
             say(f'{report}: the report; open it in a browser')
 
@@ -230,27 +236,30 @@ def _told(lines: Iterable[str], size: int, tell: Tell) -> Iterator[str]:
 
 def _counted(scheduled: 'Iterable[tuple[Block, float | None]]', words: Words) -> Iterator[str]:
     """Yield the lines of the program with its new feeds; count the words that changed."""
-    from fuzzycnc_ros.core.feedrate.program import write_blocks
+    from fuzzycnc_ros.core.feedrate.program import FeedTally, write_blocks
 
-    held: deque[Block] = deque()
+    tally = FeedTally()
+    held: dict[int, Block] = {}
 
     def noted() -> 'Iterator[tuple[Block, float | None]]':
         time, moved = 0.0, 0
-        for block, feed in scheduled:
-            held.append(block)
+        for count, (block, feed) in enumerate(scheduled, 1):
+            held.setdefault(block.line, block)
+            tally.take(block, feed)
             if feed is not None and block.segment is not None:
                 time += block.segment.length / feed
                 moved += 1
             if (time <= STRETCH and moved <= STRETCH_BLOCKS) or moved <= 1:
-                words.stretch = block.line
+                words.stretch = count
             yield block, feed
 
-    for line in write_blocks(noted()):
-        block = held.popleft()
+    for number, line in enumerate(write_blocks(noted()), 1):
+        block = held.pop(number)
         if line != block.text:
             words.added += block.word is None
             words.changed += block.word is not None
         yield line
+    words.unchanged = '' if words.added or words.changed else tally.reason
 
 
 @dataclass(frozen=True)
@@ -261,18 +270,13 @@ class Stretch:
     name: str
 
 
-def _stretch(source: Path, units: str, lines: int, total: int) -> Stretch:
+def _stretch(source: Path, reader: 'ProgramReader', count: int, total: int) -> Stretch:
     """Read the beginning of a program again."""
-    from fuzzycnc_ros.core.feedrate.program import Program, ProgramReader
+    from fuzzycnc_ros.core.feedrate.program import Program
 
-    reader = ProgramReader(units)
     with open_program(source) as file:
-        blocks = []
-        for block in reader.blocks(file):
-            if block.line > lines:
-                break
-            blocks.append(block)
-    name = 'the whole program' if lines >= total else f'lines 1 to {lines:,} of {total:,}'
+        blocks = list(islice(reader.blocks(file), count))
+    name = 'the whole program' if count >= total else f'lines 1 to {count:,} of {total:,}'
     return Stretch(Program(tuple(blocks), reader.notes), name)
 
 
@@ -311,12 +315,15 @@ def _write_report(
     write_text(report, render_page(page))
 
 
-def _lines(figures: 'ScheduleFigures', out: Path) -> list[str]:
+def _lines(figures: 'ScheduleFigures', words: Words, out: Path) -> list[str]:
     """Return what is printed below the table."""
     notes = [f'note: {note}' for note in figures.notes]
     if len(notes) > NOTES:
         notes[NOTES:] = [f'note: {len(notes) - NOTES} more; --json and --report have all']
-    lines = [*figures.remarks(), *notes]
+    lines = figures.remarks()
+    if words.unchanged:
+        lines.append(f'unchanged: {words.unchanged}')
+    lines += notes
     if str(out) != STREAM:
         lines.append(f'{out}: the program with its new feeds')
     return lines

@@ -13,12 +13,14 @@ from fuzzycnc_ros.core.feedrate.program.segments import (
     NurbsSegment,
     Segment,
 )
+from fuzzycnc_ros.core.feedrate.program.tally import FeedTally
 from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds, write_blocks, write_program
 
 __all__ = [
     'ArcSegment',
     'Block',
     'DwellSegment',
+    'FeedTally',
     'LineSegment',
     'Note',
     'NurbsSegment',

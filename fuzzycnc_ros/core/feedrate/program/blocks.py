@@ -48,6 +48,9 @@ class Block:
         What one unit of a feed word is [m/s].
     optional : bool
         A switch at the machine may skip the line.
+    followed : bool
+        The line belongs to a part whose order O-words or calls decide: it may be run several
+        times, and each time is a block.
     """
 
     line: int
@@ -59,6 +62,7 @@ class Block:
     insert: int
     feed_unit: float
     optional: bool
+    followed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +96,7 @@ class Program:
     Parameters
     ----------
     blocks : tuple of Block
-        All lines, in order.
+        All lines in the order in which they are run; those that are not run come last.
     notes : tuple of Note
         What was passed through, in the order in which it was met first.
     """
@@ -103,7 +107,10 @@ class Program:
     @property
     def text(self) -> str:
         """The program as it was read."""
-        return ''.join(block.text for block in self.blocks)
+        lines: dict[int, str] = {}
+        for block in self.blocks:
+            lines.setdefault(block.line, block.text)
+        return ''.join(lines[number] for number in sorted(lines))
 
     @cached_property
     def segments(self) -> tuple[Segment, ...]:

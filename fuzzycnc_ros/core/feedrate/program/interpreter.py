@@ -4,21 +4,23 @@
 
 from dataclasses import replace
 
-from fuzzycnc_ros.core.feedrate.program import modal
-from fuzzycnc_ros.core.feedrate.program.blocks import Block, Note, Role
+from fuzzycnc_ros.core.feedrate.program import cycles, modal, polar
+from fuzzycnc_ros.core.feedrate.program.blocks import Block, Role
 from fuzzycnc_ros.core.feedrate.program.curve_blocks import (
     CurveBlock,
     KnotCurveBlock,
     PlaneCurveBlock,
 )
-from fuzzycnc_ros.core.feedrate.program.lexer import Line, ProgramError, read_line
+from fuzzycnc_ros.core.feedrate.program.expressions import Expression, ExpressionError
+from fuzzycnc_ros.core.feedrate.program.g_words import LOST, GWords
+from fuzzycnc_ros.core.feedrate.program.lexer import Line, ProgramError, resolved
 from fuzzycnc_ros.core.feedrate.program.motion import UnreadableError, dwell, move, named_axes
+from fuzzycnc_ros.core.feedrate.program.notes import Notes
+from fuzzycnc_ros.core.feedrate.program.parameters import Parameters
 from fuzzycnc_ros.core.feedrate.program.segments import NurbsSegment, Segment
 
-_LOST = 'where the tool stands is unknown until all axes are named'
 _CALL_LETTERS = frozenset('XYZABCUVWG')
 _CURVE_LETTERS = frozenset('GNFXYZPLKRABCUVW')
-_CALLS = frozenset({650, 660, 661})
 _CALL_M = frozenset({97, 98, 99})
 
 
@@ -29,27 +31,41 @@ class Interpreter:
     ----------
     length_unit : float
         What a length of 1 is before the program says G20 or G21 [m].
+
+    Attributes
+    ----------
+    state : State
+        Modal state after the last line.
+    parameters : Parameters
+        Values that the program has set.
+    notes : Notes
+        What was passed through so far.
+    followed : bool
+        The lines belong to a part whose order O-words or calls decide.
     """
 
     def __init__(self, length_unit: float = modal.MILLIMETRE) -> None:
-        self._state = modal.State(length_unit)
+        self.state = modal.State(length_unit)
         self._curve: CurveBlock | None = None
         self._held: list[Block] = []
-        self._note: dict[str, tuple[int, int]] = {}
+        self._saved: list[tuple[dict[str, object], bool] | None] = [None]
         self._line = 0
+        self.notes = Notes()
+        self.parameters = Parameters(self.state)
+        self.followed = False
+        self._words = GWords(self.state, self._say)
 
-    @property
-    def notes(self) -> tuple[Note, ...]:
-        """What was passed through so far, in the order in which it was met first."""
-        return tuple(Note(line, count, text) for text, (line, count) in self._note.items())
-
-    def read(self, text: str) -> list[Block]:
+    def read(self, text: str, line: Line, number: int) -> list[Block]:
         """Read the next line.
 
         Parameters
         ----------
         text : str
             The line with its ending.
+        line : Line
+            What it says.
+        number : int
+            Its number.
 
         Returns
         -------
@@ -62,13 +78,64 @@ class Interpreter:
         ProgramError
             If the line says something impossible.
         """
-        self._line += 1
-        if self._state.ended:
-            return [self._block(text, Line(), Role.PLAIN, None)]
-        line = read_line(text, self._line)
+        self._line = number
+        if not line.computed and not line.settings:
+            return self._open(text, line) if self._curve is None else self._continue(text, line)
+        line = resolved(line, self.parameters, number)
+        # Parameters change behind the line: all of its values are those from before it.
+        found = [
+            (
+                target if isinstance(target, str) else self.value(target),
+                None if line.optional else self.value(expression),
+            )
+            for target, expression in line.settings
+        ]
+        blocks = self._open(text, line) if self._curve is None else self._continue(text, line)
+        for where, value in found:
+            if isinstance(where, str):
+                self.parameters.set_named(where, value)
+            else:
+                self.parameters.set_number(where, value)
+        return blocks
+
+    def pass_by(self, text: str, number: int, line: Line | None = None) -> list[Block]:
+        """Pass a line that moves and sets nothing: an O-word, or text that is not run."""
+        self._line = number
+        block = self._block(text, line or Line(), Role.PLAIN, None)
         if self._curve is None:
-            return self._open(text, line)
-        return self._continue(text, line, self._curve)
+            return [block]
+        self._held.append(block)
+        return []
+
+    def lose(self, reason: str) -> None:
+        """Note why nothing is known any more: neither places nor the feed."""
+        self._say(reason)
+        self.state.lose()
+        self.state.lose_feed()
+
+    def seal(self, text: str, number: int) -> Block:
+        """Return the block from which on nothing is known: the program's feed has to be there."""
+        self._line = number
+        return self._block(text, Line(), Role.SEALED, None)
+
+    def unknown_call(self, text: str, number: int, line: Line, name: str) -> Block:
+        """Return the block of a call that is not followed, and forget what it may change."""
+        self._line = number
+        before = self._block(text, line, Role.SEALED, None)
+        self.lose(f'call of {name or "a subroutine"}, which is not here: {LOST}, the feed until F')
+        return replace(before, feed=None)
+
+    def enter(self, arguments: list[float | None] | None) -> None:
+        """Begin a subroutine; None hands on the arguments of the one that calls."""
+        self.parameters.enter(arguments)
+        self._saved.append(None)
+
+    def leave(self, result: tuple[float | None, float]) -> None:
+        """End a subroutine with its result; M73 restores the modes."""
+        self.parameters.leave(result)
+        saved = self._saved.pop()
+        if saved is not None and saved[1]:
+            self._restore(saved[0])
 
     def close(self) -> list[Block]:
         """End the program, and return what was held back.
@@ -80,10 +147,17 @@ class Interpreter:
         """
         return self._finish() if self._curve else []
 
+    def value(self, expression: Expression | None) -> float | None:
+        """Return the value of an expression, None where only the controller knows it."""
+        try:
+            return None if expression is None else expression(self.parameters)
+        except ExpressionError as error:
+            raise ProgramError(self._line, str(error)) from error
+
     def _open(self, text: str, line: Line) -> list[Block]:
         role, segment = self._meaning(line)
         if line.optional:
-            self._state.kind = ''
+            self.state.kind = ''
             if role in (Role.FEED, Role.KEPT):
                 role = Role.SEALED
                 segment = None if segment is None else replace(segment, feed=None)
@@ -93,12 +167,14 @@ class Interpreter:
         self._held = [block]
         return self._finish() if self._curve.take(line.words, self._line) else []
 
-    def _continue(self, text: str, line: Line, curve: CurveBlock) -> list[Block]:
+    def _continue(self, text: str, line: Line) -> list[Block]:
+        curve = self._curve
+        assert curve is not None
         code = [round(10.0 * (word.value or 0.0)) for word in line.words if word.letter == 'G']
-        if code and code != [self._state.motion]:
+        if code and code != [self.state.motion]:
             done = self._finish()
             if code in ([53], [63]):
-                self._state.motion = None
+                self.state.motion = None
                 return [*done, self._block(text, line, Role.PLAIN, None)]
             return [*done, *self._open(text, line)]
         letters = {word.letter for word in line.words}
@@ -114,13 +190,16 @@ class Interpreter:
 
     def _finish(self) -> list[Block]:
         """Close the curve and return its blocks, the first one with the segment."""
-        curve, held, state = self._curve, self._held, self._state
+        curve, held, state = self._curve, self._held, self.state
         assert curve is not None
         self._curve, self._held = None, []
         shape = curve.close()
         first, last = shape.control[0].tolist(), shape.control[-1].tolist()
         state.position = last
-        kept = state.feed is None or held[0].optional or any(block.word for block in held[1:])
+        inside = any(block.word for block in held[1:])
+        if inside:
+            self._say('feed word inside a NURBS block: the curve keeps its feed')
+        kept = state.feed is None or held[0].optional or inside
         if state.feed_mode == 94 and (
             state.feed == 0.0 or (state.feed is None and state.feed_known)
         ):
@@ -140,7 +219,7 @@ class Interpreter:
         return [replace(held[0], role=role, segment=segment), *held[1:]]
 
     def _block(self, text: str, line: Line, role: Role, segment: Segment | None) -> Block:
-        state = self._state
+        state = self.state
         word = None
         for letter, value, start, end in line.words:
             if letter == 'F' and value is not None and state.feed_mode == 94:
@@ -158,10 +237,11 @@ class Interpreter:
             insert=line.end,
             feed_unit=state.feed_unit,
             optional=line.optional,
+            followed=self.followed,
         )
 
     def _meaning(self, line: Line) -> tuple[Role, Segment | None]:
-        state = self._state
+        state = self.state
         if line.percent:
             state.percents += 1
             state.ended = state.percents > 1
@@ -169,6 +249,14 @@ class Interpreter:
         if line.optional:
             self._say('block that may be skipped (/): taken as run, with its own feed')
             state.kind = ''
+        if line.command:
+            self._say(f'command to the control ($): kept; {LOST}')
+            state.lose()
+            return Role.PLAIN, None
+        if line.flow is not None:
+            self.lose(f'O-words are not followed here: {LOST}, the feed until F')
+            self.parameters.forget(everything=True)
+            return Role.SEALED, None
         if not modal.DECLARATIONS.isdisjoint(line.names):
             self._say('declaration: passed through')
             return Role.PLAIN, None
@@ -178,16 +266,19 @@ class Interpreter:
                 codes.append(-1 if value is None else round(10.0 * value))
             elif letter == 'M':
                 ms.append(value)
+        if codes and not modal.LATHE_CYCLES.isdisjoint(codes) and _names(line, 'Q'):
+            self.lose(f'turning cycle (G70 to G72): {LOST}, the feed until F')
+            return Role.SEALED, None
         elsewhere, feed_unit = 'SUPA' in line.names, state.feed_unit
         moves, gone = True, False
         for code in codes:
-            kind = self._code(code, line)
+            kind = self._words.take(code, line)
             elsewhere = elsewhere or kind == 'elsewhere'
             gone = gone or kind == 'gone'
             moves = moves and kind not in ('call', 'shift', 'dwell')
         if 40 not in codes:
             self._set_feed(line)
-            if state.feed_unit != feed_unit and any(word.letter == 'F' for word in line.words):
+            if state.feed_unit != feed_unit and _names(line, 'F'):
                 self._say('feed beside a change of units: taken in the new unit (LinuxCNC: old)')
         if ms:
             self._machine(ms)
@@ -197,10 +288,9 @@ class Interpreter:
                 return role, None
         if 40 in codes:
             return Role.PLAIN, dwell(line, self._line, state)
-        if _CALLS & set(codes) or (ms and _CALL_M & set(ms)) or self._called(line):
-            self._say('call of a subprogram: ' + _LOST + ', the feed until F')
-            state.lose()
-            state.lose_feed()
+        if modal.CALLS & set(codes) or (ms and _CALL_M & set(ms)) or self._called(line):
+            self.lose(f'call of a subprogram: {LOST}, the feed until F')
+            self.parameters.forget()
             return Role.SEALED, None
         if elsewhere:
             state.lose(named_axes(line) or 'XYZ')
@@ -213,7 +303,16 @@ class Interpreter:
         return self._move(line)
 
     def _move(self, line: Line) -> tuple[Role, Segment | None]:
-        state = self._state
+        state = self.state
+        if line.polar:
+            line = polar.cartesian(line, state)
+        if state.motion == -1 and not state.modal_call and cycles.runs(line, state):
+            self._say(
+                'fixed cycle: keeps its feed'
+                if cycles.run(line, state)
+                else f'a position at which a cycle runs: {LOST}'
+            )
+            return Role.SEALED, None
         try:
             segment = move(line, self._line, state)
         except UnreadableError as reason:
@@ -233,7 +332,7 @@ class Interpreter:
         return (Role.FEED if segment.schedulable else Role.PLAIN), segment
 
     def _begin_curve(self, line: Line) -> tuple[Role, Segment | None]:
-        state = self._state
+        state = self.state
         if not any(
             word.letter in 'XYZKP' or (word.letter == 'G' and word.value in (5.2, 6.2))
             for word in line.words
@@ -245,7 +344,7 @@ class Interpreter:
 
     def _names(self, line: Line) -> Role | None:
         """Heed identifiers and calls; return the role of a line that they decide alone."""
-        state = self._state
+        state = self.state
         names = set(line.names)
         if 'MCALL' in names:
             state.modal_call = bool(line.calls)
@@ -254,112 +353,25 @@ class Interpreter:
             return Role.SEALED
         if names & modal.FRAME_NAMES:
             state.lose()
-            self._say(f'{sorted(names & modal.FRAME_NAMES)[0]}: new coordinates; {_LOST}')
+            self._say(f'{sorted(names & modal.FRAME_NAMES)[0]}: new coordinates; {LOST}')
             return Role.PLAIN
         calls = [call for call in line.calls if call not in modal.SILENT_CALLS]
         unknown = names - modal.SILENT_NAMES - modal.MACHINE_NAMES
         for name in sorted((names & modal.SILENT_NAMES) | (set(line.calls) - set(calls))):
             self._say(f'{name}: passed through')
         if calls and all(call.startswith('CYCLE') for call in calls):
-            self._say(f'{calls[0]}: passed through; {_LOST}')
+            self._say(f'{calls[0]}: passed through; {LOST}')
             state.lose()
             return Role.SEALED
         if calls or unknown or line.strange:
             what = next(iter((*calls, *sorted(unknown))), 'signs')
-            self._say(f'unknown text ({what}): passed through; {_LOST}, the feed until F')
-            state.lose()
-            state.lose_feed()
+            self.lose(f'unknown text ({what}): passed through; {LOST}, the feed until F')
+            self.parameters.forget(everything=True)
             return Role.SEALED
         return None
 
-    def _code(self, code: int, line: Line) -> str:
-        """Heed a G word; return what it does to the line, empty for nothing special."""
-        state = self._state
-        if code in modal.MOTION:
-            state.motion = code
-        elif code in modal.PLANE:
-            state.plane = modal.PLANE[code]
-        elif code in modal.LENGTH_UNIT:
-            state.length_unit = modal.LENGTH_UNIT[code]
-            if code in modal.FEED_UNITS:
-                state.feed_unit = state.length_unit / modal.MINUTE
-        elif code in (900, 910):
-            state.absolute = code == 900
-        elif code in (901, 911):
-            state.centre_absolute = code == 901
-        elif code in (930, 940, 950):
-            self._feed_mode(code // 10)
-        elif code == 40:
-            return 'dwell'
-        elif code in modal.CYCLES:
-            state.motion = -1
-        elif code in modal.ELSEWHERE:
-            return 'elsewhere'
-        elif code in _CALLS:
-            return 'call'
-        elif code in modal.FRAMES:
-            state.lose()
-            self._say(f'G{code / 10:g}: new coordinates; {_LOST}')
-            return 'shift'
-        elif code == 920:
-            self._set_place(line)
-            return 'shift'
-        else:
-            return self._other_code(code, line)
-        return ''
-
-    def _other_code(self, code: int, line: Line) -> str:
-        """Heed a G word that moves nothing by itself."""
-        state = self._state
-        if code in modal.OFFSETS:
-            if state.offset not in (None, code):
-                state.lose()
-                self._say(f'change of the work offset: {_LOST}')
-            state.offset = code
-        elif code in modal.TOOL_LENGTHS or (code == 490 and state.tool_length):
-            state.tool_length = code != 490
-            state.lose('Z')
-            self._say('change of the tool length: where Z stands is unknown until it is named')
-        elif code in modal.CUTTER:
-            self._say(f'cutter compensation (G{code / 10:g}): the path is the programmed one')
-        elif code in (160, 150):
-            state.polar = code == 160
-        elif code == 800:
-            state.motion = None if state.motion == -1 else state.motion
-        elif code not in modal.HARMLESS:
-            self._say(
-                f'unknown word G{code / 10:g}: passed through' if code >= 0 else 'computed G'
-            )
-            if code < 0 or named_axes(line):
-                state.lose()
-                return 'gone'
-        return ''
-
-    def _set_place(self, line: Line) -> None:
-        """G92: the tool stands where the words say, from now on."""
-        state = self._state
-        state.kind = ''
-        self._say('G92: new coordinates')
-        for letter, value, _, _ in line.words:
-            if letter in 'XYZ':
-                if value is None:
-                    state.lose(letter)
-                else:
-                    state.position['XYZ'.index(letter)] = value * state.length_unit
-            elif letter in 'ABCUVW':
-                state.others.pop(letter, None)
-                if value is not None:
-                    state.others[letter] = value
-
-    def _feed_mode(self, mode: int) -> None:
-        state = self._state
-        if mode != state.feed_mode:
-            state.feed, state.feed_known, state.feed_mode = None, True, mode
-        if mode != 94:
-            self._say(f'G{mode}: the feed is no length per time and is kept')
-
     def _set_feed(self, line: Line) -> None:
-        state = self._state
+        state = self.state
         for letter, value, _, _ in line.words:
             if letter == 'F' and state.feed_mode == 94:
                 if value is None:
@@ -372,15 +384,28 @@ class Interpreter:
 
     def _machine(self, numbers: list[float | None]) -> None:
         if any(number in modal.STOPS for number in numbers):
-            self._state.kind = ''
+            self.state.kind = ''
         if any(number in modal.ENDS for number in numbers):
-            self._state.ended = True
+            self.state.ended = True
+        if any(number in (70.0, 73.0) for number in numbers):
+            self._saved[-1] = (self.state.saved(), 73.0 in numbers)
+        elif 71.0 in numbers:
+            self._saved[-1] = None
+        elif 72.0 in numbers and self._saved[-1] is not None:
+            self._restore(self._saved[-1][0])
+
+    def _restore(self, modes: dict[str, object]) -> None:
+        self.state.restore(modes)
+        self._say('M72 or M73 restores the feed: unknown until F')
 
     def _called(self, line: Line) -> bool:
         """Whether the line is a Siemens call of a subprogram, `L100`."""
         letters = {word.letter for word in line.words}
-        return 'L' in letters and not letters & _CALL_LETTERS and self._state.motion != 52
+        return 'L' in letters and not letters & _CALL_LETTERS and self.state.motion != 52
 
     def _say(self, text: str) -> None:
-        line, count = self._note.get(text, (self._line, 0))
-        self._note[text] = (line, count + 1)
+        self.notes.add(self._line, text)
+
+
+def _names(line: Line, letter: str) -> bool:
+    return any(word.letter == letter for word in line.words)

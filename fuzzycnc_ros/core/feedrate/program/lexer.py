@@ -3,79 +3,28 @@
 """Lines of part programs: what a line says, without a meaning yet.
 
 Two families of controllers are read, and any mixture of them: RS 274 (LinuxCNC, Fanuc and alike)
-with comments in parentheses, and Siemens with assignments, calls and identifiers.
+with comments in parentheses, expressions and O-words, and Siemens with assignments, calls and
+identifiers.
 """
 
 import math
 import re
-from typing import NamedTuple
+from copy import copy
+
+from fuzzycnc_ros.core.feedrate.program.expressions import (
+    Expression,
+    ExpressionError,
+    Values,
+    parameter_name,
+    read_target,
+    read_value,
+)
+from fuzzycnc_ros.core.feedrate.program.line import FlowWord, Line, ProgramError, Word
+
+__all__ = ['FlowWord', 'Line', 'ProgramError', 'Word', 'read_line', 'resolved', 'says']
 
 LENGTH_MAX = 1e6
 """Longest way or radius in a program [mm or inch]: a kilometre and more is of no machine."""
-
-
-class ProgramError(ValueError):
-    """A part program that says something impossible; names its line.
-
-    Parameters
-    ----------
-    line : int
-        Number of the line, the first one is 1.
-    message : str
-        What was expected, what was found, and the remedy.
-    """
-
-    def __init__(self, line: int, message: str) -> None:
-        super().__init__(f'line {line}: {message}')
-        self.line = line
-
-
-class Word(NamedTuple):
-    """A letter with its number, at `[start, end)` of the line.
-
-    The value is None where the controller computes it, from a variable or an expression.
-    """
-
-    letter: str
-    value: float | None
-    start: int
-    end: int
-
-
-class Line:
-    """What a line says.
-
-    Attributes
-    ----------
-    words : list of Word
-        Letters in upper case with their numbers, in order; `X=5.` counts as `X5.`.
-    names : list of str
-        Identifiers that stand alone, in upper case, `TRAFOOF`.
-    calls : list of str
-        Identifiers with arguments in parentheses, `CYCLE832`.
-    assigned : dict
-        Name in upper case to its number, None where it is no plain number, `TURN=0`.
-    strange : bool
-        Something stands there that no rule knows.
-    optional : bool
-        The line starts with `/`: a switch at the machine may skip it.
-    percent : bool
-        The line is a `%`.
-    end : int
-        Where the last word ends; comments and line ending follow.
-    """
-
-    __slots__ = ('assigned', 'calls', 'end', 'names', 'optional', 'percent', 'strange', 'words')
-
-    def __init__(self) -> None:
-        self.words: list[Word] = []
-        self.names: list[str] = []
-        self.calls: list[str] = []
-        self.assigned: dict[str, float | None] = {}
-        self.strange = False
-        self.optional = False
-        self.percent = False
-        self.end = 0
 
 
 _NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)'
@@ -85,11 +34,30 @@ _PLAIN = re.compile(
 _WORD = re.compile(rf'([A-Z])[ \t]*({_NUMBER})', re.IGNORECASE | re.ASCII)
 _LONE_WORD = re.compile(rf'([A-Z])[ \t]*({_NUMBER})(?![\d.]|[ \t]*=)', re.IGNORECASE | re.ASCII)
 _ASSIGNMENT = re.compile(
-    r'([A-Z_][A-Z0-9_]*(?:\[[^\]\r\n]*\])?|#\d+|#<[^>\r\n]+>)[ \t]*=[ \t]*',
+    r'([A-Z_][A-Z0-9_]*(?:\[[^\]\r\n]*\])?)[ \t]*=[ \t]*',
     re.IGNORECASE | re.ASCII,
 )
 _NAME = re.compile(r'(?:[A-Z]_?[A-Z]|_)[A-Z0-9_]*', re.IGNORECASE | re.ASCII)
 _WHOLE_NUMBER = re.compile(_NUMBER, re.ASCII)
+_FLOW = re.compile(
+    r'O[ \t]*(?:(\d+)|<([^>\r\n]+)>|(?=[#\[]))[ \t]*'
+    # As in LinuxCNC a keyword may be longer than it is: callsub is a call.
+    r'(?:(SUB|ENDSUB|CALL|DO|WHILE|REPEAT|IF|ELSEIF|ELSE|ENDIF|BREAK|CONTINUE|ENDWHILE|ENDREPEAT'
+    r'|RETURN)[A-Z]*)?',
+    re.IGNORECASE | re.ASCII,
+)
+_KEYWORD = re.compile(r'[ \t]*(CALL|RETURN|ENDSUB|SUB)[A-Z]*', re.IGNORECASE | re.ASCII)
+_COMPUTED = re.compile(
+    r'([A-Z@^])[ \t]*(?=[-+ \t]*[#\[]|[-+ \t]*'
+    r'(?:ABS|ACOS|ASIN|ATAN|COS|EXISTS|EXP|FIX|FUP|LN|ROUND|SIN|SQRT|TAN)[ \t]*\[)',
+    re.IGNORECASE | re.ASCII,
+)
+_BRACKET = re.compile(r'(?:[ \t]|\([^)\r\n]*\))*(?=\[)')
+_EQUALS = re.compile(r'[ \t]*=')
+_GOES_ON = re.compile(r'[ \t]*(?:[-+*/]|(?:AND|X?OR|MOD)(?![A-Z]))', re.IGNORECASE | re.ASCII)
+_POLAR = re.compile(rf'([@^])[ \t]*({_NUMBER})', re.ASCII)
+_SPINDLE = re.compile(r'\$[ \t]*-?\d+', re.ASCII)
+_SILENT = re.compile(r'(?:[\s%]|\([^)\r\n]*\))*(?:;[^\r\n]*[\r\n]*)?')
 _STRING = re.compile(r'"[^"\r\n]*"')
 _BINARY = re.compile('[\x00-\x08\x0e-\x19\x1b-\x1f\x7f\ufffd]')
 _NO_NUMBER = re.compile(r'[A-Z](?:NAN|INF|INFINITY)', re.ASCII)
@@ -135,7 +103,9 @@ def read_line(text: str, number: int) -> Line:
         raise ProgramError(
             number, 'expected text but found control characters; is this a binary file?'
         )
+    line.open()
     _scan(text, number, line)
+    line.polar = any(word.letter in '@^' for word in line.words)
     return line
 
 
@@ -143,12 +113,55 @@ def _word(match: re.Match[str], number: int) -> Word:
     value = float(match[2])
     if not math.isfinite(value):
         raise ProgramError(number, f'expected a finite number but found {match[0][:30]!r}...')
-    if abs(value) > LENGTH_MAX and match[1].upper() in 'XYZIJKR':
+    letter = match[1].upper()
+    if abs(value) > LENGTH_MAX:
+        check_length(letter, value, match[0], number)
+    return Word(letter, value, match.start(), match.end())
+
+
+def check_length(letter: str, value: float, found: str, number: int) -> None:
+    """Refuse a length of no machine; `found` is what the line says."""
+    if abs(value) > LENGTH_MAX and letter in 'XYZIJKR':
         raise ProgramError(
             number,
-            f'expected lengths up to {LENGTH_MAX:g} but found {match[0][:30]!r}; of no machine',
+            f'expected lengths up to {LENGTH_MAX:g} but found {found[:30]!r}; of no machine',
         )
-    return Word(match[1].upper(), value, match.start(), match.end())
+
+
+def says(text: str) -> bool:
+    """Whether a line is more than blanks, comments or a `%`."""
+    return _SILENT.fullmatch(text) is None
+
+
+def resolved(line: Line, values: Values, number: int) -> Line:
+    """Return a line whose expressions are computed, as far as their parameters are known.
+
+    Parameters
+    ----------
+    line : Line
+        The line as read.
+    values : Values
+        The parameters before it.
+    number : int
+        Its number, for errors.
+
+    Raises
+    ------
+    ProgramError
+        If an expression has no value, or is a length of no machine.
+    """
+    found = copy(line)
+    found.words = line.words.copy()
+    for index, expression in line.computed:
+        letter, _, start, end = line.words[index]
+        try:
+            value = expression(values)
+        except ExpressionError as error:
+            raise ProgramError(number, str(error)) from error
+        if value is not None:
+            check_length(letter, value, f'{letter}{value:g}', number)
+        found.words[index] = Word(letter, value, start, end)
+    return found
 
 
 def _scan(text: str, number: int, line: Line) -> None:
@@ -171,18 +184,35 @@ def _scan(text: str, number: int, line: Line) -> None:
             line.percent = True
             at = line.end = size
             break
+        if sign == '$':
+            line.command = not line.words
+            match = _SPINDLE.match(text, at)
+            if line.command or not match:
+                at = line.end = size
+                line.strange = not line.command
+                break
+            at = line.end = match.end()
+            continue
         at = line.end = _item(text, at, number, line)
 
 
 def _item(text: str, at: int, number: int, line: Line) -> int:
     """Read a word, an assignment, a call or a name, and return where it ends."""
-    match = _LONE_WORD.match(text, at)
+    match = _FLOW.match(text, at)
+    if match and (match[3] or not match[1]):
+        return _flow(text, match, number, line)
+    match = _LONE_WORD.match(text, at) or _POLAR.match(text, at)
     if match:
         line.words.append(_word(match, number))
         return match.end()
+    if text[at] == '#':
+        return _setting(text, at, number, line)
     match = _ASSIGNMENT.match(text, at)
     if match:
         return _assign(text, match, number, line)
+    match = _COMPUTED.match(text, at)
+    if match:
+        return _computed(text, match, number, line)
     match = _NAME.match(text, at)
     if match:
         name = match[0].upper()
@@ -208,6 +238,61 @@ def _assign(text: str, match: re.Match[str], number: int, line: Line) -> int:
     return end
 
 
+def _computed(text: str, match: re.Match[str], number: int, line: Line) -> int:
+    """Read a letter with an expression; one that RS 274 does not know ends at a blank."""
+    letter = match[1].upper()
+    try:
+        expression, end = read_value(text, match.end())
+    except ExpressionError:
+        end = _value_end(text, match.end(), number)
+    else:
+        line.computed.append((len(line.words), expression))
+    line.words.append(Word(letter, None, match.start(), end))
+    return end
+
+
+def _setting(text: str, at: int, number: int, line: Line) -> int:
+    """Read `#1=2`; a macro of another control, without brackets, has no value here."""
+    try:
+        target, end = read_target(text, at)
+    except ExpressionError:
+        line.strange = True
+        return at + 1
+    match = _EQUALS.match(text, end)
+    if not match:
+        line.strange = True
+        return at + 1
+    try:
+        expression, end = read_value(text, match.end())
+    except ExpressionError:
+        line.settings.append((target, None))
+        return _value_end(text, match.end(), number)
+    if _GOES_ON.match(text, end):
+        line.settings.append((target, None))
+        return _value_end(text, end, number)
+    line.settings.append((target, expression))
+    return end
+
+
+def _flow(text: str, match: re.Match[str], number: int, line: Line) -> int:
+    """Read an O-word with what stands in brackets after it."""
+    end, kind = match.end(), match[3]
+    try:
+        name: str | Expression = parameter_name(match[2] or str(int(match[1] or 0)))
+        if not match[1] and not match[2]:
+            name, end = read_value(text, end)
+            word = _KEYWORD.match(text, end)
+            kind, end = (word[1], word.end()) if word else (None, end)
+        arguments = []
+        while begun := _BRACKET.match(text, end):
+            expression, end = read_value(text, begun.end())
+            arguments.append(expression)
+    except ExpressionError as error:
+        raise ProgramError(number, str(error)) from error
+    line.flow = FlowWord(name, (kind or '').lower(), tuple(arguments))
+    return end
+
+
 def _remainder(text: str, at: int, number: int, line: Line) -> int:
     """Read a letter with an expression, or what no rule knows."""
     sign = text[at]
@@ -216,18 +301,9 @@ def _remainder(text: str, at: int, number: int, line: Line) -> int:
     if sign == '"':
         return _string(text, at, number)
     if sign.isascii() and sign.isalpha():
-        start = at + 1
-        while start < len(text) and text[start] in ' \t':
-            start += 1
-        if text[start : start + 1] in ('#', '['):
-            end = _value_end(text, start, number)
-            line.words.append(Word(sign.upper(), None, at, end))
-            return end
         if sign.upper() in _LETTERS:
-            raise ProgramError(
-                number,
-                f'expected a number after {sign} but found {text[start:].split(";")[0].strip()!r}',
-            )
+            found = text[at + 1 :].split(';')[0].strip()
+            raise ProgramError(number, f'expected a number after {sign} but found {found!r}')
     line.strange = line.strange or sign not in ',:'
     return at + 1
 

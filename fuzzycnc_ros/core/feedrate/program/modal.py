@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a controller remembers from block to block, and which words it knows."""
 
+from dataclasses import dataclass
 from math import nan
 
 MILLIMETRE = 1e-3
@@ -21,6 +22,12 @@ FRAMES = frozenset({510, 500, 680, 690, 921, 922, 923, 520, 100})
 OFFSETS = frozenset({540, 550, 560, 570, 580, 590, 591, 592, 593})
 """Work offsets: a change of them shifts the coordinates."""
 
+CALLS = frozenset({650, 660, 661})
+"""Calls of macros."""
+
+LATHE_CYCLES = frozenset({700, 710, 711, 712, 720, 721, 722})
+"""With a word Q LinuxCNC's turning cycles, which end where their subprogram says."""
+
 TOOL_LENGTHS = frozenset({430, 431, 432, 440})
 
 ELSEWHERE = frozenset({280, 300, 530, 1530, 382, 383, 384, 385, 750})
@@ -28,7 +35,7 @@ ELSEWHERE = frozenset({280, 300, 530, 1530, 382, 383, 384, 385, 750})
 
 HARMLESS = frozenset(
     {
-        *(150, 400, 490, 600, 601, 610, 611, 640, 800, 940, 970, 960, 980, 990, 90, 80),
+        *(150, 400, 490, 600, 601, 610, 611, 640, 800, 940, 970, 960, 90, 80, 70),
         *(6010, 6020, 6030, 6410, 6420, 6430, 6440, 6450, 4500, 4510),
     }
 )
@@ -71,6 +78,30 @@ FRAME_NAMES = frozenset(
 MACHINE_NAMES = frozenset({'SUPA'})
 """The axes that are named move in the coordinates of the machine, in this block only."""
 
+_SAVED = (
+    *('plane', 'length_unit', 'feed_unit', 'unit_said', 'absolute', 'centre_absolute'),
+    *('feed_mode', 'retracts'),
+)
+
+
+@dataclass
+class Cycle:
+    """A fixed cycle in effect, lengths in metres and None where the program does not say.
+
+    Parameters
+    ----------
+    code : int
+        Its G word in tenths.
+    start : float
+        Where the axis across the plane stood before the first one of a series.
+    retract : float or None
+        R as programmed, a relative one as such.
+    """
+
+    code: int
+    start: float
+    retract: float | None = None
+
 
 class State:
     """Modal state of a controller, and where the tool stands.
@@ -95,6 +126,16 @@ class State:
         False while something that was passed through may have set the feed.
     feed_mode : int
         94: length per minute, 93: inverse time, 95: per revolution.
+    cycle : Cycle or None
+        Fixed cycle in effect.
+    retracts : bool or None
+        Cycles end at their R (G99) and not where they began (G98); None until it is said.
+    unit_said : bool
+        The program has said its unit.
+    assumed : set of str
+        Those of X, Y and Z that have not been named: the origin as their place is assumed.
+    cutter : bool
+        Cutter compensation is in effect.
     offset : int or None
         Work offset in effect as G word in tenths.
     tool_length, polar, modal_call : bool
@@ -111,7 +152,10 @@ class State:
 
     __slots__ = (
         'absolute',
+        'assumed',
         'centre_absolute',
+        'cutter',
+        'cycle',
         'ended',
         'feed',
         'feed_known',
@@ -127,8 +171,10 @@ class State:
         'plane',
         'polar',
         'position',
+        'retracts',
         'run',
         'tool_length',
+        'unit_said',
     )
 
     def __init__(self, length_unit: float) -> None:
@@ -143,6 +189,11 @@ class State:
         self.feed: float | None = None
         self.feed_known = True
         self.feed_mode = 94
+        self.cycle: Cycle | None = None
+        self.retracts: bool | None = None
+        self.unit_said = False
+        self.assumed = set('XYZ')
+        self.cutter = False
         self.offset: int | None = None
         self.tool_length = False
         self.polar = False
@@ -169,3 +220,14 @@ class State:
             self.run += 1
             self.kind = kind
         return self.run
+
+    def saved(self) -> dict[str, object]:
+        """Return what M70 and M73 keep: modes, not places."""
+        return {name: getattr(self, name) for name in _SAVED}
+
+    def restore(self, saved: dict[str, object]) -> None:
+        """Take back what `saved` returned; the feed is that which was in effect there, unknown."""
+        for name, value in saved.items():
+            setattr(self, name, value)
+        self.lose_feed()
+        self.kind = ''

@@ -58,9 +58,12 @@ def move(line: Line, number: int, state: State) -> Segment | None:
     start = state.position
     target = start.copy()
     turning = arc_words = named = False
+    assumed = state.assumed if state.absolute else None
     for letter, value, _, _ in line.words:
         if letter in AXES:
             named = True
+            if assumed:
+                assumed.discard(letter)
             axis = AXES.index(letter)
             target[axis] = _coordinate(value, start[axis], state)
         elif letter in OTHER_AXES:

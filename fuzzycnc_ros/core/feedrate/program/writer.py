@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write part programs: every line as it was, but for the feed words."""
 
-import math
 import re
 from collections.abc import Iterable, Iterator
 
@@ -10,18 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.feedrate.program.blocks import Block, Program, Role
+from fuzzycnc_ros.core.feedrate.program.feed_words import same, target_of, with_word
 from fuzzycnc_ros.core.feedrate.program.lexer import read_line
-from fuzzycnc_ros.core.feedrate.program.modal import INCH, MINUTE
-
-# Fine enough for 0.1 % of 1 mm/min; controllers take that many decimals.
-_DECIMALS_MILLIMETRE = 3
-_DECIMALS_INCH = 5
+from fuzzycnc_ros.core.feedrate.program.passes import PassMerger
 
 # Lines that are held back at most, to stream in bounded memory.
 _HELD_MOST = 1000
-
-# A feed that a word gives back within this is that word's own [-].
-_SAME = 1e-9
 
 
 def write_program(program: Program, feeds: ArrayLike | None = None) -> str:
@@ -84,17 +77,24 @@ def write_blocks(blocks: Iterable[tuple[Block, float | None]]) -> Iterator[str]:
     Yields
     ------
     str
-        Lines, see `write_program`.
+        Lines in the order of their numbers, see `write_program`.  From the first block on that
+        is `followed` they come together at the end.
 
     Raises
     ------
     ValueError
         If a feed is not above 0, or is given for a block whose feed is not to be chosen.
     """
-    writer = _Writer()
+    writer, merger = _Writer(), None
     for block, feed in blocks:
-        yield from writer.take(block, feed)
-    yield from writer.flush()
+        if merger is None and block.followed:
+            yield from writer.settle(block.feed)
+            merger = PassMerger(writer.active)
+        if merger is None:
+            yield from writer.take(block, feed)
+        else:
+            merger.take(block, feed)
+    yield from writer.flush() if merger is None else merger.lines()
 
 
 def strip_feeds(text: str) -> str:
@@ -137,7 +137,7 @@ class _Writer:
 
     def take(self, block: Block, feed: float | None) -> Iterator[str]:
         """Take a block; yield the lines that are settled."""
-        target = _target(block, feed)
+        target = target_of(block, feed)
         if block.role is Role.SEALED:
             if block.word is None:
                 self._restore(block.feed)
@@ -148,7 +148,7 @@ class _Writer:
             yield from self.flush()
         word = None
         if target is not None:
-            if block.word is not None or not _same(target, self._active, block.feed_unit):
+            if block.word is not None or not same(target, self._active, block.feed_unit):
                 word = target
                 self._active = target
         elif block.word is not None:
@@ -162,8 +162,19 @@ class _Writer:
     def flush(self) -> Iterator[str]:
         """Yield all lines that are held back."""
         for block, word in self._held:
-            yield block.text if word is None else _with_word(block, word)
+            yield block.text if word is None else with_word(block, word)
         self._held.clear()
+
+    @property
+    def active(self) -> float | None:
+        """Feed in effect after all lines so far [m/s], None where it is unknown."""
+        return self._active
+
+    def settle(self, feed: float | None) -> Iterator[str]:
+        """Yield all lines, a rapid among those held back with this feed again."""
+        if any(block.role is Role.RAPID for block, _ in self._held):
+            self._restore(feed)
+        yield from self.flush()
 
     def _restore(self, feed: float | None) -> None:
         """Have the program's feed, or a slower one, in effect after the lines held back."""
@@ -179,48 +190,3 @@ class _Writer:
             if block.role is Role.FEED:
                 self._held[0] = (block, feed)
                 self._active = feed
-
-
-def _target(block: Block, feed: float | None) -> float | None:
-    """Return the feed that has to be in effect in a block, None if it does not matter."""
-    if feed is None or math.isnan(feed):
-        return block.feed if block.role in (Role.FEED, Role.KEPT) else None
-    if block.role is not Role.FEED:
-        raise ValueError(
-            f'line {block.line}: expected no feed (NaN) for what is not schedulable but found '
-            f'{feed} m/s'
-        )
-    if not 0.0 < feed < math.inf:
-        raise ValueError(f'line {block.line}: expected a feed above 0 but found {feed} m/s')
-    return feed
-
-
-def _same(feed: float, other: float | None, unit: float) -> bool:
-    if other is None:
-        return False
-    if abs(feed - other) > 2.0 * 10.0**-_DECIMALS_MILLIMETRE * unit:
-        return False
-    return _number(feed, unit) == _number(other, unit)
-
-
-def _number(feed: float, unit: float) -> str:
-    """Return a feed as digits, rounded down: no block runs faster than it should."""
-    decimals = _DECIMALS_INCH if unit == INCH / MINUTE else _DECIMALS_MILLIMETRE
-    steps = math.floor(feed / unit * 10.0**decimals * (1.0 + _SAME))
-    if steps == 0:
-        raise ValueError(
-            f'expected a feed of at least {10.0**-decimals:g} of the program per minute but '
-            f'found {feed} m/s'
-        )
-    return f'{steps * 10.0**-decimals:.{decimals}f}'.rstrip('0')
-
-
-def _with_word(block: Block, feed: float) -> str:
-    text = block.text
-    if block.word is None:
-        return f'{text[: block.insert]} F{_number(feed, block.feed_unit)}{text[block.insert :]}'
-    start, end = block.word
-    own = float(text[start + 1 : end].strip(' \t=')) * block.feed_unit
-    if abs(own - feed) <= _SAME * own:
-        return text
-    return f'{text[:start]}F{_number(feed, block.feed_unit)}{text[end:]}'
