@@ -318,7 +318,8 @@ def test_the_error_to_expect_keeps_the_tolerance(tolerance):
     law = make_scheduler(FeedrateSchedulerConfig(tolerance=tolerance))
     program = read_program(random_program(8) + 'G90 G0 X20 Y0 Z0\nG91 G3 I-20\nG1 X20\nG2 I0.4\n')
     times = schedule_program(program, made(law)).times
-    assert 0.3 * tolerance < times.error <= 3.0 * tolerance
+    # words leave braking and blends to the controller: a bound, not far above the tolerance
+    assert 0.3 * tolerance < times.error <= 5.0 * tolerance
     assert times.programmed_error > times.error
 
 
