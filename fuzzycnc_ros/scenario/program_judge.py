@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,13 @@ _CHORD = 1e-7
 _EDGE, _EDGES = 1e-4, 200_000
 """Longest of these lines [m], and how many there are at most where they could be longer: the
 search is quick where none is much longer than its neighbours."""
+
+_STILL = 1e-10
+"""Step below which a recorded sample has not moved [m]."""
+
+_TRACKED, _ASTRAY = 20, 3e-4
+"""Samples that are looked for on the path at a time, and how far they may be from where the
+steps so far have led [m]."""
 
 _STEP, _EVERY = 1e-5, 8
 """Way of the commands after which a sample is measured [m], and samples after which one is."""
@@ -69,15 +76,36 @@ class Judged:
 
 
 @dataclass(frozen=True, eq=False)
+class LocalErrors:
+    """Errors along a path, n samples.
+
+    Attributes
+    ----------
+    error, place, speed : ndarray, shape (n,)
+        Distance of the axes from the path while cutting, else 0 [m], way along it to the nearest
+        point [m], and the speed that was commanded there [m/s].
+    judged : Judged
+        Their summary.
+    """
+
+    error: Array
+    place: Array
+    speed: Array
+    judged: Judged
+
+
+@dataclass(frozen=True, eq=False)
 class _Course:
     """Errors at some samples: how many each stands for, of the axes, of the commands, whether a
-    corner is near, and in which move."""
+    corner is near, in which move, where on the path, and the speed commanded there."""
 
     weight: Array
     error: Array
     deviation: Array
     corner: NDArray[np.bool_]
     move: NDArray[np.intp]
+    place: Array
+    speed: Array
 
 
 class ProgramPath:
@@ -104,20 +132,38 @@ class ProgramPath:
         machine : ContouringConfig
             Lags of the axes; commands keep the limits of the axes, so that these are lifted.
         """
+        return self._figures(self._courses(commanded, machine), commanded)
+
+    def errors(self, commanded: Sequence[Commanded], machine: ContouringConfig) -> LocalErrors:
+        """Return the errors along the path, sample by sample; see `judge`."""
+        course = self._courses(commanded, machine)
+        cutting = ~self.program.moves.rapid[course.move]
+        return LocalErrors(
+            np.where(cutting, course.error, 0.0), course.place, course.speed,
+            self._figures(course, commanded),
+        )  # fmt: skip
+
+    def _courses(self, commanded: Sequence[Commanded], machine: ContouringConfig) -> _Course:
         axes = replace(machine, velocity_max=10.0, acceleration_max=1000.0)
         courses = [
             _course(run, contour, one, axes)
             for run, contour, one in zip(self._runs, self._contours, commanded, strict=True)
         ]
-        weight, error, deviation, corner = (
-            np.concatenate([getattr(course, name) for course in courses])
-            for name in ('weight', 'error', 'deviation', 'corner')
-        )
         first = np.cumsum([0, *(len(run) for run in self._runs)])
-        move = np.concatenate(
-            [course.move + low for course, low in zip(courses, first, strict=False)]
+        courses = [
+            replace(course, move=course.move + low)
+            for course, low in zip(courses, first, strict=False)
+        ]
+        return _Course(
+            *(
+                np.concatenate([getattr(course, item.name) for course in courses])
+                for item in fields(_Course)
+            )
         )
-        cutting = ~self.program.moves.rapid[move]
+
+    def _figures(self, course: _Course, commanded: Sequence[Commanded]) -> Judged:
+        weight, error, corner, move = course.weight, course.error, course.corner, course.move
+        deviation, cutting = course.deviation, ~self.program.moves.rapid[move]
         if not cutting.any():
             return Judged(_time(commanded), 0.0, 0.0, np.nan, np.nan, 0.0, 0)
         worst = int(np.argmax(np.where(cutting, error, -1.0)))
@@ -130,6 +176,33 @@ class ProgramPath:
             deviation=float(deviation[cutting].max()),
             line=int(self.program.line[move[worst]]),
         )
+
+    def recorded(self, position: Array, period: float) -> list[Commanded]:
+        """Return what a real controller commanded as `judge` takes it.
+
+        Parameters
+        ----------
+        position : ndarray, shape (n, 3)
+            Commanded positions, a period apart, from rest to rest [m].
+        period : float
+            [s]
+
+        Raises
+        ------
+        ValueError
+            If the path of the program has gaps.
+        """
+        if len(self._runs) != 1:
+            raise ValueError(
+                f'expected a program whose whole path is known but found {len(self._runs) - 1} '
+                'gaps in it: changes of the work offset or of the tool length, cycles, calls'
+            )
+        moved = np.flatnonzero(np.abs(np.diff(position, axis=0)).max(axis=1) > _STILL)
+        if not len(moved):
+            raise ValueError('expected a program that moves the tool but it stood still')
+        cut = position[moved[0] : moved[-1] + 2]
+        place = _tracked(self._runs[0], self._contours[0], cut)
+        return [Commanded(cut, place, period * (len(cut) - 1))]
 
     def run(
         self, moves: ProgramMoves, limits: ControllerLimits, machine: ContouringConfig
@@ -168,8 +241,8 @@ def _course(run: Moves, contour: Contour, one: Commanded, machine: ContouringCon
     place = np.append(one.place, np.full(out, one.place[-1])) - begin
     index = np.arange(len(place))
     delayed = np.interp(index - machine.delay / period, index, place)
-    speed = float(np.diff(one.place, prepend=one.place[0]).max()) / period
-    reach = WINDOW_LENGTH + WINDOW_TIME * speed
+    pace = np.diff(place, prepend=place[0]) / period
+    reach = WINDOW_LENGTH + WINDOW_TIME * float(pace.max())
     kept = np.flatnonzero(
         (np.diff(np.floor(delayed / _STEP), prepend=-1.0) > 0.0) | (index % _EVERY == 0)
     )
@@ -190,7 +263,22 @@ def _course(run: Moves, contour: Contour, one: Commanded, machine: ContouringCon
         np.append(deviation, np.zeros(len(kept) - len(asked))),
         near,
         move,
+        begin + error.arc_length,
+        np.interp(kept - machine.delay / period, index, pace),
     )
+
+
+def _tracked(run: Moves, contour: Contour, position: Array) -> Array:
+    """Return the way along the path at commanded positions, each looked for after the last."""
+    step = np.append(0.0, np.linalg.norm(np.diff(position, axis=0), axis=1))
+    place, here = np.empty(len(position)), 0.0
+    for first in range(0, len(position), _TRACKED):
+        rows = slice(first, min(first + _TRACKED, len(position)))
+        way = here + np.cumsum(step[rows])
+        found = contour.distance(position[rows], way, _ASTRAY)
+        place[rows] = np.maximum.accumulate(np.maximum(found.arc_length, here))
+        here = float(place[rows.stop - 1])
+    return place + run.place[0, 0]
 
 
 def _contour(moves: Moves) -> Contour:

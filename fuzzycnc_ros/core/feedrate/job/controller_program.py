@@ -113,15 +113,22 @@ class ProgramMoves:
     ----------
     moves : Moves
         All of them.
-    line : ndarray of int, shape (n,)
-        Numbers of their lines.
+    line, segment : ndarray of int, shape (n,)
+        Numbers of their lines, and indices among the program's segments.
     unknown : int
         Motions that are left out, since the program does not say where they go.
     """
 
     moves: Moves
     line: NDArray[np.intp]
+    segment: NDArray[np.intp]
     unknown: int
+
+    def with_feeds(self, feeds: Array) -> ProgramMoves:
+        """Return the program with other feeds by segment [m/s]; NaN keeps its own."""
+        feed = feeds[self.segment]
+        feed = np.where(np.isnan(feed), self.moves.feed, feed)
+        return replace(self, moves=replace(self.moves, feed=feed))
 
     def runs(self) -> list[Moves]:
         """Return the moves in paths without a gap."""
@@ -151,9 +158,10 @@ def program_moves(blocks: Iterable[Block], before: PathMode | None = None) -> Pr
     rows: list[tuple[float, ...]] = []
     arcs: list[tuple[int, ArcSegment]] = []
     flags: list[list[bool]] = []
-    line: list[int] = []
+    line: list[tuple[int, int]] = []
     place, unknown, broken = 0.0, 0, True
     where: tuple[float, ...] = (nan,) * 3
+    number = -1
     for block, mode in path_modes(blocks, before):
         segment = block.segment
         if segment is None:
@@ -162,6 +170,7 @@ def program_moves(blocks: Iterable[Block], before: PathMode | None = None) -> Pr
             if block.role in (Role.KEPT, Role.SEALED, Role.RAPID):
                 unknown, broken = unknown + 1, True
             continue
+        number += 1
         if isinstance(segment, DwellSegment):
             if flags:
                 flags[-1][1] = True
@@ -186,11 +195,11 @@ def program_moves(blocks: Iterable[Block], before: PathMode | None = None) -> Pr
                  mode.merging, 0.0)
             )  # fmt: skip
             flags.append([part.rapid, False, gap])
-            line.append(part.line)
+            line.append((part.line, number))
             place, where, broken = place + length, part.end, False
     if not rows:
         raise ValueError('expected a program that moves the tool but found none of its moves')
-    return ProgramMoves(_table(rows, flags, arcs), np.array(line, dtype=np.intp), unknown)
+    return ProgramMoves(_table(rows, flags, arcs), *np.array(line, dtype=np.intp).T, unknown)
 
 
 def _stands(block: Block) -> bool:
