@@ -118,6 +118,8 @@ class Adviser:
         How feeds are scheduled.
     before : PathMode, optional
         Path mode before the program says so.
+    units : {'mm', 'inch'}
+        Unit before the program says G20 or G21.
 
     Raises
     ------
@@ -133,10 +135,11 @@ class Adviser:
         machine: ContouringConfig,
         settings: ProgramSettings,
         before: PathMode | None = None,
+        units: str = 'mm',
     ) -> None:
         if not 0.0 < tolerance < np.inf:
             raise ValueError(f'tolerance: expected more than 0 m but found {tolerance} m')
-        self._program, self._tolerance = program, tolerance
+        self._program, self._tolerance, self._units = program, tolerance, units
         self._limits, self._machine, self._settings = limits, machine, settings
         self._moves = program_moves(program.blocks, before)
         self._path = ProgramPath(self._moves)
@@ -251,7 +254,7 @@ class Adviser:
             self._path, moves, self._tolerance, self._limits, self._machine
         )
         text = split_program(self._program, cuts)
-        program = read_program(text)
+        program = read_program(text, self._units)
         check_same_path(self._program, program)
         return [self._refine('blocks cut near corners, feeds refined', program)]
 
@@ -267,7 +270,7 @@ class Adviser:
                 known = refine(path, moves, aim * self._tolerance, limits, self._machine)
                 text = self._written(program, moves, known.feed)
                 # judged as it was written, by the path as it was given
-                written = with_mode(program_moves(read_program(text).blocks), mode)
+                written = with_mode(program_moves(read_program(text, self._units).blocks), mode)
                 judged = self._path.run(written, limits, self._machine)
                 found.append(self._remedy(name, share, mode, judged, text))
                 if judged.error <= self._tolerance:
@@ -320,7 +323,7 @@ class Adviser:
         return not kept, judged.duration if kept else judged.error
 
 
-def advised_program(program: Program, remedy: Remedy) -> str:
+def advised_program(program: Program, remedy: Remedy, units: str = 'mm') -> str:
     """Return the program that a remedy asks for, path mode included.
 
     Parameters
@@ -329,6 +332,8 @@ def advised_program(program: Program, remedy: Remedy) -> str:
         As it was given.
     remedy : Remedy
         What is recommended.
+    units : {'mm', 'inch'}
+        Unit before the program says G20 or G21.
     """
     text = program.text if remedy.program is None else remedy.program
-    return text if remedy.mode is None else program_with_mode(text, remedy.mode)
+    return text if remedy.mode is None else program_with_mode(text, remedy.mode, units)

@@ -13,7 +13,7 @@ MODES = (61.0, 61.1, 64.0)
 """G words that set the path mode."""
 
 
-def program_with_mode(text: str, mode: PathMode) -> str:
+def program_with_mode(text: str, mode: PathMode, units: str = 'mm') -> str:
     r"""Return a program whose path mode is one throughout: one line more, no other mode word.
 
     Parameters
@@ -22,6 +22,8 @@ def program_with_mode(text: str, mode: PathMode) -> str:
         The program.
     mode : PathMode
         With a rounding above 0.
+    units : {'mm', 'inch'}
+        Unit before the program says G20 or G21.
 
     Examples
     --------
@@ -34,7 +36,7 @@ def program_with_mode(text: str, mode: PathMode) -> str:
     """
     lines: list[str] = []
     set_yet = False
-    for block in read_program(text).blocks:
+    for block in read_program(text, units).blocks:
         moves = block.segment is not None
         if moves and not set_yet:
             unit = block.feed_unit * MINUTE / MILLIMETRE
