@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc advise`: what to set so that a part program keeps a contour tolerance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -28,6 +26,7 @@ from fuzzycnc_ros.cli.unkept import say_unkept
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.job.controller_program import PathMode
+    from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings
     from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
     from fuzzycnc_ros.core.feedrate.program import Program
     from fuzzycnc_ros.report.advice import AdviceFigures
@@ -148,7 +147,7 @@ def advise(
         raise typer.Exit(1)
 
 
-def _read(program: Path, units: str) -> Program:
+def _read(program: Path, units: str) -> 'Program':
     from fuzzycnc_ros.core.feedrate.program import read_program
 
     with program_lines(program) as source, open_program(source) as file:
@@ -159,7 +158,7 @@ def _read(program: Path, units: str) -> Program:
         raise ValueError(f'{program}: {error}') from error
 
 
-def _mode(blend: str | None) -> PathMode:
+def _mode(blend: str | None) -> 'PathMode':
     """Return the path mode before the program says so."""
     from fuzzycnc_ros.core.feedrate.job.controller_program import PathMode
 
@@ -169,7 +168,7 @@ def _mode(blend: str | None) -> PathMode:
     return PathMode(length, length)
 
 
-def _limits(machine: SchedulingMachine) -> ControllerLimits:
+def _limits(machine: SchedulingMachine) -> 'ControllerLimits':
     """Return the limits of the axes as LinuxCNC has them."""
     from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 
@@ -193,7 +192,7 @@ def _three(name: str, values: tuple[float, ...], absent: float) -> tuple[float, 
     return x, y, z
 
 
-def _settings(machine: SchedulingMachine, before: PathMode):  # type: ignore[no-untyped-def]
+def _settings(machine: SchedulingMachine, before: 'PathMode') -> 'ProgramSettings':
     """Return how feeds are scheduled for this controller."""
     from fuzzycnc_ros.components.program_request import program_settings
 
@@ -204,8 +203,12 @@ def _settings(machine: SchedulingMachine, before: PathMode):  # type: ignore[no-
 
 
 def _measured(
-    given: Program, advice: Advice, path: ProgramPath, machine: SchedulingMachine, units: str
-) -> list[Judged]:
+    given: 'Program',
+    advice: 'Advice',
+    path: 'ProgramPath',
+    machine: SchedulingMachine,
+    units: str,
+) -> 'list[Judged]':
     """Run every remedy on LinuxCNC."""
     from fuzzycnc_ros.cli.linuxcnc_recorder import PERIOD, recording
     from fuzzycnc_ros.scenario.advice import advised_program
@@ -224,7 +227,7 @@ def _measured(
     return found
 
 
-def _figures(name: str, advice: Advice, measured: list[Judged] | None) -> AdviceFigures:
+def _figures(name: str, advice: 'Advice', measured: 'list[Judged] | None') -> 'AdviceFigures':
     from fuzzycnc_ros.report.advice import AdviceFigures, AdviceRow
 
     rows = [
@@ -247,7 +250,7 @@ def _figures(name: str, advice: Advice, measured: list[Judged] | None) -> Advice
     return AdviceFigures(name, advice.tolerance, rows, best)
 
 
-def _notes(given: Program, path: ProgramPath) -> list[str]:
+def _notes(given: 'Program', path: 'ProgramPath') -> list[str]:
     """Return what was left out."""
     notes = [f'note: {note}' for note in given.notes[:8]]
     if path.program.unknown:
@@ -259,7 +262,7 @@ def _notes(given: Program, path: ProgramPath) -> list[str]:
 
 
 def _write_report(
-    report: Path, figures: AdviceFigures, machine: SchedulingMachine, notes: list[str]
+    report: Path, figures: 'AdviceFigures', machine: SchedulingMachine, notes: list[str]
 ) -> None:
     from fuzzycnc_ros.report.advice import advice_page
     from fuzzycnc_ros.report.sections import render_page

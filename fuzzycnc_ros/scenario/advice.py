@@ -250,9 +250,7 @@ class Adviser:
     def _split(self) -> list[Remedy]:
         mode = self._modes[1]
         moves = with_mode(self._moves, mode)
-        cuts = cuts_near_errors(
-            self._path, moves, self._tolerance, self._limits, self._machine
-        )
+        cuts = cuts_near_errors(self._path, moves, self._tolerance, self._limits, self._machine)
         text = split_program(self._program, cuts)
         program = read_program(text, self._units)
         check_same_path(self._program, program)

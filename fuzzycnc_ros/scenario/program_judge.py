@@ -96,8 +96,11 @@ class LocalErrors:
 
 @dataclass(frozen=True, eq=False)
 class _Course:
-    """Errors at some samples: how many each stands for, of the axes, of the commands, whether a
-    corner is near, in which move, where on the path, and the speed commanded there."""
+    """Errors at some samples of a path.
+
+    How many samples each stands for, errors of the axes and of the commands, whether a corner is
+    near, in which move, where on the path, and the speed commanded there.
+    """
 
     weight: Array
     error: Array
@@ -284,9 +287,7 @@ def _tracked(run: Moves, contour: Contour, position: Array) -> Array:
 def _contour(moves: Moves) -> Contour:
     """Return a path as lines whose corners are kept."""
     radius = moves.radius()
-    chords = np.where(
-        moves.arc, moves.sweep * np.sqrt(radius / (8.0 * _CHORD)), 1.0
-    )
+    chords = np.where(moves.arc, moves.sweep * np.sqrt(radius / (8.0 * _CHORD)), 1.0)
     longest = max(_EDGE, float(moves.length.sum()) / _EDGES)
     count = np.ceil(np.maximum(chords, moves.length / longest)).astype(int)
     move = np.repeat(np.arange(len(moves)), count)

@@ -389,5 +389,5 @@ def test_a_real_program_keeps_its_path(gcode, name, blend):
     assert times.chosen == sum(segment.schedulable for segment in program.segments)
     assert times.blocks == len(program.blocks)
     assert times.duration >= times.programmed * (1.0 - 1e-3)
-    # speeding up out of a bend leaves less error than the constant tells, down to half of it
-    assert times.error <= 2.0e-5
+    # a bound by what the words ask for; braking and rounded corners are the controller's
+    assert times.error <= times.programmed_error * (1.0 + 1e-6)

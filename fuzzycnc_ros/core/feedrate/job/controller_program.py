@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import inf, nan
 
 import numpy as np
@@ -65,7 +66,7 @@ class PathMode:
 def path_modes(
     blocks: Iterable[Block], before: PathMode | None = None
 ) -> Iterator[tuple[Block, PathMode]]:
-    """Yield the blocks of a program with the path mode that is in effect at their ends.
+    r"""Yield the blocks of a program with the path mode that is in effect at their ends.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def path_modes(
     Examples
     --------
     >>> from fuzzycnc_ros.core.feedrate.program import read_program
-    >>> program = read_program('G21 G61\\nG1 X1 F60\\nG64 P0.02\\nX2\\n')
+    >>> program = read_program('G21 G61\nG1 X1 F60\nG64 P0.02\nX2\n')
     >>> [mode.word for _, mode in path_modes(program.blocks)]
     ['G61', 'G61', 'G64 P0.02', 'G64 P0.02']
     """
@@ -134,10 +135,7 @@ class ProgramMoves:
         """Return the moves in paths without a gap."""
         first = np.flatnonzero(self.moves.first)
         edge = np.append(first, len(self.moves))
-        return [
-            self.moves.chosen(np.arange(low, high))
-            for low, high in zip(edge[:-1], edge[1:], strict=True)
-        ]
+        return [self.moves.chosen(np.arange(low, high)) for low, high in pairwise(edge)]
 
 
 def program_moves(blocks: Iterable[Block], before: PathMode | None = None) -> ProgramMoves:
@@ -199,7 +197,8 @@ def program_moves(blocks: Iterable[Block], before: PathMode | None = None) -> Pr
             place, where, broken = place + length, part.end, False
     if not rows:
         raise ValueError('expected a program that moves the tool but found none of its moves')
-    return ProgramMoves(_table(rows, flags, arcs), *np.array(line, dtype=np.intp).T, unknown)
+    number, index = np.array(line, dtype=np.intp).T
+    return ProgramMoves(_table(rows, flags, arcs), number, index, unknown)
 
 
 def _stands(block: Block) -> bool:
@@ -216,7 +215,7 @@ def _plain(segment: Segment) -> Iterable[Segment]:
     points = [tuple(point) for point in segment.points(max(count, 8)).tolist()]
     return [
         LineSegment(segment.line, one, other, segment.feed, False, False, segment.run)
-        for one, other in zip(points[:-1], points[1:], strict=True)
+        for one, other in pairwise(points)
     ]
 
 
@@ -250,7 +249,7 @@ def _table(
 
 
 def simulate(moves: ProgramMoves, limits: ControllerLimits) -> list[Commanded]:
-    """Return what a controller commands for a program, by path without a gap.
+    r"""Return what a controller commands for a program, by path without a gap.
 
     Parameters
     ----------
@@ -262,7 +261,7 @@ def simulate(moves: ProgramMoves, limits: ControllerLimits) -> list[Commanded]:
     Examples
     --------
     >>> from fuzzycnc_ros.core.feedrate.program import read_program
-    >>> program = read_program('G61 G1 X10 F6000\\nY10\\n')
+    >>> program = read_program('G61 G1 X10 F6000\nY10\n')
     >>> limits = ControllerLimits(velocity=(0.25,) * 3, acceleration=(2.0,) * 3)
     >>> [found] = simulate(program_moves(program.blocks), limits)
     >>> f'{found.duration:.3f} s'

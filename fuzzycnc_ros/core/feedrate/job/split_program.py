@@ -188,14 +188,20 @@ def _plain(block: Block, line: Line) -> bool:
     letters = [word.letter for word in line.words]
     if len(set(letters)) != len(letters):
         return False
-    arc = isinstance(segment, ArcSegment)
+    arc, code = False, 1.0
+    if isinstance(segment, ArcSegment):
+        arc, code = True, 3.0 if segment.sweep > 0.0 else 2.0
     inside = ['IJK'[axis] for axis in segment.axes[:2]] if isinstance(segment, ArcSegment) else []
     if arc and not all(letter in letters for letter in inside):
         return False
     for letter, value, _, _ in line.words:
-        if value is None or letter not in 'NFGXYZIJK' or (letter in 'IJK' and letter not in inside):
+        if (
+            value is None
+            or letter not in 'NFGXYZIJK'
+            or (letter in 'IJK' and letter not in inside)
+        ):
             return False
-        if letter == 'G' and value != (1.0 if not arc else 3.0 if segment.sweep > 0.0 else 2.0):
+        if letter == 'G' and value != code:
             return False
         if letter in 'XYZ' and abs(value * unit - segment.end['XYZ'.index(letter)]) > _SAME:
             return False

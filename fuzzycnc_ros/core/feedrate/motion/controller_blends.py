@@ -188,7 +188,9 @@ def junctions(moves: Moves, own: MoveLimits, limits: ControllerLimits) -> Juncti
         [~joined, tangent, ~mixed, best == 2, best == 1], [STOP, TANGENT, STOP, ARC, TANGENT],
         OVERLAP,
     )  # fmt: skip
-    speed = np.select([kind == TANGENT, kind == ARC, kind == OVERLAP], [kinked, blend.speed, start])
+    speed = np.select(
+        [kind == TANGENT, kind == ARC, kind == OVERLAP], [kinked, blend.speed, start]
+    )
     kink = np.where(kind == TANGENT, np.minimum(scale, KINK), 0.0)
     trim = np.where(kind == ARC, blend.trim, 0.0)
 
@@ -285,9 +287,7 @@ def _overlaps(moves: Moves, own: MoveLimits, turn: Array) -> tuple[Array, Array]
     with np.errstate(divide='ignore', invalid='ignore'):
         longest = moves.length / peak
         least = peak / rise
-        time = np.minimum(
-            np.minimum(longest[:-1], longest[1:]), np.maximum(least[:-1], least[1:])
-        )
+        time = np.minimum(np.minimum(longest[:-1], longest[1:]), np.maximum(least[:-1], least[1:]))
         first = np.minimum(peak[:-1], time * rise[:-1])
         second = np.minimum(peak[1:], time * rise[1:])
         half = 0.5 * (np.pi - turn)

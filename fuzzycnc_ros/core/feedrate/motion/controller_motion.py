@@ -171,7 +171,7 @@ class _Plan:
         """Return positions and places, a period apart."""
         period = self._limits.period
         count = int(np.ceil(self.duration / period - 1e-9)) + 1
-        time = period * np.arange(count)
+        time = period * np.arange(count, dtype=np.float64)
         at = np.clip(np.searchsorted(self._begin, time, 'right') - 1, 0, len(self._begin) - 1)
         way = self._way(at, time)
         position, place = self._evaluate(at, way)
@@ -242,9 +242,7 @@ class _Plan:
         return point, low + (high - low) * share
 
 
-def _parts(
-    moves: Moves, speed: Array, rise: Array, joined: Junctions, period: float
-) -> _Parts:
+def _parts(moves: Moves, speed: Array, rise: Array, joined: Junctions, period: float) -> _Parts:
     """Return moves and blends in order."""
     count = len(moves)
     blended = joined.kind == ARC
@@ -260,9 +258,7 @@ def _parts(
     low, high = np.zeros(size), np.ones(size)
     low[where], high[where] = before, np.maximum(1.0 - trim, before)
     length[where] = np.maximum(moves.length * (1.0 - trim - before), 1e-12)
-    length[arcs] = joined.turn[blended] * joined.trim[blended] / np.tan(
-        0.5 * joined.turn[blended]
-    )
+    length[arcs] = joined.turn[blended] * joined.trim[blended] / np.tan(0.5 * joined.turn[blended])
     most[where], most[arcs] = speed, joined.speed[blended]
     gain[where], gain[arcs] = rise, TANGENTIAL * joined.acceleration[blended]
     whole = length.copy()

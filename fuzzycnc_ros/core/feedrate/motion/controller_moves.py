@@ -79,7 +79,9 @@ class Moves:
 
     def chosen(self, index: NDArray[np.intp]) -> Moves:
         """Return some of the moves, in the order of their indices."""
-        return replace(self, **{item.name: getattr(self, item.name)[index] for item in fields(self)})
+        return replace(
+            self, **{item.name: getattr(self, item.name)[index] for item in fields(self)}
+        )
 
     def radius(self) -> Array:
         """Return the radius of arcs at their starts, 0 of lines [m]."""
