@@ -14,6 +14,7 @@ import typer
 from typer.core import TyperGroup
 
 from fuzzycnc_ros import __version__
+from fuzzycnc_ros.cli.advise import advise
 from fuzzycnc_ros.cli.background_output import background_output
 from fuzzycnc_ros.cli.compare import compare
 from fuzzycnc_ros.cli.console import complain
@@ -69,8 +70,9 @@ What is known of your machine, in one file for the commands below:
 
     fuzzycnc machine new mill.yaml
 
-Feeds of a part program that keep a contour tolerance, and methods side by side:
+What keeps a contour tolerance on a part program, its feeds, and methods side by side:
 
+    fuzzycnc advise part.ngc --tolerance 20um --out best.ngc
     fuzzycnc schedule part.ngc --tolerance 0.01mm --out scheduled.ngc
     fuzzycnc pareto butterfly
 
@@ -115,6 +117,7 @@ COMMANDS: dict[str, Callable[..., Any] | CommandGroup] = {
     'compare': compare,
     'curve': curve,
     'machine': CommandGroup(MACHINE_HELP, MACHINE_COMMANDS),
+    'advise': advise,
     'schedule': schedule,
     'pareto': pareto,
     'position': position,
