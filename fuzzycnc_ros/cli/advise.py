@@ -229,6 +229,7 @@ def _measured(
 
 def _figures(name: str, advice: 'Advice', measured: 'list[Judged] | None') -> 'AdviceFigures':
     from fuzzycnc_ros.report.advice import AdviceFigures, AdviceRow
+    from fuzzycnc_ros.scenario.advice import best_of
 
     rows = [
         AdviceRow(
@@ -240,13 +241,7 @@ def _figures(name: str, advice: 'Advice', measured: 'list[Judged] | None') -> 'A
         )
         for index, one in enumerate(advice.remedies)
     ]
-
-    def rank(index: int) -> tuple[bool, float]:
-        judged = rows[index].judged
-        kept = judged.error <= advice.tolerance
-        return not kept, judged.duration if kept else judged.error
-
-    best = advice.best if measured is None else min(range(len(rows)), key=rank)
+    best = advice.best if measured is None else best_of(measured, advice.tolerance)
     return AdviceFigures(name, advice.tolerance, rows, best)
 
 

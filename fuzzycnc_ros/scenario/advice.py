@@ -35,8 +35,11 @@ CORNERS = ('none', 'feed', 'split')
 SHARES = (0.5, 0.2, 0.05)
 """P of G64 that is tried, as shares of the tolerance [-]."""
 
-LADDER = 2.0 ** -(np.arange(19) / 3.0)
-"""Accelerations that are tried, as shares of the machine's: three to an octave, down to 1/64."""
+LADDER = 2.0 ** -(np.arange(31) / 3.0)
+"""Accelerations that are tried, as shares of the machine's: three to an octave, down to 1/1024."""
+
+NOTICED = 0.01
+"""Share of the time that a remedy has to save, so that it takes the place of a cheaper one [-]."""
 
 REFINED = (1.0, 0.5, 0.25)
 """Accelerations with which feeds are refined, as shares of the machine's [-]."""
@@ -182,12 +185,7 @@ class Adviser:
         return Advice(self._tolerance, tuple(found), self._best(found))
 
     def _best(self, found: Sequence[Remedy]) -> int:
-        def rank(one: Remedy) -> tuple[bool, float]:
-            kept = one.judged.error <= self._tolerance
-            # what is as quick without a new program comes first
-            return not kept, one.judged.duration if kept else one.judged.error
-
-        return min(range(len(found)), key=lambda index: rank(found[index]))
+        return best_of([one.judged for one in found], self._tolerance)
 
     def _run(self, moves: ProgramMoves, share: float, mode: PathMode | None) -> Judged:
         """Judge moves with a share of the acceleration and a path mode."""
@@ -319,6 +317,25 @@ class Adviser:
     def _order(self, judged: Judged) -> tuple[bool, float]:
         kept = judged.error <= self._tolerance
         return not kept, judged.duration if kept else judged.error
+
+
+def best_of(judged: Sequence[Judged], tolerance: float) -> int:
+    """Return which is the fastest that keeps a tolerance, or has the least error if none does.
+
+    Of those that take no more than `NOTICED` longer than the fastest, the first one.
+
+    Parameters
+    ----------
+    judged : sequence of Judged
+        The cheapest remedies first.
+    tolerance : float
+        Largest contour error wanted [m].
+    """
+    kept = [index for index, one in enumerate(judged) if one.error <= tolerance]
+    if not kept:
+        return min(range(len(judged)), key=lambda index: judged[index].error)
+    least = min(judged[index].duration for index in kept)
+    return next(index for index in kept if judged[index].duration <= (1.0 + NOTICED) * least)
 
 
 def advised_program(program: Program, remedy: Remedy, units: str = 'mm') -> str:

@@ -17,7 +17,7 @@ from fuzzycnc_ros.core.feedrate.motion.controller_motion import Commanded
 from fuzzycnc_ros.core.feedrate.motion.controller_moves import Moves
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringAxes, ContouringConfig
-from fuzzycnc_ros.core.machine.path_error import WINDOW_LENGTH, WINDOW_TIME
+from fuzzycnc_ros.core.machine.path_error import WINDOW_TIME
 
 CORNER = np.radians(20.0)
 """Turn between two moves from which they meet at a corner [rad]."""
@@ -25,12 +25,16 @@ CORNER = np.radians(20.0)
 AFTER_CORNER = 4.0
 """Delays of the machine after a corner that count as being at it [-]."""
 
-_CHORD = 1e-7
+_CHORD = 3e-7
 """Distance of the lines that stand for an arc from it [m], about."""
 
 _EDGE, _EDGES = 1e-4, 200_000
 """Longest of these lines [m], and how many there are at most where they could be longer: the
 search is quick where none is much longer than its neighbours."""
+
+_WINDOW = 5e-4
+"""The nearest point is looked for that far around the axes' place [m], and the way of
+`WINDOW_TIME`: turns of a narrow helix that come later are not taken for this one."""
 
 _STILL = 1e-10
 """Step below which a recorded sample has not moved [m]."""
@@ -135,21 +139,23 @@ class ProgramPath:
         machine : ContouringConfig
             Lags of the axes; commands keep the limits of the axes, so that these are lifted.
         """
-        return self._figures(self._courses(commanded, machine), commanded)
+        return self._figures(self._courses(commanded, machine, asked=True), commanded)
 
     def errors(self, commanded: Sequence[Commanded], machine: ContouringConfig) -> LocalErrors:
-        """Return the errors along the path, sample by sample; see `judge`."""
-        course = self._courses(commanded, machine)
+        """Return the errors along the path, sample by sample, without deviations; see `judge`."""
+        course = self._courses(commanded, machine, asked=False)
         cutting = ~self.program.moves.rapid[course.move]
         return LocalErrors(
             np.where(cutting, course.error, 0.0), course.place, course.speed,
             self._figures(course, commanded),
         )  # fmt: skip
 
-    def _courses(self, commanded: Sequence[Commanded], machine: ContouringConfig) -> _Course:
+    def _courses(
+        self, commanded: Sequence[Commanded], machine: ContouringConfig, asked: bool
+    ) -> _Course:
         axes = replace(machine, velocity_max=10.0, acceleration_max=1000.0)
         courses = [
-            _course(run, contour, one, axes)
+            _course(run, contour, one, axes, asked)
             for run, contour, one in zip(self._runs, self._contours, commanded, strict=True)
         ]
         first = np.cumsum([0, *(len(run) for run in self._runs)])
@@ -232,8 +238,10 @@ def _largest(error: Array) -> float:
     return float(error.max()) if len(error) else float('nan')
 
 
-def _course(run: Moves, contour: Contour, one: Commanded, machine: ContouringConfig) -> _Course:
-    """Follow the commands of a path, and measure both by it."""
+def _course(
+    run: Moves, contour: Contour, one: Commanded, machine: ContouringConfig, asked: bool
+) -> _Course:
+    """Follow the commands of a path, and measure the axes by it; if asked, the commands too."""
     period = machine.interpolation_period
     out = round(machine.run_out / period)
     reference = np.concatenate([one.position, np.repeat(one.position[-1:], out, axis=0)])
@@ -245,13 +253,15 @@ def _course(run: Moves, contour: Contour, one: Commanded, machine: ContouringCon
     index = np.arange(len(place))
     delayed = np.interp(index - machine.delay / period, index, place)
     pace = np.diff(place, prepend=place[0]) / period
-    reach = WINDOW_LENGTH + WINDOW_TIME * float(pace.max())
+    reach = _WINDOW + WINDOW_TIME * float(pace.max())
     kept = np.flatnonzero(
         (np.diff(np.floor(delayed / _STEP), prepend=-1.0) > 0.0) | (index % _EVERY == 0)
     )
     error = contour.distance(axes[kept], delayed[kept], reach)
-    asked = kept[kept < len(one.place)]
-    deviation = contour.distance(one.position[asked], place[asked], reach).distance
+    deviation = np.zeros(len(kept))
+    if asked:
+        rows = kept[kept < len(one.place)]
+        deviation[: len(rows)] = contour.distance(one.position[rows], place[rows], reach).distance
     edge = run.place[:, 1] - begin
     move = np.clip(np.searchsorted(edge, error.arc_length), 0, len(run) - 1)
     at = np.append(0.0, edge[(turns(run) > CORNER) | run.stop])
@@ -263,7 +273,7 @@ def _course(run: Moves, contour: Contour, one: Commanded, machine: ContouringCon
     return _Course(
         np.diff(kept, append=len(place)).astype(float),
         error.distance,
-        np.append(deviation, np.zeros(len(kept) - len(asked))),
+        deviation,
         near,
         move,
         begin + error.arc_length,

@@ -93,13 +93,13 @@ def check_same_path(program: Program, other: Program) -> None:
 
 def _along(piece: Segment, segment: Segment) -> bool:
     """Whether a piece lies on a segment: its end on the line, or on the arc of one centre."""
-    if piece.end == segment.end and piece.start == segment.start:
-        return True
     if isinstance(segment, ArcSegment) and isinstance(piece, ArcSegment):
         same = np.abs(np.subtract(piece.centre, segment.centre)).max() < 2.0 * OFF
         near = np.abs(np.subtract(sorted(piece.radii), sorted(segment.radii))).max()
         within = abs(segment.radii[1] - segment.radii[0]) + OFF
         return bool(same and near <= within and piece.sweep * segment.sweep > 0.0)
+    if piece.end == segment.end and piece.start == segment.start:
+        return True
     way = np.subtract(segment.end, segment.start)
     square = float(way @ way)
     for point in (piece.start, piece.end):

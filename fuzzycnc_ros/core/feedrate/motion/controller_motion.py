@@ -55,8 +55,8 @@ class _Parts:
     ----------
     move : ndarray of int, shape (k,)
         Index of the move; of a blend, of the one before it.
-    blend : ndarray of bool, shape (k,)
-        Which are blends.
+    blend, alone : ndarray of bool, shape (k,)
+        Which are blends, and which the planner has as parts of their own.
     low, high : ndarray, shape (k,)
         Shares of the move that are left of it.
     length, whole, speed, rise : ndarray, shape (k,)
@@ -68,6 +68,7 @@ class _Parts:
 
     move: NDArray[np.intp]
     blend: NDArray[np.bool_]
+    alone: NDArray[np.bool_]
     low: Array
     high: Array
     length: Array
@@ -126,7 +127,8 @@ class _Plan:
         edge = np.append(np.inf, self._most), np.append(self._most, np.inf)
         square = np.minimum(part.node, np.minimum(*edge)) ** 2
         gain = np.append(0.0, np.cumsum(2.0 * part.rise * part.length))
-        ahead = np.minimum(np.arange(len(gain)) + limits.look_ahead, len(gain) - 1)
+        number = np.append(0, np.cumsum(part.alone))
+        ahead = np.searchsorted(number, number + limits.look_ahead, 'right') - 1
         square = np.minimum(square, gain[ahead] - gain)
         square = np.minimum.accumulate((square + gain)[::-1])[::-1] - gain
         square = np.minimum.accumulate(square - gain) + gain
@@ -268,9 +270,11 @@ def _parts(moves: Moves, speed: Array, rise: Array, joined: Junctions, period: f
     most[where[rest]] = joined.speed[rest]
     whole[where[rest]] += length[where[rest] + 1]
     whole[where[rest] + 1] = whole[where[rest]]
+    alone = np.ones(size, dtype=bool)
+    alone[where[rest]] = False
     node = np.full(size + 1, np.inf)
     node[0] = 0.0
     tangent = joined.kind == TANGENT
     node[where[tangent] + 1] = joined.speed[tangent]
     node[where[np.isin(joined.kind, (STOP, OVERLAP))] + 1] = 0.0
-    return _Parts(move, blend, low, high, length, whole, most, gain, node)
+    return _Parts(move, blend, alone, low, high, length, whole, most, gain, node)
