@@ -3,6 +3,7 @@
 """LinuxCNC's own interpreter as the judge of part programs."""
 
 import math
+import os
 import re
 import shutil
 import subprocess
@@ -25,6 +26,10 @@ def interpreted(text, folder):
     subprocess.run(
         [interpreter, '-g', '-t', 'tool.tbl', '-v', 'rs274.var', program.name, output.name],
         cwd=folder,
+        env={
+            **os.environ,
+            'HOME': str(folder),
+        },  # where it keeps a tool table that others overwrite
         stdin=subprocess.DEVNULL,
         capture_output=True,
         timeout=60,
