@@ -46,7 +46,14 @@ setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(include=[package_name, package_name + '.*']),
-    package_data={package_name: ['py.typed', 'nodes/*.xml', 'report/templates/*']},
+    package_data={
+        package_name: [
+            'py.typed',
+            'machine_file/built_in/*.yaml',
+            'nodes/*.xml',
+            'report/templates/*',
+        ]
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),

@@ -14,9 +14,7 @@ import argparse
 import json
 import os
 import re
-import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -24,13 +22,13 @@ from dataclasses import asdict, replace
 from math import exp, log
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'graph'))
+sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'support'))
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from equipment.linuxcnc_trace import Judged, Recorder, cut_of, judge
 from linuxcnc_feedrate_programs import Variant, program_of
-from linuxcnc_trace import Judged, Recorder, cut_of, judge
 
-from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation, exclusive
+from fuzzycnc_ros.cli.linuxcnc_recorder import recording
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES
 from fuzzycnc_ros.report.table import Column, Table
@@ -100,14 +98,7 @@ class Stand:
 
     def _record(self, text: str, acceleration: float) -> Array:
         if self._recorder is None:
-            self._ending.enter_context(exclusive())
-            folder = Path(tempfile.mkdtemp(prefix='fuzzycnc-linuxcnc-'))
-            self._ending.callback(shutil.rmtree, folder, ignore_errors=True)
-            machine = LinuxcncSimulation(folder)
-            self._ending.callback(machine.end)
-            machine.start()
-            machine.ready()
-            self._recorder = Recorder(machine, folder)
+            self._recorder = self._ending.enter_context(recording())
         for name in ('x', 'y', '0', '1'):
             limit = f'{acceleration or INI_ACCELERATION:.6f}'
             self._recorder.halcmd('setp', f'ini.{name}.max_acceleration', limit)

@@ -14,6 +14,7 @@ import typer
 from typer.core import TyperGroup
 
 from fuzzycnc_ros import __version__
+from fuzzycnc_ros.cli.advise import advise
 from fuzzycnc_ros.cli.background_output import background_output
 from fuzzycnc_ros.cli.compare import compare
 from fuzzycnc_ros.cli.console import complain
@@ -26,6 +27,8 @@ from fuzzycnc_ros.cli.foam import HELP as FOAM_HELP
 from fuzzycnc_ros.cli.graph_processes import GraphError
 from fuzzycnc_ros.cli.import_csv import import_csv
 from fuzzycnc_ros.cli.info import info
+from fuzzycnc_ros.cli.machine import COMMANDS as MACHINE_COMMANDS
+from fuzzycnc_ros.cli.machine import HELP as MACHINE_HELP
 from fuzzycnc_ros.cli.operate import COMMANDS as OPERATE_COMMANDS
 from fuzzycnc_ros.cli.operate import HELP as OPERATE_HELP
 from fuzzycnc_ros.cli.pareto import pareto
@@ -63,8 +66,13 @@ Which model, and how many sensors, on runs that nothing has seen:
     fuzzycnc compare monday tuesday wednesday --report models.html
     fuzzycnc curve monday tuesday wednesday --report sensors.html
 
-Feeds of a part program that keep a contour tolerance, and methods side by side:
+What is known of your machine, in one file for the commands below:
 
+    fuzzycnc machine new mill.yaml
+
+What keeps a contour tolerance on a part program, its feeds, and methods side by side:
+
+    fuzzycnc advise part.ngc --tolerance 20um --out best.ngc
     fuzzycnc schedule part.ngc --tolerance 0.01mm --out scheduled.ngc
     fuzzycnc pareto butterfly
 
@@ -108,6 +116,8 @@ COMMANDS: dict[str, Callable[..., Any] | CommandGroup] = {
     'evaluate': evaluate,
     'compare': compare,
     'curve': curve,
+    'machine': CommandGroup(MACHINE_HELP, MACHINE_COMMANDS),
+    'advise': advise,
     'schedule': schedule,
     'pareto': pareto,
     'position': position,

@@ -13,6 +13,18 @@ from fuzzycnc_ros.cli.console import words
 ALL = 'all'
 """Word for every model."""
 
+MachineFile = Annotated[
+    Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
+    typer.Option(
+        metavar='FILE.yaml',
+        show_default=False,
+        help='Machine file, or one that is built in: mill, lathe, ballscrew.',
+    ),
+]
+
+BUILT_IN_MACHINES = ('mill', 'lathe', 'ballscrew')
+"""Machines that come with the package, as machine files; their reader would load numpy."""
+
 Bags = Annotated[
     list[Path], typer.Argument(metavar='BAG...', help='Bags of runs, each from a cold start.')
 ]

@@ -18,12 +18,12 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_text,
 )
-from fuzzycnc_ros.cli.machine_file import Machine, read_machine
 from fuzzycnc_ros.cli.options import ALL, Report, names_of
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.cli.scheduling_machine import Machine, read_machine
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.cli.machine_file import MachineFile
+    from fuzzycnc_ros.cli.scheduling_machine import SchedulingMachine
     from fuzzycnc_ros.scenario.pareto_path import ParetoPath
 
 ERROR_MIN, ERROR_MAX = 1e-6, 1e-3
@@ -145,12 +145,12 @@ def _path(path: str, run: int | None) -> 'ParetoPath':
         raise ValueError(f'{path}: {error}') from error
 
 
-def _facts(path: 'ParetoPath', machine: Path | None, known: 'MachineFile') -> dict[str, str]:
+def _facts(path: 'ParetoPath', machine: str | None, known: 'SchedulingMachine') -> dict[str, str]:
     """Return what the report says about path and machine."""
     scheduler, simulated = known.scheduler, known.contouring
     return {
         'Path': f'{path.name}; {len(path.arc_length)} points',
-        'Machine': str(machine) if machine is not None else 'built-in defaults',
+        'Machine': machine if machine is not None else 'built-in defaults',
         'Largest feed': f'{1e3 * min(scheduler.feed_max, simulated.velocity_max):g} mm/s',
         'Path acceleration': f'{simulated.path_acceleration_max:g} m/s²',
         'Machine constant': f'{scheduler.machine_constant:g} s² in the schedulers, '

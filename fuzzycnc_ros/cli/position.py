@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc position`: one move of a simulated axis."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -16,23 +17,25 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_text,
 )
-from fuzzycnc_ros.cli.options import Report
+from fuzzycnc_ros.cli.options import MachineFile, Report
 from fuzzycnc_ros.cli.quantities import LENGTHS, SHARES, quantity
 from fuzzycnc_ros.cli.servo_axis import (
+    AXES,
     CHOICES,
     DEFAULT,
     TIMES,
-    TRAVEL,
     Axis,
     check_axis,
-    make_axis,
+    made_with,
     make_controller,
     signed,
     warnings_said,
 )
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.servo import Reference
+    from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
+    from fuzzycnc_ros.core.machine.machine_data import AxisData, PlantConfig
+    from fuzzycnc_ros.core.servo import AxisController, Reference
 
 DURATION_MIN, DURATION_MAX = 0.05, 120.0
 """Lengths of a run that are simulated [s]."""
@@ -43,20 +46,26 @@ GAIN_MIN, GAIN_MAX = 0.01, 100.0
 STEP_MIN = 1e-6
 """Least way of a move [m]."""
 
+BESIDE_LOAD = 0.12
+"""What friction takes beside the load [-], as duty."""
+
 
 def position(
     to: Annotated[
         str,
         typer.Option(metavar='LENGTH', help='Where the axis goes from 0, such as -50mm.'),
     ],
-    axis: Axis = 'lathe',
+    axis: Axis = '',
+    machine_file: MachineFile = None,
     controller: Annotated[
         str,
         typer.Option(
             metavar='NAME',
-            help=f'One of {", ".join(CHOICES)}; the ballscrew has {DEFAULT} alone.',
+            show_default=False,
+            help=f'One of {", ".join(CHOICES)}; the ballscrew has {DEFAULT} alone. With a machine '
+            'file pid, cascade, linear_tangent or variable_universe; its own without this.',
         ),
-    ] = DEFAULT,
+    ] = '',
     params: Annotated[
         Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
         typer.Option(
@@ -71,8 +80,8 @@ def position(
             '--profile/--step',
             show_default=False,
             help='Whether the reference goes there by a jerk-limited profile (200 mm/s, '
-            '1.5 m/s^2, 30 m/s^3), which is fed forward, or steps there; by default it steps on '
-            'the lathe alone.',
+            '1.5 m/s^2, 30 m/s^3, or the limits of the machine file), which is fed forward, or '
+            'steps there; by default it steps on the lathe alone.',
         ),
     ] = None,
     gain: Annotated[float, typer.Option(metavar='FACTOR', help="Factor on the axis' gain.")] = 1.0,
@@ -123,16 +132,19 @@ def position(
         fuzzycnc position --axis lathe --to -50mm
         fuzzycnc position --to 170mm --profile --gain 1.5 --load 10% --report move.html
         fuzzycnc position --axis ballscrew --to 100mm --friction 2
+        fuzzycnc position --machine-file tuned.yaml --axis X --to 100mm --load 10%
     """
     from fuzzycnc_ros.core.servo import position as moved
     from fuzzycnc_ros.report import positioning as shown
 
-    check_axis(axis)
+    known = _known(machine_file, axis)
+    axis, data = known.name, known.data
     target = signed('--to', to, LENGTHS, example='-50mm')
-    if not STEP_MIN <= abs(target) <= TRAVEL:
+    low, high = data.limits.travel_low, data.limits.travel_high
+    if not (STEP_MIN <= abs(target) and low <= target <= high):
         raise ValueError(
-            f'--to: expected {1e6 * STEP_MIN:g} um to {1e3 * TRAVEL:g} mm either way, the travel '
-            f'of the axis, but found {to!r}'
+            f'--to: expected {1e6 * STEP_MIN:g} um or more, from {1e3 * low:g} to {1e3 * high:g} '
+            f'mm, the travel of the axis, but found {to!r}'
         )
     length = quantity('--duration', duration, TIMES, example='3s')
     if not DURATION_MIN <= length <= DURATION_MAX:
@@ -146,8 +158,9 @@ def position(
     check_at_least('--breakaway', breakaway, 1.0)
     for path in (report, json_file):
         check_folder(path)
-    knobs = _knobs(axis, gain, friction, breakaway)
-    knobs |= _load(axis, load, load_at)
+    plain = known.plant
+    knobs = _knobs(plain, gain, friction, breakaway)
+    knobs |= _load(plain, load, load_at)
     knobs['seed'] = ('--seed', seed)
     if sensor is not None:
         if sensor not in ('grating', 'encoder'):
@@ -157,11 +170,17 @@ def position(
         rms = quantity('--noise', noise, LENGTHS, example='0.1um', zero=True)
         knobs['noise'] = ('--noise', rms)
     if profile is None:
-        profile = axis == 'ballscrew'
-    plant = make_axis(axis, knobs)
+        profile = axis != 'lathe'
+    plant = made_with(data.simulated, knobs)
     with warnings_said():
-        chosen = make_controller(controller, axis, plant, _settings(params))
-    run = moved(chosen, plant, _reference(target, profile, plant.period), length)
+        chosen = _controller(known, controller, plant, params)
+    controller = controller or known.controller
+    # It is told of the load, as a machine's data tell of it, or it would take it for a run-away.
+    limits = chosen.watch.limits
+    pull = abs(signed('--load', load, SHARES, example='10%')) + BESIDE_LOAD
+    chosen.watch.limits = replace(limits, load=max(limits.load, min(pull, 1.0)))
+    reference = _reference(target, profile, plant.period, data.limits.positioning)
+    run = moved(chosen, plant, reference, length)
     table = shown.positioning_table(run, controller, _title(axis, to, profile))
     show(table)
     for line in shown.positioning_remarks(run):
@@ -198,46 +217,95 @@ def _settings(params: Path | None) -> Any:
     return read_settings(params)
 
 
-def _reference(target: float, profile: bool, period: float) -> 'Reference | float':
+def _reference(
+    target: float, profile: bool, period: float, limits: tuple[float, float, float]
+) -> 'Reference | float':
     """Return where the axis is to be."""
     if not profile:
         return target
-    from fuzzycnc_ros.core.servo import point_to_point
+    from fuzzycnc_ros.core.servo import ProfileLimits, point_to_point
 
-    return point_to_point(0.0, target).sample(period)
+    velocity, acceleration, jerk = limits
+    bounds = ProfileLimits(velocity=velocity, acceleration=acceleration, jerk=jerk)
+    return point_to_point(0.0, target, bounds).sample(period)
+
+
+@dataclass(frozen=True)
+class KnownAxis:
+    """The axis that is moved, and whether a machine file knows it."""
+
+    name: str
+    data: 'AxisData'
+    machine: str
+
+    @property
+    def plant(self) -> 'PlantConfig':
+        """Its model."""
+        assert self.data.plant is not None
+        return self.data.plant
+
+    @property
+    def controller(self) -> str:
+        """What controls it if nothing is said."""
+        from fuzzycnc_ros.core.servo.axis_control import DEFAULT as UNTUNED
+
+        return (self.data.controller or UNTUNED) if self.machine else DEFAULT
+
+
+def _known(machine_file: str | None, axis: str) -> KnownAxis:
+    """Return the axis that is meant: of a machine file, or one that is built in."""
+    from fuzzycnc_ros.cli.servo_machine import machine_axis
+
+    if machine_file is not None:
+        machine, name, data = machine_axis(machine_file, axis)
+        return KnownAxis(name, data, machine.name)
+    axis = axis or AXES[0]
+    check_axis(axis)
+    _, _, data = machine_axis(axis, '')
+    return KnownAxis(axis, data, '')
+
+
+def _controller(
+    known: KnownAxis, name: str, plant: 'AxisPlant', params: Path | None
+) -> 'AxisController':
+    if not known.machine:
+        return make_controller(name or DEFAULT, known.name, plant, _settings(params))
+    from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
+
+    if params is not None:
+        raise ValueError('--params: expected none with --machine-file, which has the settings')
+    own = known.data.settings if name in ('', known.data.controller) else {}
+    return make_axis_controller(known.data, name, own)
 
 
 def _knobs(
-    axis: str, gain: float, friction: float, breakaway: float | None
+    plain: 'PlantConfig', gain: float, friction: float, breakaway: float | None
 ) -> dict[str, tuple[str, Any]]:
     """Return gain and friction as parameters of the axis."""
-    from fuzzycnc_ros.core.machine import BallscrewAxisConfig, LatheAxisConfig
+    from fuzzycnc_ros.core.machine import LatheAxisConfig
 
     knobs: dict[str, tuple[str, Any]] = {'gain_factor': ('--gain', gain)}
-    if axis == 'lathe':
-        plain = LatheAxisConfig()
-        ratio = plain.breakaway / plain.coulomb if breakaway is None else breakaway
+    if isinstance(plain, LatheAxisConfig):
+        own = plain.breakaway / plain.coulomb if plain.coulomb else 1.0
+        ratio = own if breakaway is None else breakaway
         knobs['coulomb'] = ('--friction', friction * plain.coulomb)
         knobs['breakaway'] = ('--friction', friction * plain.coulomb * ratio)
         return knobs
-    screw = BallscrewAxisConfig()
     if friction:
         knobs['friction_factor'] = ('--friction', friction)
     else:  # the viscous part stays: it is what the model's lag is about
         knobs['coulomb_forward'] = knobs['coulomb_backward'] = ('--friction', 0.0)
-    ratio = screw.breakaway_ratio if breakaway is None else breakaway
+    ratio = plain.breakaway_ratio if breakaway is None else breakaway
     knobs['breakaway_ratio'] = ('--breakaway', ratio)
     return knobs
 
 
-def _load(axis: str, load: str, load_at: str) -> dict[str, tuple[str, Any]]:
+def _load(plain: 'PlantConfig', load: str, load_at: str) -> dict[str, tuple[str, Any]]:
     """Return the load as parameters of the axis."""
     share = signed('--load', load, SHARES, example='10%')
     if not -1.0 <= share <= 1.0:
         raise ValueError(f'--load: expected -100% to 100% of the drive but found {load!r}')
-    if axis == 'ballscrew':
-        from fuzzycnc_ros.core.machine import BallscrewAxisConfig
-
-        share *= BallscrewAxisConfig().force_max
+    if hasattr(plain, 'force_max'):
+        share *= plain.force_max
     time = quantity('--load-at', load_at, TIMES, example='2s', zero=True)
     return {'load': ('--load', share), 'load_time': ('--load-at', time)}

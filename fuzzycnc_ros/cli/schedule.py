@@ -5,7 +5,7 @@
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import nullcontext, redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
@@ -22,7 +22,6 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_text,
 )
-from fuzzycnc_ros.cli.machine_file import Machine, MachineFile, read_machine
 from fuzzycnc_ros.cli.options import Report
 from fuzzycnc_ros.cli.program_files import (
     STREAM,
@@ -33,12 +32,15 @@ from fuzzycnc_ros.cli.program_files import (
     subroutine_files,
 )
 from fuzzycnc_ros.cli.quantities import FEEDS, LENGTHS, SHARES, quantity
+from fuzzycnc_ros.cli.scheduling_machine import Machine, SchedulingMachine, read_machine
+from fuzzycnc_ros.cli.unkept import say_unkept
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings
     from fuzzycnc_ros.core.feedrate.program import Block, Program, ProgramReader
     from fuzzycnc_ros.report.schedule import ScheduleFigures
     from fuzzycnc_ros.report.schedule_trace import PathTrace
+    from fuzzycnc_ros.scenario.program_judge import Judged
 
 NOTES = 8
 """Notes that are printed; the report and the figures have all."""
@@ -60,6 +62,8 @@ class Words:
     """Why no word is another one; empty where one is."""
     stretch: int = 0
     """Blocks at the beginning whose motion takes `STRETCH` or less, and one that moves."""
+    begun: 'list[tuple[Block, float | None]]' = field(default_factory=list)
+    """Blocks at the beginning with their feeds, whose motion and rests take no longer."""
 
 
 def schedule(
@@ -138,7 +142,8 @@ def schedule(
     the program are upper bounds, unless --feed gives another one: where the path bends, the feed
     falls as the tolerance asks for. Cycles, calls and words of the control are passed through
     untouched and reported. Times are those of the machine's limits, for the program as it was
-    and as it is now.
+    and as it is now; the first 20 s of both are driven on a simulated controller with look-ahead.
+    Exit code 1 if that leaves more than the tolerance: `fuzzycnc advise` says what helps.
 
         fuzzycnc schedule part.ngc --tolerance 0.01mm --out part_scheduled.ngc
         fuzzycnc schedule part.ngc --tolerance 10um --blend 0.01mm --feed 12000mm/min \
@@ -160,6 +165,7 @@ def schedule(
         files = subroutine_files(program)
         words, trace = Words(), PathTrace()
         reader = ProgramReader(units, follow=True, files=files)
+        rest = 0.0 if settings.blend else settings.settle  # at corners
         scheduler = ProgramScheduler(settings, trace.add if report is not None else None)
         try:
             with (
@@ -168,34 +174,40 @@ def schedule(
                 new_program(out) as new,
             ):
                 blocks = reader.blocks(_told(file, source.stat().st_size, tell))
-                new.writelines(_counted(scheduler.schedule(blocks), words))
+                new.writelines(_counted(scheduler.schedule(blocks), words, rest))
         except ValueError as error:
             raise ValueError(f'{program}: {error}') from error
+        driven = _driven(words, settings, known)
         figures = ScheduleFigures(
             str(program), known.scheduler.method, known.scheduler.tolerance,
             settings, scheduler.times, reader.notes,
-            words.added, words.changed,
+            words.added, words.changed, *driven,
+            _name(words.begun[-1][0].line, scheduler.times.blocks),
         )  # fmt: skip
         with redirect_stdout(sys.stderr) if str(out) == STREAM else nullcontext():
             show(schedule_table(figures))
             for line in _lines(figures, words, out):
                 say(line)
+            if not figures.kept:
+                say_unkept(figures.verdict)
         write_json(json_file, schedule_document(figures))
         if report is not None:
             reader = ProgramReader(units, follow=True, files=files)
             stretch = _stretch(source, reader, words.stretch, figures.times.blocks)
             _write_report(report, stretch, figures, trace, known)
             say(f'{report}: the report; open it in a browser')
+    if not figures.kept:
+        raise typer.Exit(1)
 
 
 def _settled(
-    machine: MachineFile,
+    machine: SchedulingMachine,
     tolerance: str | None,
     method: str | None,
     blend: str | None,
     feed: str | None,
     override: str | None,
-) -> MachineFile:
+) -> SchedulingMachine:
     """Return a machine with what the options say."""
     given: dict[str, Any] = {}
     if tolerance is not None:
@@ -215,7 +227,7 @@ def _settled(
     return replace(machine, scheduler=replace(machine.scheduler, **given))
 
 
-def _settings(machine: MachineFile, feed: str | None, feed_step: str) -> 'ProgramSettings':
+def _settings(machine: SchedulingMachine, feed: str | None, feed_step: str) -> 'ProgramSettings':
     """Return how programs are scheduled."""
     from fuzzycnc_ros.components.program_request import program_settings
 
@@ -234,7 +246,9 @@ def _told(lines: Iterable[str], size: int, tell: Tell) -> Iterator[str]:
         yield line
 
 
-def _counted(scheduled: 'Iterable[tuple[Block, float | None]]', words: Words) -> Iterator[str]:
+def _counted(
+    scheduled: 'Iterable[tuple[Block, float | None]]', words: Words, rest: float
+) -> Iterator[str]:
     """Yield the lines of the program with its new feeds; count the words that changed."""
     from fuzzycnc_ros.core.feedrate.program import FeedTally, write_blocks
 
@@ -251,6 +265,8 @@ def _counted(scheduled: 'Iterable[tuple[Block, float | None]]', words: Words) ->
                 moved += 1
             if (time <= STRETCH and moved <= STRETCH_BLOCKS) or moved <= 1:
                 words.stretch = count
+            if (time + rest * moved <= STRETCH and moved <= STRETCH_BLOCKS) or moved <= 1:
+                words.begun.append((block, feed))
             yield block, feed
 
     for number, line in enumerate(write_blocks(noted()), 1):
@@ -260,6 +276,20 @@ def _counted(scheduled: 'Iterable[tuple[Block, float | None]]', words: Words) ->
             words.changed += block.word is not None
         yield line
     words.unchanged = '' if words.added or words.changed else tally.reason
+
+
+def _driven(
+    words: Words, settings: 'ProgramSettings', machine: SchedulingMachine
+) -> 'tuple[Judged | None, Judged | None]':
+    """Drive the first lines as they were and as they are on the simulated controller."""
+    from fuzzycnc_ros.scenario.program_controller import drive_words
+
+    return drive_words(words.begun, settings, machine.contouring)
+
+
+def _name(lines: int, total: int) -> str:
+    """Return what the first lines of a program are called."""
+    return 'the whole program' if lines >= total else f'lines 1 to {lines:,} of {total:,}'
 
 
 @dataclass(frozen=True)
@@ -276,8 +306,7 @@ def _stretch(source: Path, reader: 'ProgramReader', count: int, total: int) -> S
 
     with open_program(source) as file:
         blocks = list(islice(reader.blocks(file), count))
-    name = 'the whole program' if count >= total else f'lines 1 to {count:,} of {total:,}'
-    return Stretch(Program(tuple(blocks), reader.notes), name)
+    return Stretch(Program(tuple(blocks), reader.notes), _name(count, total))
 
 
 def _write_report(
@@ -285,7 +314,7 @@ def _write_report(
     stretch: Stretch,
     figures: 'ScheduleFigures',
     trace: 'PathTrace',
-    machine: MachineFile,
+    machine: SchedulingMachine,
 ) -> None:
     """Drive a stretch of the program with every method, and write the page."""
     from fuzzycnc_ros.report.schedule import speed

@@ -21,7 +21,8 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_text,
 )
-from fuzzycnc_ros.cli.options import ALL, Report, names_of
+from fuzzycnc_ros.cli.many_bags import Jobs, jobs_of
+from fuzzycnc_ros.cli.options import ALL, MachineFile, Report, names_of
 from fuzzycnc_ros.cli.servo_axis import (
     AXES,
     CHOICES,
@@ -41,10 +42,15 @@ HELP = """Compare, learn, tune and judge controllers that position an axis.
     fuzzycnc servo compare --report controllers.html
     fuzzycnc servo learn run --out rules.yaml
     fuzzycnc servo tune --generations 30 --out settings.yaml
+    fuzzycnc servo tune --machine-file mill.yaml --axis X --out tuned.yaml
     fuzzycnc servo stability --params settings.yaml
 
 `fuzzycnc position` moves an axis with what they find.
 """
+
+MachineAxis = Annotated[
+    str, typer.Option(metavar='NAME', show_default=False, help='Axis of the machine file.')
+]
 
 Params = Annotated[
     Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
@@ -66,10 +72,12 @@ def compare(
         int, typer.Option(help='Random moves with moderate and as many with hard friction.')
     ] = 200,
     seed: Annotated[int, typer.Option(help='Seed of noise and random moves.')] = 0,
+    machine_file: MachineFile = None,
+    axis: MachineAxis = '',
     report: Report = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Put all position controllers on the same cases of the lathe axis.
+    """Put all position controllers on the same cases of the lathe axis, or of a machine's.
 
     Steps and profiles with and without friction, the gain halved and one and a half times, a step
     of load, a sine, a circle of two axes, and random moves whose gain, load, noise and friction
@@ -78,14 +86,26 @@ def compare(
         fuzzycnc servo compare --moves 0
         fuzzycnc servo compare --controllers pid,variable_universe --json figures.json
         fuzzycnc servo compare --report controllers.html
+
+    With a machine file: the four controllers for any axis, on the cases of `servo tune`.
+
+        fuzzycnc servo compare --machine-file mill.yaml --axis X
     """
+    check_at_least('--seed', seed, 0)
+    if machine_file is not None:
+        from fuzzycnc_ros.cli.servo_machine import compare_machine_axis
+
+        if report is not None:
+            raise ValueError('--report: expected none with --machine-file; use --json')
+        check_folder(json_file)
+        compare_machine_axis(machine_file, axis, seed, json_file)
+        return
     from fuzzycnc_ros.report import positioning_compare as shown
     from fuzzycnc_ros.report.positioning_model import LABELS
     from fuzzycnc_ros.scenario.servo_cases import compare_controllers
 
     names = names_of('--controllers', controllers, tuple(LABELS))
     check_at_least('--moves', moves, 0)
-    check_at_least('--seed', seed, 0)
     for path in (report, json_file):
         check_folder(path)
     with progress_bar('driving') as tell:
@@ -116,10 +136,16 @@ def compare(
 
 def tune(
     out: Out,
-    axis: Axis = 'lathe',
+    axis: Axis = '',
+    machine_file: MachineFile = None,
     generations: Annotated[
-        int, typer.Option(help='Generations of the search after the first population.')
-    ] = 30,
+        Optional[int],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Option(
+            show_default=False,
+            help='Generations of the search after the first population; 30, or 8 with a '
+            'machine file.',
+        ),
+    ] = None,
     population: Annotated[int, typer.Option(help='Candidates per setting.')] = 6,
     search: Annotated[
         list[str],
@@ -130,9 +156,10 @@ def tune(
         ),
     ] = [ALL],  # noqa: B006
     seed: Annotated[int, typer.Option(help='Seed of the search.')] = 0,
+    jobs: Jobs = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Search for settings of the default controller of the lathe axis.
+    """Search for settings of the lathe's controller, or for the controller of a machine's axis.
 
     Differential evolution on eight moves: 20 um to 170 mm, the gain from half to one and a half
     times nominal, friction, load. A generation of the default size takes about four seconds of
@@ -140,7 +167,30 @@ def tune(
 
         fuzzycnc servo tune --out settings.yaml
         fuzzycnc servo tune --search output_gain,disturbance --generations 10 --out few.json
+
+    With a machine file all four controllers - PID with feedforward, cascade, linear tangent,
+    variable universe - are tuned with the same number of trials, with gains from half to twice,
+    loads and friction within the file's limits, and judged on other cases. The best one,
+    or a simpler one that is as good to 5 %, is written into --out, a new machine file. It takes
+    about two minutes.
+
+        fuzzycnc servo tune --machine-file mill.yaml --axis X --out tuned.yaml
     """
+    check_at_least('--population', population, 1)
+    check_at_least('--seed', seed, 0)
+    effort = generations if generations is not None else 30 if machine_file is None else 8
+    check_at_least('--generations', effort, 1)
+    check_new(out)
+    check_folder(json_file)
+    if machine_file is not None:
+        from fuzzycnc_ros.cli.servo_machine import Effort, tune_machine_axis
+
+        if words(search) != (ALL,):
+            raise ValueError(f'--search: expected {ALL} with --machine-file but found others')
+        work = Effort(seed, effort, population)
+        tune_machine_axis(machine_file, axis, out, work, jobs_of(jobs), json_file)
+        return
+    axis = axis or AXES[0]
     from fuzzycnc_ros.cli.servo_search import default_cost, swinging
     from fuzzycnc_ros.cli.servo_settings import write_settings
     from fuzzycnc_ros.core.servo.tuning import BOUNDS, production
@@ -150,25 +200,20 @@ def tune(
     check_axis(axis)
     if axis != AXES[0]:
         raise ValueError(
-            f'--axis: expected {AXES[0]}, on which settings are searched, but found {axis}; the '
-            'controller of the ballscrew follows from its nominal model'
+            f'--axis: expected {AXES[0]}, on which settings are searched, but found {axis}; for '
+            'other axes give a --machine-file, such as ballscrew, which is built in'
         )
     names = names_of('--search', search, tuple(BOUNDS))
-    check_at_least('--generations', generations, 1)
-    check_at_least('--population', population, 1)
     if population * len(names) < 5:
         raise ValueError(
             f'--population: expected five candidates or more in all but found {population} for '
             f'each of {len(names)} settings'
         )
-    check_at_least('--seed', seed, 0)
-    check_new(out)
-    check_folder(json_file)
     with progress_bar('searching') as tell:
         found = searched(
             bounds={name: BOUNDS[name] for name in names},
             seed=seed,
-            generations=generations,
+            generations=effort,
             population=population,
             progress=lambda done, total, cost: tell(f'best cost {cost:.3f}', done, total),
         )
@@ -181,7 +226,7 @@ def tune(
         best = production(make_axis(axis, {}).linear(), found.settings)
     for line in swinging(best):
         say(line)
-    about = f'tuned on the simulated lathe axis, seed {seed}, {generations} generations'
+    about = f'tuned on the simulated lathe axis, seed {seed}, {effort} generations'
     write_settings(out, axis, numbers=found.settings, about=about)
     say(f'{out}: the settings; move with them by `fuzzycnc position --params {out}`')
     write_json(

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 
 AXES = ('lathe', 'ballscrew')
 """Simulated axes."""
-
-TRAVEL = 0.25
-"""How far either way the simulated axes go from the middle [m]."""
 
 CHOICES = (
     'variable_universe',
@@ -47,7 +44,14 @@ TUNABLE = CHOICES[:3]
 TIMES: Mapping[str, float] = MappingProxyType({'s': 1.0, 'ms': 1e-3})
 """What a time of 1 is, by unit [s]."""
 
-Axis = Annotated[str, typer.Option(metavar='|'.join(AXES), help='Simulated axis.')]
+Axis = Annotated[
+    str,
+    typer.Option(
+        metavar='|'.join(AXES),
+        show_default=False,
+        help=f'Simulated axis, {AXES[0]} without it; with a machine file the name of its axis.',
+    ),
+]
 
 Out = Annotated[
     Path, typer.Option(metavar='FILE', help='Where to write it: YAML, or JSON if it ends so.')
@@ -92,11 +96,15 @@ def make_axis(axis: str, knobs: Mapping[str, tuple[str, Any]]) -> AxisPlant:
         LatheAxisConfig,
     )
 
-    values = {name: value for name, (_, value) in knobs.items()}
+    if axis == 'lathe':
+        return made_with(lambda **values: LatheAxis(LatheAxisConfig(**values)), knobs)
+    return made_with(lambda **values: BallscrewAxis(BallscrewAxisConfig(**values)), knobs)
+
+
+def made_with(make: Callable[..., AxisPlant], knobs: Mapping[str, tuple[str, Any]]) -> AxisPlant:
+    """Return what is made with the values of knobs; refusals name their options."""
     try:
-        if axis == 'lathe':
-            return LatheAxis(LatheAxisConfig(**values))
-        return BallscrewAxis(BallscrewAxisConfig(**values))
+        return make(**{name: value for name, (_, value) in knobs.items()})
     except ValueError as error:
         text = str(error)
         for name, (option, _) in knobs.items():

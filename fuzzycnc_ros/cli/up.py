@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Optional
 
 import typer
@@ -157,6 +158,14 @@ def up(
         Optional[Path],  # noqa: UP045
         typer.Option(help='Folder with parameter files <node>.yaml.'),
     ] = None,
+    machine_file: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            metavar='FILE.yaml',
+            show_default=False,
+            help='Machine file whose values the nodes get; those of --params win.',
+        ),
+    ] = None,
     nodes: Annotated[
         str,
         typer.Option(
@@ -237,6 +246,9 @@ def up(
     check_files(files)
     started = time.monotonic()
     with ExitStack() as stack:
+        if machine_file is not None:
+            folder = stack.enter_context(TemporaryDirectory(prefix='fuzzycnc-'))
+            files.insert(0, _of_machine(machine_file, Path(folder)))
         # It listens while the parameters are checked.
         monitor = stack.enter_context(closing(Monitor(machines)))
         graphs = []
@@ -278,6 +290,16 @@ def up(
     write_json(json_file, outcome)
     if outcome['exit_code']:
         raise typer.Exit(int(outcome['exit_code']))
+
+
+def _of_machine(file: str, folder: Path) -> Path:
+    """Write the parameters that a machine file decides; return where."""
+    from fuzzycnc_ros.machine_file.parameters import parameter_text
+    from fuzzycnc_ros.machine_file.reader import read_machine_file
+
+    path = folder / 'machine.yaml'
+    path.write_text(parameter_text(read_machine_file(file)), encoding='utf-8')
+    return path
 
 
 def _parameter_files(folder: Path | None) -> list[Path]:

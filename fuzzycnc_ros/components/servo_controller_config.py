@@ -174,4 +174,5 @@ def motion_doubt(config: ServoControllerConfig) -> MotionDoubt:
 def _believed(config: ServoControllerConfig, limits: FeedbackLimits) -> FeedbackLimits:
     """Return what to believe of the feedback of an axis with this travel."""
     travel = config.travel_high - config.travel_low
-    return replace(limits, error_max=travel, bad_max=config.missed_max)
+    load = max(limits.load, min(config.load_max + config.friction_max, 1.0))
+    return replace(limits, error_max=travel, bad_max=config.missed_max, load=load)

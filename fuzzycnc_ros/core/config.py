@@ -10,6 +10,8 @@ from dataclasses import MISSING, dataclass, field, fields
 from math import isfinite
 from typing import Any
 
+import numpy as np
+
 Value = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 """What a parameter can hold; tuples become ROS arrays."""
 
@@ -79,6 +81,7 @@ def _coerced(name: str, value: Any, default: Any) -> Value:
     """Return `value` in the type of `default`: whole numbers for doubles, lists for tuples."""
     if default is MISSING:
         raise TypeError(f'{name} has no default')
+    value = _without_numpy(value)
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         return _double(name, value)
     if isinstance(default, tuple) and isinstance(value, (list, tuple)):
@@ -95,6 +98,15 @@ def _coerced(name: str, value: Any, default: Any) -> Value:
         f'{name}: expected {type(default).__name__} as in the default {default!r} '
         f'but found {value!r}'
     )
+
+
+def _without_numpy(value: Any) -> Any:
+    """Return numpy's scalars and arrays as what Python calls them."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_without_numpy(item) for item in value]
+    return value
 
 
 def _double(name: str, value: int) -> float:

@@ -16,8 +16,12 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
+from fuzzycnc_ros.machine_file.parameters import parameter_text
+from fuzzycnc_ros.machine_file.reader import read_machine_file
 from fuzzycnc_ros.nodes.parameters import ParameterError
 
+MACHINE_FILE = '--machine-file'
+"""Option of every node: the machine file that decides its parameters."""
 BARE = frozenset('yYnN')
 """Names, such as that of an axis, to YAML 1.2, to PyYAML and to `ros2 param dump`, which writes
 them bare; switches to rcl, which refuses them beside other names."""
@@ -32,8 +36,46 @@ def initialise(arguments: Sequence[str] | None) -> None:
     ParameterError
         If they are not understood; the text says which.
     """
-    with understood(sys.argv if arguments is None else arguments) as words:
-        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+    with TemporaryDirectory(prefix='fuzzycnc-') as folder:
+        given = sys.argv if arguments is None else arguments
+        with understood(with_machine(given, Path(folder))) as words:
+            rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+
+
+def with_machine(arguments: Sequence[str], folder: Path) -> list[str]:
+    """Return arguments with a machine file (--machine-file) as the first of parameter files.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        The arguments; those for ROS follow --ros-args.
+    folder : Path
+        Where its parameters are written to.
+
+    Raises
+    ------
+    ParameterError
+        If it cannot be read; the message names file and line.
+    """
+    words = list(arguments)
+    end = words.index('--ros-args') if '--ros-args' in words else len(words)
+    for place, word in enumerate(words[:end]):
+        name, sign, value = word.partition('=')
+        if name != MACHINE_FILE:
+            continue
+        if not sign and place + 1 == end:
+            raise ParameterError(f'{MACHINE_FILE}: expected a file but found none')
+        file = value if sign else words[place + 1]
+        try:
+            text = parameter_text(read_machine_file(file))
+        except ValueError as error:
+            raise ParameterError(f'{MACHINE_FILE}: {error}') from error
+        path = folder / 'machine.yaml'
+        path.write_text(text, encoding='utf-8')
+        # Those given at the command line come later, and win.
+        rest = words[:place] + words[place + (1 if sign else 2) :]
+        return [*rest[:1], '--ros-args', '--params-file', str(path), '--', *rest[1:]]
+    return words
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from fuzzycnc_ros.report.pareto import LABELS, millimetres
 from fuzzycnc_ros.report.table import Column, Table
@@ -18,6 +18,25 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.program import Note
 
 MINUTE = 60.0
+
+
+class Driven(Protocol):
+    """What the simulated controller left (SI)."""
+
+    @property
+    def error(self) -> float:
+        """Largest contour error [m]."""
+
+    @property
+    def corner_error(self) -> float:
+        """Largest one at corners [m]."""
+
+    @property
+    def line(self) -> int:
+        """Line of the largest one."""
+
+    def document(self) -> dict[str, float]:
+        """Return all figures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +59,11 @@ class ScheduleFigures:
         What was passed through.
     added, changed : int
         Feed words that were added, and that were there and changed.
+    driven_before, driven : Driven or None
+        The first lines on the simulated controller, as they were and as they are; None where
+        they were not driven.
+    stretch : str
+        Which lines these are.
     """
 
     program: str
@@ -50,6 +74,31 @@ class ScheduleFigures:
     notes: Sequence[Note]
     added: int
     changed: int
+    driven_before: Driven | None = None
+    driven: Driven | None = None
+    stretch: str = 'the whole program'
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether the program came out as it went in."""
+        return self.added + self.changed == 0
+
+    @property
+    def kept(self) -> bool:
+        """Whether what was driven keeps the tolerance."""
+        return self.driven is None or self.driven.error <= self.tolerance
+
+    @property
+    def verdict(self) -> str:
+        """That the tolerance is not kept, where, and what helps."""
+        if self.driven is None or self.kept:
+            return ''
+        place = 'corners' if self.driven.corner_error >= self.driven.error else 'bends'
+        return (
+            f'tolerance not kept: {1e3 * self.driven.error:.4f} mm at {place}, line '
+            f'{self.driven.line:,}, of {self.stretch} on the simulated controller; feeds alone do '
+            'not do it here, see fuzzycnc advise'
+        )
 
     @property
     def fixed(self) -> float:
@@ -81,6 +130,13 @@ class ScheduleFigures:
                 'leave as error depends on acceleration and rest, not on the feed'
             )
         lines.append(f'limits: {_limits(settings.limits)}')
+        lines.append(
+            'bound: machine constant times the largest acceleration across the path that the feed '
+            'words ask for; driven: on the simulated controller with look-ahead, '
+            f'{self.stretch}'
+        )
+        if self.unchanged:
+            lines.append('unchanged: no feed word was added or changed')
         return lines
 
 
@@ -113,12 +169,17 @@ def schedule_table(figures: ScheduleFigures) -> Table:
         Column('time [s]'),
         Column('change'),
         Column('mean feed [mm/min]'),
-        Column('contour error expected [mm]'),
+        Column('bound', 'contour error [mm]'),
+        Column('driven', 'contour error [mm]'),
     )
     rows: list[tuple[str, ...]] = []
-    for name, duration, error in (
-        ('as programmed', times.programmed, times.programmed_error),
-        (LABELS.get(figures.method, figures.method), times.duration, times.error),
+    now = times.duration, times.error, figures.driven
+    before = times.programmed, times.programmed_error, figures.driven_before
+    if figures.unchanged:  # a feed that its word rounds is that word's
+        now = before
+    for name, (duration, error, driven) in (
+        ('as programmed', before),
+        (LABELS.get(figures.method, figures.method), now),
     ):
         cutting = duration - figures.fixed
         mean = 1e3 * MINUTE * times.length / cutting if cutting > 0.0 else 0.0
@@ -130,6 +191,7 @@ def schedule_table(figures: ScheduleFigures) -> Table:
                 f'{100.0 * change:+.1f} %' if rows else '',
                 f'{mean:,.0f}',
                 f'{1e3 * error:.4f}',
+                '-' if driven is None else f'{1e3 * driven.error:.4f}',
             )
         )
     bound = "the program's feeds"
@@ -141,7 +203,8 @@ def schedule_table(figures: ScheduleFigures) -> Table:
     )
     if settings.override != 1.0:
         title += f', override {100.0 * settings.override:g} %'
-    return Table(title, columns, tuple(rows))
+    warning = frozenset() if figures.kept else frozenset({(1, len(columns) - 1)})
+    return Table(title, columns, tuple(rows), warning=warning)
 
 
 def schedule_document(figures: ScheduleFigures) -> dict[str, Any]:
@@ -150,8 +213,8 @@ def schedule_document(figures: ScheduleFigures) -> dict[str, Any]:
     Returns
     -------
     dict
-        `program`, `method`, `settings` (SI), `times` as in `ProgramTimes` (SI), `feed_words` and
-        `notes`.
+        `program`, `method`, `settings` (SI), `times` as in `ProgramTimes` (SI), `driven` (SI),
+        `driven_stretch`, `tolerance_kept`, `feed_words` and `notes`.
     """
     settings = figures.settings
     return {
@@ -168,6 +231,12 @@ def schedule_document(figures: ScheduleFigures) -> dict[str, Any]:
             'limits': asdict(settings.limits),
         },
         'times': figures.times.document(),
+        'driven': {
+            name: None if one is None else one.document()
+            for name, one in (('programmed', figures.driven_before), ('scheduled', figures.driven))
+        },
+        'driven_stretch': figures.stretch,
+        'tolerance_kept': figures.kept,
         'feed_words': {'added': figures.added, 'changed': figures.changed},
         'notes': [
             {'line': note.line, 'count': note.count, 'text': note.text} for note in figures.notes

@@ -10,6 +10,7 @@ from math import isfinite
 from fuzzycnc_ros.core.feedrate.program import Note
 from fuzzycnc_ros.report.html import Figure
 from fuzzycnc_ros.report.pareto import LABELS
+from fuzzycnc_ros.report.remark import Remark
 from fuzzycnc_ros.report.schedule import ScheduleFigures, schedule_table, speed
 from fuzzycnc_ros.report.schedule_plots import plot_motion, plot_path
 from fuzzycnc_ros.report.schedule_trace import PathTrace
@@ -96,11 +97,12 @@ def schedule_page(
     sections = [
         Section(
             'Times within the limits of the machine',
+            judged=[] if figures.kept else [Remark(figures.verdict, warning=True)],
             tables=[schedule_table(figures)],
             remarks=[
                 *figures.remarks(),
-                'Contour error at most: machine constant times curvature times squared feed. '
-                'Bends shorter than the machine reacts leave less.',
+                'The bound is no forecast: bends shorter than the machine reacts, such as rounded '
+                'corners, leave less.',
             ],
             figures=[path],
         ),

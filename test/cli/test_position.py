@@ -13,6 +13,13 @@ def figures(fuzzycnc, tmp_path, *arguments):
     return json.loads((tmp_path / 'out.json').read_text()), outcome.out
 
 
+@pytest.mark.parametrize('controller', ['variable_universe', 'cascade', 'pid'])
+def test_a_heavy_load_is_no_runaway(fuzzycnc, tmp_path, controller):
+    move = ('--to', '50mm', '--load', '40%', '--controller', controller)
+    found, _ = figures(fuzzycnc, tmp_path, *move)
+    assert found['fault'] == ''
+
+
 def test_the_published_move(fuzzycnc, tmp_path):
     found, out = figures(fuzzycnc, tmp_path, '--axis', 'lathe', '--to', '-50mm')
     assert found['target'] == -0.05

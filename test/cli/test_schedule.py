@@ -110,7 +110,10 @@ def test_the_machine_file_gives_what_the_command_line_leaves_open(fuzzycnc, part
     line, arc, _ = feeds('out.ngc')
     assert line == pytest.approx(3000.0)  # the slow axis
     assert arc == pytest.approx(60e3 * (2e-5 / 2.1517e-4 * 5e-3) ** 0.5, rel=5e-3)
-    assert fuzzycnc('schedule', part, *options, '--method', 'constant').code == 0
+    # one feed for all knows no tolerance
+    outcome = fuzzycnc('schedule', part, *options, '--method', 'constant')
+    assert outcome.code == 1
+    assert '! tolerance not kept' in outcome.out
     assert feeds('out.ngc') == pytest.approx([3000.0, 3000.0, 3000.0])
 
 
@@ -130,12 +133,33 @@ def test_feed_override_and_units(fuzzycnc, part):
 def test_corners_are_stopped_at_or_blended(fuzzycnc):
     Path('corner.ngc').write_text('G0 X0 Y0 Z0\nG1 X30 F6000\nY30\n')
     stops = []
-    for blend in ('0mm', '0.05mm'):
+    for blend, code in (('0mm', 0), ('0.05mm', 1)):
         options = ('--tolerance', '0.01mm', '--blend', blend, '--json', 'figures.json')
-        assert fuzzycnc('schedule', 'corner.ngc', *options, '--out', 'out.ngc').code == 0
-        stops.append(json.loads(Path('figures.json').read_text())['times']['stops'])
+        outcome = fuzzycnc('schedule', 'corner.ngc', *options, '--out', 'out.ngc')
+        assert outcome.code == code
+        figures = json.loads(Path('figures.json').read_text())
+        stops.append(figures['times']['stops'])
         assert feeds('out.ngc') == pytest.approx([6000.0, 6000.0])
+        # feeds alone do nothing here, and the figures say so
+        assert 'unchanged: no feed word' in outcome.out
+        assert figures['driven']['programmed'] == figures['driven']['scheduled']
+        assert figures['times']['error'] == figures['times']['programmed_error']
+        assert figures['tolerance_kept'] is (code == 0)
     assert stops == [2, 1]
+    assert 'at corners, line' in outcome.out
+
+
+def test_the_figures_of_the_program_as_it_was_do_not_depend_on_the_tolerance(fuzzycnc):
+    Path('wave.ngc').write_text(
+        'G0 X0 Y0\nF3000\nG1 X5\nX9 Y3\nG3 X12 Y3 I1.5\nG1 X12 Y0\nX20 Y0.4\nX26 Y0\n'
+    )
+    found = []
+    for tolerance in ('10um', '50um'):
+        options = ('--tolerance', tolerance, '--blend', '0.01mm', '--json', 'figures.json')
+        fuzzycnc('schedule', 'wave.ngc', *options, '--out', 'out.ngc')
+        figures = json.loads(Path('figures.json').read_text())
+        found.append((figures['times']['programmed_error'], figures['driven']['programmed']))
+    assert found[0] == found[1]
 
 
 def test_the_program_itself_only_if_somebody_says_so(fuzzycnc, refused, part):
@@ -166,7 +190,8 @@ def test_the_report_shows_path_motion_and_all_methods(fuzzycnc, part):
         'schedule', part, '--tolerance', '0.01mm', '--machine', 'machine.yaml', '--out', 'out.ngc',
         '--report', 'page.html', '--blend', '0.01mm', '--method', 'log_fuzzy',
     )  # fmt: skip
-    assert outcome.code == 0, outcome.err
+    assert outcome.code == 1, outcome.err
+    assert 'tolerance not kept' in Path('page.html').read_text()
     assert 'page.html: the report' in outcome.out
     page = Path('page.html').read_text()
     assert page.count('<svg') == 2

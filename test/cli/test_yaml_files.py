@@ -10,7 +10,7 @@ import pytest
 from fuzzycnc_ros.bags.csv import CsvMapping
 from fuzzycnc_ros.bags.yaml_file import SIZE_MAX, compose, construct
 from fuzzycnc_ros.cli.import_csv import _read_mapping
-from fuzzycnc_ros.cli.machine_file import read_machine
+from fuzzycnc_ros.cli.scheduling_machine import read_machine
 from fuzzycnc_ros.cli.servo_settings import read_settings
 
 LAUGHS = 'a: &a [x, x]\n' + ''.join(

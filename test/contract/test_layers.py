@@ -21,9 +21,10 @@ RINGS = {
     'components': {'core'},
     'convert': {'components', 'core'},
     'bags': {'convert', 'components', 'core'},
+    'machine_file': {'bags', 'core'},
     'report': {'core'},
-    'scenario': {'report', 'bags', 'convert', 'components', 'core'},
-    'nodes': {'bridges', 'bags', 'convert', 'components', 'core'},
+    'scenario': {'report', 'machine_file', 'bags', 'convert', 'components', 'core'},
+    'nodes': {'bridges', 'machine_file', 'bags', 'convert', 'components', 'core'},
     'bridges': {'bags', 'convert', 'components', 'core'},
     'faults': {'nodes', 'report', 'bags', 'convert', 'components', 'core'},
     'cli': {
@@ -32,6 +33,7 @@ RINGS = {
         'bridges',
         'scenario',
         'report',
+        'machine_file',
         'bags',
         'convert',
         'components',
@@ -52,7 +54,16 @@ ROS = {
     'sensor_msgs',
     'std_msgs',
 }
-WITHOUT_ROS = ('core', 'components', 'convert', 'bags', 'bridges', 'report', 'scenario')
+WITHOUT_ROS = (
+    'core',
+    'components',
+    'convert',
+    'bags',
+    'machine_file',
+    'bridges',
+    'report',
+    'scenario',
+)
 LOADED_ON_USE = {
     'asyncua',
     'cryptography',

@@ -4,6 +4,7 @@
 
 from dataclasses import FrozenInstanceError, dataclass, fields, replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -148,3 +149,30 @@ def test_whole_number_beyond_all_doubles_is_refused(name):
         Example(**{name: [1.0, huge] if name == 'gains' else huge})
     with pytest.raises(ValueError, match=r'count = 10+ is outside'):
         Example(count=huge)
+
+
+def test_numpy_values_are_plain_ones():
+    example = Example(
+        enabled=np.bool_(False),
+        count=np.int64(4),
+        length=np.float32(0.5),
+        gains=np.array([1, 2]),
+        names=np.array(['Z']),
+    )
+    assert example == Example(enabled=False, count=4, length=0.5, gains=(1.0, 2.0), names=('Z',))
+    assert [type(value) for value in (example.enabled, example.count, example.length)] == [
+        bool,
+        int,
+        float,
+    ]
+    assert type(Example(length=np.array(1)).length) is float
+    assert Example(gains=[np.float64(1.0), 2]).gains == (1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [('count', np.float64(2.0)), ('length', np.array([0.5])), ('length', np.float64(np.nan))],
+)
+def test_numpy_values_are_refused_as_plain_ones_are(name, value):
+    with pytest.raises(ValueError, match=name):
+        Example(**{name: value})

@@ -129,3 +129,33 @@ def test_the_chosen_log_level_of_rcl_stays():
     finally:
         rclpy.shutdown()
         rclpy.logging.set_logger_level('rcl', rclpy.logging.LoggingSeverity.UNSET)
+
+
+def test_a_machine_file_comes_before_parameters(tmp_path):
+    machine = tmp_path / 'mill.yaml'
+    machine.write_text('path: {velocity: 100 mm/s, settle: 0.2}\n')
+    for option in (('--machine-file', str(machine)), (f'--machine-file={machine}',)):
+        initialise(['node', *option, '--ros-args', '-p', 'settle:=0.3'])
+        try:
+            node = Node('feedrate_scheduler')
+            (config,) = declare(node, COMPONENTS['feedrate_scheduler'].CONFIG)
+            node.destroy_node()
+        finally:
+            rclpy.shutdown()
+        assert (config.path_velocity, config.settle) == (0.1, 0.3)
+
+
+@pytest.mark.parametrize(
+    ('text', 'said'),
+    [(None, 'nothing is there'), ('path: {velocity: fast}', 'line 1'), ('', 'empty file')],
+)
+def test_a_machine_file_that_is_none_is_refused(tmp_path, capfd, text, said):
+    machine = tmp_path / 'mill.yaml'
+    if text is not None:
+        machine.write_text(text)
+    assert run([make], ['compensator', '--machine-file', str(machine)]) == 2
+    found = capfd.readouterr().err
+    assert f'--machine-file: {machine}' in found
+    assert said in found
+    assert run([make], ['compensator', '--machine-file']) == 2
+    assert 'expected a file but found none' in capfd.readouterr().err

@@ -260,3 +260,25 @@ def test_its_tangent_follows_as_well(reference, followed, name):
     assert tangent.rate_gain == pytest.approx(params.rate_gain)
     linear = follow(reference, BallscrewController(params=tangent), **CASES[name])[0]
     assert millimetres(linear) == pytest.approx(millimetres(followed[name][0]), rel=0.02)
+
+
+@pytest.mark.parametrize('volts', [1.0, 2.5, 5.0])
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_pulses_of_half_the_drive_are_borne(recording, volts, sign):
+    """As the real machine bore them: half a second on, half a second off, up to 5 V."""
+    reference = from_rest(recording['qg'])[:12_000]
+    controller = BallscrewController()
+    config = BallscrewAxisConfig()
+    axis = BallscrewAxis(config, position=float(reference[0]))
+    speeds = np.gradient(reference, PERIOD)
+    acceleration = np.pad(np.diff(reference, 2), 1) / PERIOD**2
+    errors = []
+    for step, (target, speed, change) in enumerate(
+        np.column_stack([reference, speeds, acceleration]).tolist()
+    ):
+        duty = controller.step(target, axis.measure(), speed, change)
+        errors.append(target - axis.position)
+        pulse = sign * volts / config.voltage_max * (step // 500 % 2)
+        axis.drive(min(max(duty + pulse, -1.0), 1.0))
+    assert controller.watch.fault == ''
+    assert 1e3 * np.abs(errors).max() < 0.051 * volts  # in proportion: it never saturates

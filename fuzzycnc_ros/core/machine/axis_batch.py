@@ -34,7 +34,7 @@ class LatheAxes:
     Raises
     ------
     ValueError
-        If there is no axis, or if periods or substeps differ.
+        If there is no axis, one has a dead time, or if periods or substeps differ.
 
     Examples
     --------
@@ -53,6 +53,8 @@ class LatheAxes:
                 'configs: expected one period and number of substeps for all axes but found '
                 'several; simulate them in batches of their own'
             )
+        if any(config.delay for config in configs):
+            raise ValueError('delay: expected 0 s for all axes of a batch but found more')
         self.period, self._substeps = configs[0].period, configs[0].substeps
         self._sensors = PositionSensors(configs, self.period)
         self._shares = np.array([substep_shares(config) for config in configs]).T

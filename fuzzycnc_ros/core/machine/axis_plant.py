@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import deque
 from dataclasses import dataclass
 from math import isfinite
 
@@ -141,6 +142,41 @@ class LinearAxis:
         whole[:size, size], whole[:size, size + 1] = self.b, self.disturbance
         held = expm(whole * self.period)
         return held[:size, :size], held[:size, size], held[:size, size + 1]
+
+
+class DutyDelay:
+    """Dead time between the duty that is commanded and the one that drives.
+
+    A dead time that is no whole number of periods takes the mean of the two duties that act in a
+    period, weighted by how long each does.
+
+    Parameters
+    ----------
+    delay : float
+        Dead time [s]; not negative.
+    period : float
+        Control period [s].
+
+    Examples
+    --------
+    >>> delay = DutyDelay(1.5e-3, 1e-3)
+    >>> [delay.of(duty) for duty in (1.0, 1.0, 1.0, 1.0)]
+    [0.0, 0.5, 1.0, 1.0]
+    """
+
+    def __init__(self, delay: float, period: float) -> None:
+        whole, part = divmod(delay / period, 1.0)
+        self._part = part if part > 1e-9 else 0.0
+        size = round(whole) + 1 + (self._part > 0.0)
+        self._held = deque([0.0] * size, maxlen=size)
+
+    def of(self, duty: float) -> float:
+        """Return what drives in the period for which a duty [-] is commanded."""
+        held = self._held
+        held.append(duty)
+        if not self._part:
+            return held[0]
+        return self._part * held[0] + (1.0 - self._part) * held[1]
 
 
 class AxisPlant(ABC):

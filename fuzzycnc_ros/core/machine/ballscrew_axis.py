@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from math import exp, log1p
 
 from fuzzycnc_ros.core.config import param
-from fuzzycnc_ros.core.machine.axis_plant import AxisPlant, LinearAxis
+from fuzzycnc_ros.core.machine.axis_plant import AxisPlant, DutyDelay, LinearAxis
 from fuzzycnc_ros.core.machine.position_sensor import PositionSensor, PositionSensorConfig
 
 
@@ -59,6 +59,12 @@ class BallscrewAxisConfig(PositionSensorConfig):
     offset: float = param(-3.1648, 'N', 'Steady force against positive motion', low=-1e6, high=1e6)
     force_constant: float = param(35.15065188, 'N/V', 'Force per volt', low=1e-6, high=1e6)
     voltage_max: float = param(10.0, 'V', 'Voltage at full duty', low=1e-3, high=1e4)
+    delay: float = param(
+        0.0, 's', 'Dead time from a duty to the voltage it gives', low=0.0, high=0.1
+    )
+    drive_lag: float = param(
+        0.0, 's', 'Time constant of the force after the voltage; 0 for none', low=0.0, high=0.1
+    )
     mass_factor: float = param(
         1.0, '-', 'What the mass has changed by against the nominal one', low=0.01, high=100.0
     )
@@ -70,6 +76,13 @@ class BallscrewAxisConfig(PositionSensorConfig):
     )
     breakaway_ratio: float = param(
         1.0, '-', 'Friction at the onset of motion over Coulomb friction', low=1.0, high=10.0
+    )
+    stribeck_velocity: float = param(
+        0.0,
+        'm/s',
+        'Velocity over which breakaway falls to Coulomb friction; 0 at the first motion',
+        low=0.0,
+        high=1.0,
     )
     load: float = param(0.0, 'N', 'Further force against positive motion', low=-1e6, high=1e6)
     load_time: float = param(0.0, 's', 'When the load sets in, after the start', low=0.0, high=1e6)
@@ -149,6 +162,8 @@ class BallscrewAxis(AxisPlant):
         self._screw = self._slide = position
         self._step = 0
         self._load_step = round(config.load_time / self.period)
+        self._delay = DutyDelay(config.delay, self.period)
+        self._drive = 0.0
         self._mass = config.mass * config.mass_factor
         factor = config.friction_factor
         # (sign of motion, viscous, Coulomb, breakaway)
@@ -178,7 +193,10 @@ class BallscrewAxis(AxisPlant):
     def drive(self, duty: float) -> None:
         """Hold a duty [-] for one period; refuses one that is not finite."""
         config = self._config
-        force = config.direction * config.gain_factor * config.force_max * self._cut(duty)
+        acting = self._delay.of(self._cut(duty))
+        if config.drive_lag:
+            acting = self._lagged(acting)
+        force = config.direction * config.gain_factor * config.force_max * acting
         force -= config.offset + (config.load if self._step >= self._load_step else 0.0)
         left, velocity = self.period, self._velocity
         while left > 0.0:
@@ -189,6 +207,9 @@ class BallscrewAxis(AxisPlant):
             )
             if velocity == 0.0 and abs(force) <= breakaway:
                 break
+            if config.stribeck_velocity:
+                ratio = velocity / config.stribeck_velocity
+                coulomb += (breakaway - coulomb) * exp(-ratio * ratio)
             steady, lag = (force - sign * coulomb) / viscous, self._mass / viscous
             stops = sign * velocity > 0.0 > sign * steady
             time = min(lag * log1p(-velocity / steady), left) if stops else left
@@ -203,12 +224,26 @@ class BallscrewAxis(AxisPlant):
     def linear(self) -> LinearAxis:
         """Return the nominal linear model: without friction, load, faults and gain changes.
 
-        Viscous friction is part of it, as the mean of both directions.
+        Viscous friction is part of it, as the mean of both directions, and a dead time as a lag.
         """
         config = self._config
         viscous = 0.5 * (config.viscous_forward + config.viscous_backward)
         gain = config.direction * config.force_max / viscous
-        return LinearAxis.chain(gain, {}, config.mass / viscous, period=config.period)
+        lags = {'delay': config.delay, 'drive': config.drive_lag}
+        return LinearAxis.chain(
+            gain,
+            {name: lag for name, lag in lags.items() if lag},
+            config.mass / viscous,
+            period=config.period,
+        )
+
+    def _lagged(self, duty: float) -> float:
+        """Return the mean of the lagged duty [-] over the next period."""
+        lag = self._config.drive_lag
+        keep = exp(-self.period / lag)
+        away = self._drive - duty
+        self._drive = duty + away * keep
+        return duty + away * (1.0 - keep) * lag / self.period
 
     def _move(self, way: float) -> None:
         """Turn the screw on by a way [m] without a stop in it; backlash takes its part."""

@@ -7,7 +7,7 @@ from math import exp
 
 from fuzzycnc_ros.core.config import param
 from fuzzycnc_ros.core.machine.axis_friction import stribeck_friction
-from fuzzycnc_ros.core.machine.axis_plant import AxisPlant, LinearAxis
+from fuzzycnc_ros.core.machine.axis_plant import AxisPlant, DutyDelay, LinearAxis
 from fuzzycnc_ros.core.machine.position_sensor import PositionSensor, PositionSensorConfig
 
 
@@ -26,6 +26,7 @@ class LatheAxisConfig(PositionSensorConfig):
     torque_lag: float = param(1.5e-3, 's', 'Time constant of the torque', low=1e-6, high=1.0)
     velocity_lag: float = param(0.017, 's', 'Time constant of the mechanics', low=1e-5, high=10.0)
     sensor_lag: float = param(6e-3, 's', 'Time constant of the sensor', low=1e-6, high=1.0)
+    delay: float = param(0.0, 's', 'Dead time from a duty to the amplifier', low=0.0, high=0.1)
     coulomb: float = param(0.02, '-', 'Friction in motion, as duty', low=0.0, high=1.0)
     breakaway: float = param(0.03, '-', 'Friction at the onset of motion', low=0.0, high=1.0)
     stribeck_velocity: float = param(
@@ -87,6 +88,7 @@ class LatheAxis(AxisPlant):
         self._shares = substep_shares(config)
         self._amplifier = self._torque = self._velocity = 0.0
         self._screw = self._slide = self._sensed = position
+        self._delay = DutyDelay(config.delay, self.period)
         self._step = 0
         self._load_step = round(config.load_time / self.period)
 
@@ -108,7 +110,7 @@ class LatheAxis(AxisPlant):
     def drive(self, duty: float) -> None:
         """Hold a duty [-] for one period; refuses one that is not finite."""
         config = self._config
-        asked = config.direction * self._cut(duty)
+        asked = config.direction * self._delay.of(self._cut(duty))
         amplify, build, keep, sense = self._shares
         gain, half_step = config.gain * config.gain_factor, 0.5 * self.period / config.substeps
         load = config.load if self._step >= self._load_step else 0.0
@@ -144,7 +146,11 @@ class LatheAxis(AxisPlant):
         config = self._config
         return LinearAxis.chain(
             config.direction * config.gain,
-            {'amplifier': config.amplifier_lag, 'torque': config.torque_lag},
+            {
+                **({'delay': config.delay} if config.delay else {}),
+                'amplifier': config.amplifier_lag,
+                'torque': config.torque_lag,
+            },
             config.velocity_lag,
             sensor_lag=config.sensor_lag,
             period=config.period,

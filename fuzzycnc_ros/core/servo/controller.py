@@ -99,7 +99,11 @@ class AxisController(ABC):
         self._direction = 1.0 if axis.gain > 0.0 else -1.0
         self._change_max = duty_slew * axis.period
         self.watch = FeedbackWatch(
-            limits or FeedbackLimits.of(axis), axis.period, self._direction, abs(axis.gain)
+            limits or FeedbackLimits.of(axis),
+            axis.period,
+            self._direction,
+            abs(axis.gain),
+            duty_max,
         )
         self._duty = 0.0
         self._saturated = False

@@ -29,6 +29,20 @@ _SPEED_SHARE = 0.3
 _SPEED_MIN = 0.01
 """Speed below which the run-away test is silent, as share of the speed at full duty."""
 
+_FULL = 0.95
+"""Share of the largest duty from which on it is at its end."""
+
+_SWING_TIME = 0.25
+"""Longest time between two ends of the duty that belong to one oscillation [s]."""
+
+_SWINGS, _SWINGS_BEFORE_LOSS = 8, 2
+"""Changes from end to end of the duty from which on the loop swings, and from which on that is
+what a reading that jumps is put down to."""
+
+
+SWINGING = 'the loop swings from end to end of its duty: its gains are too high for this axis'
+"""Fault of a loop that is not stable."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FeedbackLimits:
@@ -47,9 +61,9 @@ class FeedbackLimits:
         RMS of the noise that its readings carry [m].
     bad_max : int
         Bad readings in a row that are bridged with the last duty; one more is a fault.
-    runaway_duty : float
-        Duty [-] above which the axis must not gain speed against it; more than load and friction
-        take.
+    load : float
+        Largest load that is believed, friction included, as duty [-].  Above that duty an axis
+        must not gain speed against it: no load pulls so hard.
     runaway_periods : int
         Periods in a row for which it may.
     response_lag : float
@@ -66,12 +80,12 @@ class FeedbackLimits:
     count: float = 0.625e-6
     noise: float = 0.2e-6
     bad_max: int = 5
-    runaway_duty: float = 0.2
+    load: float = 0.2
     runaway_periods: int = 5
     response_lag: float = 8.3e-3
 
     def __post_init__(self) -> None:
-        for name in ('error_max', 'acceleration_max', 'runaway_duty', 'response_lag'):
+        for name in ('error_max', 'acceleration_max', 'load', 'response_lag'):
             value = getattr(self, name)
             if not value > 0.0:
                 raise ValueError(f'{name}: expected a positive number but found {value}')
@@ -91,6 +105,7 @@ class FeedbackLimits:
         count: float = 0.625e-6,
         noise: float = 0.2e-6,
         travel: float = 0.5,
+        load: float = 0.2,
     ) -> FeedbackLimits:
         """Return the limits of an axis whose gain may be twice the nominal one.
 
@@ -102,12 +117,15 @@ class FeedbackLimits:
             One count of its sensor and RMS of the noise [m].
         travel : float
             Its travel [m].
+        load : float
+            Largest load and friction together, as duty [-].
         """
         return cls(
             error_max=travel,
             acceleration_max=2.0 * abs(axis.gain) / velocity_lag(axis),
             count=count,
             noise=noise,
+            load=load,
             response_lag=max(response_lag(axis), 2.0 * axis.period),
         )
 
@@ -125,6 +143,8 @@ class FeedbackWatch:
         Sign of the velocity that a positive duty drives.
     speed_full : float
         Speed at full duty [m/s].
+    duty_max : float
+        Largest magnitude of duty [-].
 
     Attributes
     ----------
@@ -137,12 +157,18 @@ class FeedbackWatch:
     """
 
     def __init__(
-        self, limits: FeedbackLimits, period: float, direction: float, speed_full: float
+        self,
+        limits: FeedbackLimits,
+        period: float,
+        direction: float,
+        speed_full: float,
+        duty_max: float = 1.0,
     ) -> None:
         self.limits = limits
+        self._full = _FULL * duty_max
+        self._swing_periods = round(_SWING_TIME / period)
         self._jump = limits.acceleration_max * period**2 + 4.0 * limits.count + 12.0 * limits.noise
         self._fade = min(period / limits.response_lag, 1.0)
-        self._push = limits.runaway_duty
         self._direction = direction
         self._still = _SPEED_MIN * speed_full * period
         self._leap = 2.0 * speed_full * period
@@ -154,10 +180,13 @@ class FeedbackWatch:
         self.bad = self.bad_total = 0
         self.fault = ''
         self._last = position
+        self._aim: float | None = None  # reference of the last period
         self._off: float | None = None
         self._gap = 0
         self._slope = self._speed = self._duty = 0.0
         self._against = 0
+        self._swings = self._since_end = 0
+        self._end = 0  # at which end of its range the duty was last
         self._fresh = 2  # readings
         self._restart_divisor()
 
@@ -185,6 +214,9 @@ class FeedbackWatch:
                 return self._refuse('reading and reference are further apart than the travel')
             self._gap += 1
             return self._refuse('reading or reference is not finite')
+        if self._aim is None or abs(reference - self._aim) > self._leap:
+            self._swings = self._end = 0  # a new target throws the duty about, too
+        self._aim = reference
         if self._last is None:
             self._last = position
         change = position - self._last
@@ -196,7 +228,9 @@ class FeedbackWatch:
             self._fresh -= 1
         if not -room <= surprise <= room or self._still_off(position):
             self._off = position
-            return self._refuse('reading has jumped: counts were lost')
+            return self._refuse(
+                'reading has jumped: counts were lost, or the axis is far stronger than its model'
+            )
         gap = self._gap
         if gap:  # its mean since the last reading; how fast the axis is now is not known
             change = (change + self._slope * gap) / (gap + 1)
@@ -209,8 +243,19 @@ class FeedbackWatch:
         return not self.fault
 
     def applied(self, duty: float) -> None:
-        """Note the duty [-] that is held from now on."""
+        """Note the duty [-] that is held from now on; judge whether it swings from end to end."""
         self._duty += (duty - self._duty) * self._fade
+        self._since_end += 1
+        end = 1 if duty >= self._full else -1 if duty <= -self._full else 0
+        if not end:
+            if self._since_end > self._swing_periods:
+                self._swings = self._end = 0
+            return
+        if end == -self._end:
+            self._swings = self._swings + 1 if self._since_end <= self._swing_periods else 0
+            if self._swings >= _SWINGS:
+                self.fault = SWINGING
+        self._end, self._since_end = end, 0
 
     def _still_off(self, position: float) -> bool:
         """Whether a reading goes on smoothly from one that had jumped: an offset, no glitch."""
@@ -226,7 +271,8 @@ class FeedbackWatch:
             # what is expected goes on as it was
             self._last += self._slope
         if self.bad > self.limits.bad_max:
-            self.fault = reason
+            # An axis that is thrown from end to end jumps with all its counts.
+            self.fault = SWINGING if self._swings >= _SWINGS_BEFORE_LOSS else reason
         return False
 
     def _follow(self, change: float) -> None:
@@ -235,9 +281,9 @@ class FeedbackWatch:
         speed = before + (change - before) * _SPEED_SHARE
         self._speed = speed
         pushed = self._duty * self._direction
-        if pushed > self._push:
+        if pushed > self.limits.load:
             against = speed < before and speed < -self._still
-        elif pushed < -self._push:
+        elif pushed < -self.limits.load:
             against = speed > before and speed > self._still
         else:
             against = False

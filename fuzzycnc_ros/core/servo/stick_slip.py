@@ -9,7 +9,7 @@ before anything can be known of it.  Method sheet 004 leaves that open.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 
 
@@ -81,6 +81,25 @@ class StickSlipParams:
                 raise ValueError(
                     f'StickSlipParams: {name}: expected a positive number but found 0'
                 )
+
+    @classmethod
+    def for_sensor(cls, count: float, noise: float) -> StickSlipParams:
+        """Return bands that a sensor can tell apart; those of 0.625 um and finer stay.
+
+        Parameters
+        ----------
+        count, noise : float
+            One count and the RMS of the noise [m].
+
+        Examples
+        --------
+        >>> f'{StickSlipParams.for_sensor(5e-6, 0.0).still_band:.3g}'
+        '1.04e-05'
+        """
+        plain = cls()
+        factor = max(count / 0.625e-6, noise / 0.1e-6, 1.0)
+        bands = ('still_band', 'hold_error', 'loose_error', 'reached_error')
+        return replace(plain, **{name: factor * getattr(plain, name) for name in bands})
 
 
 class StickSlipRelief:

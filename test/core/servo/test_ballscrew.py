@@ -9,7 +9,8 @@ import pytest
 
 from fuzzycnc_ros.core.machine import BallscrewAxis, BallscrewAxisConfig, LatheAxis
 from fuzzycnc_ros.core.servo import point_to_point, position
-from fuzzycnc_ros.core.servo.ballscrew import BallscrewController, MovingDisturbance
+from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
+from fuzzycnc_ros.core.servo.friction import MovingDisturbance
 from fuzzycnc_ros.core.servo.observer import ObserverDesign, ObserverNoise
 
 AXIS = BallscrewAxis().linear()

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Controllers of an axis: modes, limits, start, status, feedback that cannot be right."""
 
+from dataclasses import replace
 from math import nan
 
 import numpy as np
@@ -367,7 +368,7 @@ def test_params_that_do_not_suit_the_axis_are_warned_of():
 
 @pytest.mark.parametrize(
     'change',
-    [{'error_max': 0.0}, {'count': -1.0}, {'noise': nan}, {'bad_max': 0}, {'runaway_duty': nan}],
+    [{'error_max': 0.0}, {'count': -1.0}, {'noise': nan}, {'bad_max': 0}, {'load': nan}],
 )
 def test_refusals_of_feedback_limits(change):
     with pytest.raises(ValueError, match=f'{next(iter(change))}: expected'):
@@ -385,3 +386,22 @@ def test_refusals_of_feedback_limits(change):
 def test_refusals_of_baselines(make, options, message):
     with pytest.raises(ValueError, match=message):
         make(AXIS, **options)
+
+
+@pytest.mark.parametrize('name', SERVOS)
+@pytest.mark.parametrize('load', [0.4, -0.4])
+@pytest.mark.parametrize('reference', [0.05, profile(0.05)], ids=['step', 'profile'])
+def test_a_load_that_is_believed_is_held(name, load, reference):
+    controller = CONTROLLERS[name](AXIS)
+    controller.watch.limits = replace(controller.watch.limits, load=0.5)
+    found = position(controller, LatheAxis(LatheAxisConfig(load=load)), reference, 3.0)
+    assert found.fault == ''
+    assert abs(found.position[-1] - 0.05) < 5e-6
+
+
+@pytest.mark.parametrize('name', ['production', 'cascade'])
+@pytest.mark.parametrize('gain', [2.0, 3.0])
+def test_a_loop_that_swings_is_called_that(name, gain):
+    found = run(name, profile(0.05), 3.0, gain_factor=gain)
+    assert 'the loop swings' in found.fault
+    assert found.duty[-1] == 0.0

@@ -42,8 +42,8 @@ class ScheduledPath:
     path : ReferencePath
         The stretch.
     feed, programmed : ndarray, shape (m, 2)
-        Feeds asked for at both ends of each piece, before the limits of the motion: as chosen,
-        and with the program's own feeds [m/s].
+        Feeds asked for at both ends of each piece, before the limits of the motion: of the
+        words that the program gets, and of its own ones [m/s].
     first : bool
         A run begins with it.
     """
@@ -102,7 +102,7 @@ class ProgramRun:
         self._bends: dict[int, float] = {}  # curvature of those that are no lines
         self._feed: deque[float] = deque()  # of the segments from `_base` on
         self._base = 0
-        self._waiting: deque[tuple[ReferencePath, Array]] = deque()
+        self._waiting: deque[ReferencePath] = deque()
         self._begun = False
 
     def schedule(self) -> Iterator[tuple[Block, float | None]]:
@@ -112,7 +112,7 @@ class ProgramRun:
             wanted = settings.wanted(np.minimum(ratio[:-1], ratio[1:]), settings.bound(path.feed))
             feed = np.minimum(wanted, settings.reachable(path.geometry))
             self._feed.extend(self._feeds.take(path, feed))
-            self._waiting.append((path, ratio))
+            self._waiting.append(path)
             yield from self._release()
         self._feed.extend(self._feeds.finish(self._moves))
         yield from self._release()
@@ -195,10 +195,10 @@ class ProgramRun:
     def _release(self) -> Iterator[tuple[Block, float | None]]:
         """Tell of the stretches and yield the blocks whose feeds are final."""
         final = self._base + len(self._feed)
-        while self._waiting and self._waiting[0][0].owner[-1] < final:
-            self._settle(*self._waiting.popleft())
+        while self._waiting and self._waiting[0].owner[-1] < final:
+            self._settle(self._waiting.popleft())
         if self._waiting:
-            final = min(final, int(self._waiting[0][0].owner[0]))
+            final = min(final, int(self._waiting[0].owner[0]))
         while self._pending:
             block, index = self._pending[0]
             if index is not None and index >= final:
@@ -213,14 +213,11 @@ class ProgramRun:
             self._bends.pop(index, None)
             yield block, self._feed[0]
 
-    def _settle(self, path: ReferencePath, ratio: Array) -> None:
-        """Tell of a stretch whose blocks have their feeds."""
-        settings = self._settings
+    def _settle(self, path: ReferencePath) -> None:
+        """Tell of a stretch whose blocks have their feeds: a block has one, all along."""
         low, high = int(path.owner[0]) - self._base, int(path.owner[-1]) - self._base
         chosen = np.array(list(islice(self._feed, low, high + 1)))[path.owner - path.owner[0]]
-        ends = np.column_stack([ratio[:-1], ratio[1:]])
-        wanted = settings.wanted(ends, settings.bound(path.feed)[:, np.newaxis])
-        feed = np.minimum(wanted, chosen[:, np.newaxis])
+        feed = np.column_stack([chosen, chosen])
         programmed = np.column_stack([path.feed, path.feed])
         self._observe(ScheduledPath(path, feed, programmed, not self._begun))
         self._begun = True

@@ -37,9 +37,11 @@ class ProgramTimes:
     duration, programmed : float
         All that has a known time, with the chosen feeds and with those of the program [s].
     error, programmed_error : float
-        Largest contour error to expect where feeds are chosen [m]: machine constant times the
-        largest acceleration across the path.  At exact stops the error depends on acceleration
-        and rest, not on the feed, and is left out.
+        Bound of the contour error where feeds are chosen [m]: machine constant times the
+        largest acceleration across the path that the feed words ask for, those of corners that
+        are rounded included.  In bends shorter than the axes react it is far above the error.
+        At exact stops the error depends on acceleration and rest, not on the feed, and is left
+        out.
     length : float
         Way of the blocks whose feeds are chosen [m].
     rapid, dwell, kept : float

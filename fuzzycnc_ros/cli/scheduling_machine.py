@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A machine as the scheduling commands know it: a ROS parameter file, as the nodes read it."""
+"""A machine as the scheduling commands know it: a machine file, or a ROS parameter file."""
 
 from __future__ import annotations
 
@@ -21,12 +21,15 @@ if TYPE_CHECKING:
     SomeConfig = TypeVar('SomeConfig', bound=Config)
 
 Machine = Annotated[
-    Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
+    Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
     typer.Option(
+        '--machine-file',
+        '--machine',
         metavar='FILE.yaml',
         show_default=False,
-        help='ROS parameter file of the machine: its section feedrate_scheduler, and that of '
-        'simulated_machine for simulated errors.  Built-in defaults without it.',
+        help='Machine file, or mill, which is built in (see `fuzzycnc machine`); or a ROS '
+        'parameter file with the section feedrate_scheduler, and simulated_machine for simulated '
+        'errors.  Built-in defaults without it.',
     ),
 ]
 
@@ -34,8 +37,8 @@ _NODES = ('feedrate_scheduler', 'simulated_machine')
 
 
 @dataclass(frozen=True)
-class MachineFile:
-    """What a machine file says.
+class SchedulingMachine:
+    """What is known of a machine for the scheduling of feeds.
 
     Parameters
     ----------
@@ -57,14 +60,36 @@ class _Section:
     line: dict[str, int] = field(default_factory=dict)
 
 
-def read_machine(path: Path | None) -> MachineFile:
-    """Read a machine file; without one, return the defaults.
+def read_machine(file: str | None) -> SchedulingMachine:
+    """Read a machine file or a ROS parameter file; without one, return the defaults.
 
     Raises
     ------
     ValueError
-        If it is none; the message names file, line and parameter.
+        If it is neither; the message names file, line and parameter.
     """
+    from fuzzycnc_ros.machine_file.reader import is_machine_file
+
+    if file is not None and is_machine_file(file):
+        return _of_machine_file(file)
+    return _of_parameter_file(None if file is None else Path(file))
+
+
+def _of_machine_file(file: str) -> SchedulingMachine:
+    from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
+    from fuzzycnc_ros.machine_file.feeds import scheduler_parameters, simulated_loop
+    from fuzzycnc_ros.machine_file.reader import read_machine_file
+
+    machine = read_machine_file(file)
+    try:
+        scheduler = FeedrateSchedulerConfig(**scheduler_parameters(machine))
+        return SchedulingMachine(scheduler, simulated_loop(machine))
+    except ValueError as error:
+        raise ValueError(f'{file}: {error}') from error
+
+
+def _of_parameter_file(path: Path | None) -> SchedulingMachine:
+    """Read a ROS parameter file, as the nodes do."""
     from fuzzycnc_ros.components.contouring_motion import contouring_config
     from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
     from fuzzycnc_ros.components.host_config import HostConfig
@@ -78,7 +103,7 @@ def read_machine(path: Path | None) -> MachineFile:
         contouring = contouring_config(machine)
     except ValueError as error:
         raise ValueError(f'{path}: {error}') from error
-    return MachineFile(_made(FeedrateSchedulerConfig, scheduler, nodes, path), contouring)
+    return SchedulingMachine(_made(FeedrateSchedulerConfig, scheduler, nodes, path), contouring)
 
 
 def _names(config: type[Config]) -> set[str]:

@@ -1,0 +1,181 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc advise` on real part programs and a real LinuxCNC, against a grid of own feeds.
+
+Of each program the first seconds of motion run on LinuxCNC without a screen: as advised, and with
+their own feeds under every acceleration and path mode of a grid.  HAL's `sampler` records what is
+commanded; contour errors are those of axes that follow with the lags of the simulated machine.
+Run with `python benchmarks/linuxcnc_advice.py --programs FOLDER [--json FILE]`, as a user who may
+start LinuxCNC.  Runs that FILE has are not made again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+from math import inf
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from fuzzycnc_ros.bridges.linuxcnc import LinuxcncError
+from fuzzycnc_ros.cli.linuxcnc_recorder import PERIOD, Recorder, recording
+from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.program_request import program_settings
+from fuzzycnc_ros.core.feedrate.job.controller_program import PathMode, program_moves, simulate
+from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
+from fuzzycnc_ros.core.feedrate.program import Program, read_program
+from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.report.table import Column, Table
+from fuzzycnc_ros.scenario.advice import Adviser, advised_program
+from fuzzycnc_ros.scenario.advice_mode import program_with_mode
+from fuzzycnc_ros.scenario.program_judge import Judged, ProgramPath
+
+LIMITS = ControllerLimits(velocity=(0.4,) * 3, acceleration=(2.0,) * 3, path_velocity=0.5)
+MACHINE = ContouringConfig()
+OWN_MODE = PathMode(1e-5, 1e-5)
+"""What a program runs with that says no path mode of its own."""
+ACCELERATIONS = (4.0, 2.0, 1.4, 1.0, 0.7, 0.5)
+"""Of the grid, in shares of tolerance / C [-]."""
+MODES = (0.5, 0.05)
+"""P and Q of the grid, in shares of the tolerance [-]."""
+TIMEOUT = 300.0
+HEAD = 'G21 G90 G94 G17 G40\n'
+LEFT_OUT = re.compile(r'[mM]\s*0*(?:[0126]|30)\b(?![\d.])|[tT]\s*\d+|[sS]\s*\d+|^\s*%.*$')
+"""Words that ask for a person, a tool or a spindle, or end the program."""
+
+
+def beginning(path: Path, seconds: float) -> Program:
+    """Return the first lines of a program, as many as move for so long with their own feeds."""
+    text = path.read_text(encoding='utf-8', errors='replace')
+    lines = [LEFT_OUT.sub('', line) for line in text.splitlines()]
+    low, high = 0, len(lines) + 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if duration(lines[:middle]) < seconds:
+            low = middle
+        else:
+            high = middle
+    return read_program(text_of(lines[:low]))
+
+
+def text_of(lines: list[str]) -> str:
+    """Return lines as a program."""
+    return HEAD + '\n'.join(line for line in lines if line.strip()) + '\nM2\n'
+
+
+def duration(lines: list[str]) -> float:
+    """Return the time that lines of a program take [s]; 0 where nothing moves."""
+    blocks = read_program(text_of(lines)).blocks
+    if not any(block.segment is not None and block.segment.length > 0.0 for block in blocks):
+        return 0.0
+    return sum(one.duration for one in simulate(program_moves(blocks, OWN_MODE), LIMITS))
+
+
+class Stand:
+    """A LinuxCNC, and what its runs have shown."""
+
+    def __init__(self, memory: Path | None, recorder: Recorder) -> None:
+        self._memory, self._recorder = memory, recorder
+        known = memory is not None and memory.exists()
+        self._found = json.loads(memory.read_text()) if memory and known else {}
+
+    def run(self, name: str, text: str, path: ProgramPath, acceleration: float) -> Judged:
+        """Run a program, if that has not been done."""
+        if name not in self._found:
+            self._recorder.limit(LIMITS.velocity, LIMITS.acceleration)
+            self._recorder.origin()
+            self._recorder.limit(LIMITS.velocity, (acceleration,) * 3)
+            samples = self._recorder.run(text, TIMEOUT)
+            judged = path.judge(path.recorded(samples, PERIOD), MACHINE)
+            self._found[name] = judged.document()
+            print(f'{name}: {judged.duration:.2f} s, {1e6 * judged.error:.1f} um',
+                  file=sys.stderr, flush=True)  # fmt: skip
+            if self._memory is not None:
+                self._memory.write_text(json.dumps(self._found, indent=1))
+        return Judged(**self._found[name])
+
+
+def compare(stand: Stand, path: Path, seconds: float, tolerance: float) -> list[tuple[str, ...]]:
+    """Return the rows of a program: as it is, the best of the grid, as advised."""
+    program = beginning(path, seconds)
+    if not any(MODE.search(block.text) for block in program.blocks):
+        program = read_program(program_with_mode(program.text, OWN_MODE))
+    moves = program_moves(program.blocks)
+    true = ProgramPath(moves)
+    settings = program_settings(FeedrateSchedulerConfig(tolerance=tolerance, blend=1e-5))
+    adviser = Adviser(program, tolerance, LIMITS, MACHINE, settings)
+    advice = adviser.advise('split')
+    chosen = advice.chosen
+    name = f'{path.name}, {seconds:g} s, {1e6 * tolerance:g} um'
+    own = stand.run(f'{name}, as it is', program.text, true, LIMITS.acceleration[0])
+    best = stand.run(
+        f'{name}, advised', advised_program(program, chosen), true, chosen.acceleration[0]
+    )
+    allowed = max(best.error, tolerance)
+    grid = []
+    for share in MODES:
+        mode = PathMode(share * tolerance, share * tolerance)
+        for factor in ACCELERATIONS:
+            limit = min(factor * tolerance / MACHINE.contour_constant, LIMITS.acceleration[0])
+            text = program_with_mode(program.text, mode)
+            what = f'{mode.word}, {1e3 * limit:.0f} mm/s²'
+            grid.append((what, stand.run(f'{name}, {what}', text, true, limit)))
+    kept = [one for one in grid if one[1].error <= allowed]
+    rival = min(kept, key=lambda one: one[1].duration) if kept else None
+    simulated = true.run(moves, LIMITS, MACHINE)
+    rows = [row(path.name, 'as it is', own, simulated)]
+    if rival is not None:
+        what, judged = rival
+        rows.append(row('', f'best of the grid: {what}', judged, None))
+    mode = chosen.mode.word if chosen.mode else "program's path mode"
+    what = f'advised: {chosen.name}, {1e3 * chosen.acceleration[0]:.0f} mm/s², {mode}'
+    rows.append(row('', what, best, chosen.judged))
+    gain = 1.0 - best.duration / rival[1].duration if rival else inf
+    rows[-1] = (*rows[-1][:-1], f'{100.0 * gain:+.0f} %')
+    return rows
+
+
+MODE = re.compile(r'[gG]\s*0*6[14]')
+
+
+def row(name: str, what: str, judged: Judged, simulated: Judged | None) -> tuple[str, ...]:
+    """Return the figures of a run, with those of the simulated controller."""
+    beside = ('', '')
+    if simulated is not None:
+        beside = f'{simulated.duration:.2f}', f'{1e6 * simulated.error:.1f}'
+    return (
+        name, what, f'{judged.duration:.2f}', f'{1e6 * judged.error:.1f}',
+        f'{1e6 * judged.rms:.1f}', *beside, '',
+    )  # fmt: skip
+
+
+def main() -> int:
+    """Run all programs and print a table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or '').splitlines()[0])
+    parser.add_argument('--programs', type=Path, required=True, help='folder of part programs')
+    parser.add_argument('--json', type=Path, help='runs that were made, and where new ones go')
+    parser.add_argument('--seconds', type=float, default=10.0, help='motion of each program')
+    parser.add_argument('--tolerance', type=float, default=20.0, help='contour error [um]')
+    arguments = parser.parse_args()
+    rows: list[tuple[str, ...]] = []
+    with recording() as recorder:
+        stand = Stand(arguments.json, recorder)
+        for path in sorted(arguments.programs.iterdir()):
+            try:
+                rows += compare(stand, path, arguments.seconds, 1e-6 * arguments.tolerance)
+            except (ValueError, LinuxcncError) as error:
+                print(f'{path.name}: left out: {error}', file=sys.stderr, flush=True)
+    columns = (
+        Column('program', numeric=False), Column('setting', numeric=False), Column('time s'),
+        Column('largest error um'), Column('rms um'), Column('simulated s'),
+        Column('simulated um'), Column('less time than the grid'),
+    )  # fmt: skip
+    print(Table(f'Tolerance {arguments.tolerance:g} um', columns, tuple(rows)).to_text())
+    return 0
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,135 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Axes of machine files for the commands on controllers: found, tuned, compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fuzzycnc_ros.cli.console import progress_bar, remark, say, show, write_json, write_text
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.cli.workers import Progress
+    from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
+    from fuzzycnc_ros.core.servo.axis_tuning import TunedController
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What a search may cost: seed, generations, candidates per setting."""
+
+    seed: int
+    generations: int
+    population: int
+
+
+def machine_axis(file: str, axis: str) -> tuple[MachineData, str, AxisData]:
+    """Return a machine, and the name and data of one of its axes that has a model.
+
+    Parameters
+    ----------
+    file : str
+        Machine file.
+    axis : str
+        Its name; empty for the only one.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, or which axis is meant is not clear.
+    """
+    from fuzzycnc_ros.machine_file.reader import read_machine_file
+
+    machine = read_machine_file(file)
+    known = [name for name, data in machine.axes.items() if data.plant is not None]
+    if not known:
+        raise ValueError(
+            f'{file}: expected an axis with a model (plant) but found limits alone; '
+            '`fuzzycnc machine identify` finds one from a recording'
+        )
+    if axis and axis not in known:
+        raise ValueError(
+            f'--axis: expected one of {", ".join(known)}, which have a model in {file}, but '
+            f'found {axis!r}'
+        )
+    if not axis and len(known) > 1:
+        raise ValueError(f'--axis: expected one of {", ".join(known)} but found none')
+    name = axis or known[0]
+    return machine, name, machine.axes[name]
+
+
+def tune_machine_axis(
+    file: str, axis: str, out: Path, effort: Effort, jobs: int, json_file: Path | None
+) -> None:
+    """Tune all controllers of an axis, and write the machine file with the one that suits it."""
+    from fuzzycnc_ros.cli.workers import in_workers
+    from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS
+    from fuzzycnc_ros.core.servo.axis_tuning import AxisTuning, axis_cases
+    from fuzzycnc_ros.machine_file.writer import machine_text
+    from fuzzycnc_ros.report.axis_tuning import (
+        axis_tuning_document,
+        axis_tuning_remarks,
+        axis_tuning_table,
+    )
+
+    machine, name, data = machine_axis(file, axis)
+    pieces = [(data, kind, effort) for kind in AXIS_CONTROLLERS]
+    with progress_bar('searching') as tell:
+        controllers = in_workers(_tuned, pieces, list(AXIS_CONTROLLERS), jobs, tell)
+    found = AxisTuning(tuple(controllers), axis_cases(data, held_out=True, seed=effort.seed))
+    show(axis_tuning_table(found, f'Axis {name} of {machine.name}'))
+    for line in axis_tuning_remarks(found):
+        remark(line)
+    winner = found.winner
+    axes = dict(machine.axes)
+    axes[name] = replace(data, controller=winner.name, settings=winner.settings)
+    about = (
+        f'controller of {name}: tuned, seed {effort.seed}, {winner.trials} trials for each of '
+        f'{len(controllers)} kinds'
+    )
+    ini = machine.source.get('linuxcnc.ini', '')
+    write_text(out, machine_text(replace(machine, axes=axes), ini=ini, about=about))
+    say(f'{out}: the machine file with it, for `fuzzycnc position --machine-file {out}`')
+    write_json(json_file, axis_tuning_document(found))
+
+
+def compare_machine_axis(file: str, axis: str, seed: int, json_file: Path | None) -> None:
+    """Put all controllers on the same cases of an axis, with its settings or untuned."""
+    from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS
+    from fuzzycnc_ros.core.servo.axis_tuning import AxisTuning, axis_cases, judged_controller
+    from fuzzycnc_ros.report.axis_tuning import (
+        axis_tuning_document,
+        axis_tuning_remarks,
+        axis_tuning_table,
+    )
+
+    machine, name, data = machine_axis(file, axis)
+    controllers = []
+    with progress_bar('driving') as tell:
+        for number, kind in enumerate(AXIS_CONTROLLERS):
+            tell(kind, number, len(AXIS_CONTROLLERS))
+            own = data.settings if kind == data.controller else {}
+            controllers.append(judged_controller(data, kind, own, seed=seed))
+    found = AxisTuning(tuple(controllers), axis_cases(data, held_out=True, seed=seed))
+    show(axis_tuning_table(found, f'Axis {name} of {machine.name}'))
+    tuned = data.controller or 'none'
+    say(f'settings from the file: {tuned}; the others untuned')
+    for line in axis_tuning_remarks(found):
+        remark(line)
+    write_json(json_file, axis_tuning_document(found))
+
+
+def _tuned(piece: Any, progress: Progress) -> TunedController:
+    from fuzzycnc_ros.core.servo.axis_tuning import tune_controller
+
+    data, kind, effort = piece
+    return tune_controller(
+        data,
+        kind,
+        seed=effort.seed,
+        generations=effort.generations,
+        population=effort.population,
+        progress=lambda done, total: progress('searching', kind, done, total),
+    )

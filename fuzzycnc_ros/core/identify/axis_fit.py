@@ -1,0 +1,481 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Output-error identification of an axis: command in, position out, judged on held-out parts.
+
+References
+----------
+L. Ljung: System Identification: Theory for the User. 2nd ed., Prentice Hall, 1999 (chapter 7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from math import inf, log, sqrt
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import savgol_filter
+from scipy.stats import t as student
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.identify.axis_model import AxisModel
+
+STRUCTURES: dict[str, tuple[str, ...]] = {
+    'one friction': ('gain', 'viscous', 'coulomb', 'offset'),
+    'friction by direction': (
+        'gain', 'viscous_forward', 'viscous_backward', 'coulomb', 'offset',
+    ),
+}  # fmt: skip
+"""Structures that compete, the simplest first, by the parameters that each has."""
+
+FURTHER: dict[str, str] = {'dead time': 'delay', 'lag': 'drive_lag'}
+"""Parameters that are added one after the other, as long as each is worth it."""
+
+BETTER = 0.97
+"""Held-out error, as share of a simpler structure's, from which a further parameter is taken."""
+
+_BLOCKS = 20
+"""Blocks of a recording over which the uncertainty is judged: errors of one block go together."""
+
+_SHORT = 10
+"""Stretches into which a recording is cut where structures compete: a fit that needs no start."""
+
+_HORIZONS = (20, 5, 1)
+"""Stretches into which a recording is cut for the fit to all data, which heeds all alike.
+
+Over a whole recording friction makes a simulation drift, and a fit to that alone ends in one of
+many minima; short stretches alone tell the friction badly.  On the EMPS recording these three left
+the least error on halves that the fit had not seen.
+"""
+
+_DELAY_MAX = 0.02
+"""Longest dead time and lag that are looked for [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class AxisRecording:
+    """A stretch of a recording without gaps.
+
+    Attributes
+    ----------
+    command : ndarray, shape (n,)
+        Command in force from each sample on.
+    position : ndarray, shape (n,)
+        Measured position [m].
+    period : float
+        Time between two samples [s].
+    """
+
+    command: Array
+    position: Array
+    period: float
+
+    def part(self, first: int, last: int) -> AxisRecording:
+        """Return the samples from `first` up to `last`."""
+        return AxisRecording(self.command[first:last], self.position[first:last], self.period)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter with what the data say of it.
+
+    Attributes
+    ----------
+    name : str
+        Of `AxisModel`.
+    value : float
+        Its value, in the units of `AxisModel`.
+    low, high : float
+        Ends of its 95 % interval.
+    why_not : str
+        Why the data cannot tell it; empty if they can.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    why_not: str = ''
+
+
+@dataclass(frozen=True, eq=False)
+class AxisFit:
+    """An identified axis.
+
+    Attributes
+    ----------
+    model : AxisModel
+        The model.
+    structure : str
+        Of `STRUCTURES`, with what of `FURTHER` was worth it.
+    parameters : tuple of Parameter
+        What was identified, with its uncertainty.
+    rms : float
+        Open-loop error on the data of the fit [m].
+    held_out_rms, held_out_span : float
+        Open-loop error on parts that a fit had not seen [m], and the way of the axis there [m].
+    trials : dict of str to float
+        Held-out error of each structure [m].
+    residual : tuple of ndarray
+        Measured less simulated position of each recording [m].
+    """
+
+    model: AxisModel
+    structure: str
+    parameters: tuple[Parameter, ...]
+    rms: float
+    held_out_rms: float
+    held_out_span: float
+    trials: dict[str, float]
+    residual: tuple[Array, ...]
+
+
+Progress = Callable[[str, int, int], None]
+"""Told what is fitted, how many fits are done, and how many there are."""
+
+
+def fit_axis(recordings: Sequence[AxisRecording], progress: Progress | None = None) -> AxisFit:
+    """Identify an axis from recordings of its command and its position.
+
+    Each structure is fitted on one half of the data and judged, open loop, on the other, both
+    ways round.  A structure with more parameters is taken where that lowers the held-out error by
+    3 % or more.  The one taken is fitted to all data, open loop over each whole recording.
+
+    Parameters
+    ----------
+    recordings : sequence of AxisRecording
+        Recordings without gaps, each from where the axis stands or moves; one period for all.
+    progress : callable, optional
+        Told before each fit.
+
+    Raises
+    ------
+    ValueError
+        If the data cannot tell an axis: too short, no motion, no command, or no motion that
+        follows the command.
+    """
+    _check(recordings)
+    halves = _halves(recordings)
+    plain = _inverse_dynamics(recordings)
+    trials: dict[str, float] = {}
+    starts: dict[str, AxisModel] = {}
+    structures = dict(STRUCTURES)
+    work = len(STRUCTURES) + len(FURTHER) + 1
+
+    def worth(name: str, names: tuple[str, ...], than: str) -> bool:
+        """Judge a structure on halves that its fit has not seen."""
+        if progress is not None:
+            progress(name, len(trials), work)
+        structures[name], errors = names, []
+        for train, judge in (halves, halves[::-1]):
+            starts[name] = _fit(_cut(train, _SHORT), plain, names)
+            errors += [_errors(starts[name], one) for one in _cut(judge, 2)]
+        trials[name] = sqrt(float(np.mean([np.mean(error**2) for error in errors])))
+        return not than or trials[name] < BETTER * trials[than]
+
+    chosen = ''
+    for name, names in STRUCTURES.items():
+        chosen = name if worth(name, names, chosen) else chosen
+    for word, parameter in FURTHER.items():
+        name = f'{chosen}, {word}'
+        if not worth(name, (*structures[chosen], parameter), chosen):
+            break
+        chosen = name
+    if progress is not None:
+        progress('all data', work - 1, work)
+    names = structures[chosen]
+    # Drift leaves many minima: the best of several beginnings is taken.
+    ends = [_fit_horizons(recordings, start, names) for start in (plain, starts[chosen])]
+    model = min(ends, key=lambda end: _misfit(recordings, end))
+    residual = tuple(_errors(model, one) for one in recordings)
+    return AxisFit(
+        model,
+        chosen,
+        _parameters(recordings, model, names),
+        sqrt(float(np.mean(np.concatenate(residual) ** 2))),
+        trials[chosen],
+        max(float(np.ptp(one.position)) for one in recordings),
+        trials,
+        residual,
+    )
+
+
+def _check(recordings: Sequence[AxisRecording]) -> None:
+    if len({round(one.period * 1e9) for one in recordings}) > 1:
+        raise ValueError('expected one period in all recordings but found several')
+    total = sum(len(one.command) for one in recordings)
+    if total < 1000:
+        raise ValueError(
+            f'expected 1000 samples or more of command and position but found {total}; record '
+            'some seconds of moves with different speeds'
+        )
+    command = np.concatenate([one.command for one in recordings])
+    if not np.ptp(command) > 0.0:
+        raise ValueError(
+            'command: expected a course that changes but found one value throughout; which column '
+            'is the command of the drive?'
+        )
+    moved = max(float(np.ptp(one.position)) for one in recordings)
+    steps = np.abs(np.concatenate([np.diff(one.position) for one in recordings]))
+    count = float(steps[steps > 0.0].min()) if (steps > 0.0).any() else inf
+    if not moved > 100.0 * count:
+        raise ValueError(
+            f'position: expected motion of more than 100 counts but found {1e6 * moved:.3g} um; '
+            'the axis stands, or this is another column'
+        )
+
+
+def _halves(
+    recordings: Sequence[AxisRecording],
+) -> tuple[list[AxisRecording], list[AxisRecording]]:
+    """Return two halves: of the recordings if there are several, else of the only one."""
+    if len(recordings) > 1:
+        return list(recordings[::2]), list(recordings[1::2])
+    (one,) = recordings
+    middle = len(one.command) // 2
+    return [one.part(0, middle)], [one.part(middle, len(one.command))]
+
+
+def _cut(recordings: Sequence[AxisRecording], count: int) -> list[AxisRecording]:
+    """Return every recording in equal stretches, of 200 samples at least."""
+    found = []
+    for one in recordings:
+        size = max(len(one.command) // count, min(200, len(one.command)))
+        found += [
+            one.part(first, first + size) for first in range(0, len(one.command) - size + 1, size)
+        ]
+    return found
+
+
+def _start(one: AxisRecording) -> tuple[float, float]:
+    """Return position and velocity at the first sample [m, m/s]."""
+    window = min(21, len(one.position) - (len(one.position) + 1) % 2)
+    near = one.position[: 2 * window]
+    place = savgol_filter(near, window, 2)[0]
+    speed = savgol_filter(near, window, 2, deriv=1, delta=one.period)[0]
+    return float(place), float(speed)
+
+
+def _errors(model: AxisModel, one: AxisRecording) -> Array:
+    """Return measured less simulated position, open loop from the first sample on [m]."""
+    place, speed = _start(one)
+    return np.asarray(one.position - model.simulate(one.command, one.period, place, speed))
+
+
+def _inverse_dynamics(recordings: Sequence[AxisRecording]) -> AxisModel:
+    """Return a first model: forces explained by smoothed derivatives, by least squares."""
+    rows, targets = [], []
+    for one in recordings:
+        window = max(5, min(81, 2 * (len(one.position) // 20) + 1))
+        speed = savgol_filter(one.position, window, 3, deriv=1, delta=one.period)
+        rise = savgol_filter(one.position, window, 3, deriv=2, delta=one.period)
+        kernel = np.full(window // 2 or 1, 1.0 / (window // 2 or 1))
+        command = np.convolve(one.command, kernel, 'same')
+        moving = np.abs(speed) > 0.05 * np.abs(speed).max()
+        rows.append(
+            np.column_stack([command, -speed, -np.sign(speed), -np.ones(len(speed))])[moving]
+        )
+        targets.append(rise[moving])
+    found, *_ = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)
+    gain, viscous, coulomb, offset = found.tolist()
+    if gain <= 0.0:
+        raise ValueError(
+            'command: expected a positive command to drive to positive positions but found the '
+            'opposite, or no relation; turn the sign of one column (--reversed), or choose another'
+        )
+    viscous, coulomb = max(viscous, 1e-3), max(coulomb, 0.0)
+    return AxisModel(
+        gain=gain,
+        viscous_forward=viscous,
+        viscous_backward=viscous,
+        coulomb=coulomb,
+        offset=offset,
+        delay=recordings[0].period,
+        drive_lag=recordings[0].period,
+    )
+
+
+def _vector(model: AxisModel, names: Sequence[str]) -> Array:
+    """Return parameters as the search has them: positive ones by their logarithm."""
+    return np.array([_to(name, _value(model, name)) for name in names])
+
+
+def _value(model: AxisModel, name: str) -> float:
+    if name == 'viscous':
+        return 0.5 * (model.viscous_forward + model.viscous_backward)
+    return float(getattr(model, name))
+
+
+def _to(name: str, value: float) -> float:
+    return log(max(value, 1e-6)) if name in ('gain', *_VISCOUS) else value
+
+
+_VISCOUS = ('viscous', 'viscous_forward', 'viscous_backward')
+
+
+def _model(point: Array, names: Sequence[str]) -> AxisModel:
+    values = {
+        name: float(np.exp(value)) if name in ('gain', *_VISCOUS) else float(value)
+        for name, value in zip(names, point.tolist(), strict=True)
+    }
+    viscous = values.pop('viscous', None)
+    if viscous is not None:
+        values |= {'viscous_forward': viscous, 'viscous_backward': viscous}
+    return AxisModel(**values)
+
+
+def _bounds(names: Sequence[str]) -> tuple[Array, Array]:
+    low = {'coulomb': 0.0, 'delay': 0.0, 'drive_lag': 0.0, 'offset': -inf}
+    high = {'coulomb': inf, 'delay': _DELAY_MAX, 'drive_lag': _DELAY_MAX, 'offset': inf}
+    return (
+        np.array([low.get(name, log(1e-4)) for name in names]),
+        np.array([high.get(name, log(1e5)) for name in names]),
+    )
+
+
+def _steps(point: Array, names: Sequence[str], period: float) -> Array:
+    """Return steps of the numerical derivative: a share of what each parameter is."""
+    scale = {'delay': period, 'drive_lag': period}
+    return np.array(
+        [
+            1e-4 * scale.get(name, max(abs(value), 0.01))
+            for name, value in zip(names, point.tolist(), strict=True)
+        ]
+    )
+
+
+def _fit(recordings: Sequence[AxisRecording], start: AxisModel, names: Sequence[str]) -> AxisModel:
+    low, high = _bounds(names)
+
+    def residual(point: Array) -> Array:
+        model = _model(point, names)
+        return 1e3 * np.concatenate([_errors(model, one) for one in recordings])
+
+    def slope(point: Array) -> Array:
+        return _slopes(recordings, point, names, 1e3)
+
+    begin = np.clip(_vector(start, names), low + 1e-6, high - 1e-6)
+    search: Any = least_squares
+    found = search(residual, begin, slope, bounds=(low, high), x_scale='jac', max_nfev=10)
+    return _model(found.x, names)
+
+
+def _fit_horizons(
+    recordings: Sequence[AxisRecording], start: AxisModel, names: Sequence[str]
+) -> AxisModel:
+    """Return the model that fits stretches of several lengths, each set by its own error."""
+    low, high = _bounds(names)
+    sets = [_cut(recordings, count) for count in _HORIZONS]
+    point = np.clip(_vector(start, names), low + 1e-6, high - 1e-6)
+    for _ in range(2):
+        shares = [_share(_model(point, names), parts) for parts in sets]
+
+        def residual(at: Array, shares: list[float] = shares) -> Array:
+            model = _model(at, names)
+            return np.concatenate(
+                [
+                    share * _errors(model, one)
+                    for share, parts in zip(shares, sets, strict=True)
+                    for one in parts
+                ]
+            )
+
+        def slope(at: Array, shares: list[float] = shares) -> Array:
+            pairs = zip(shares, sets, strict=True)
+            return np.concatenate([_slopes(parts, at, names, share) for share, parts in pairs])
+
+        search: Any = least_squares
+        point = search(residual, point, slope, bounds=(low, high), x_scale='jac', max_nfev=12).x
+    return _model(point, names)
+
+
+def _misfit(recordings: Sequence[AxisRecording], model: AxisModel) -> float:
+    """Return the geometric mean of the errors over stretches of each length [m]."""
+    errors = [1.0 / _share(model, _cut(recordings, count)) for count in _HORIZONS]
+    return float(np.exp(np.mean(np.log(errors))))
+
+
+def _share(model: AxisModel, parts: Sequence[AxisRecording]) -> float:
+    """Return the weight that makes the squared errors of some stretches sum up to 1 [1/m]."""
+    return 1.0 / sqrt(sum(float((_errors(model, one) ** 2).sum()) for one in parts) or 1.0)
+
+
+def _slopes(
+    recordings: Sequence[AxisRecording], point: Array, names: Sequence[str], unit: float
+) -> Array:
+    """Return the derivative of the residuals by the parameters, shape (n, k)."""
+    _, high = _bounds(names)
+    steps = _steps(point, names, recordings[0].period)
+
+    def errors(at: Array) -> Array:
+        model = _model(at, names)
+        return np.concatenate([_errors(model, one) for one in recordings])
+
+    here = errors(point)
+    columns = []
+    for index, step in enumerate(steps.tolist()):
+        beside = point.copy()
+        beside[index] += step if point[index] + step <= high[index] else -step
+        columns.append(unit * (errors(beside) - here) / (beside[index] - point[index]))
+    return np.column_stack(columns)
+
+
+def _parameters(
+    recordings: Sequence[AxisRecording], model: AxisModel, names: Sequence[str]
+) -> tuple[Parameter, ...]:
+    """Return the parameters with 95 % intervals that allow for errors that go together.
+
+    The errors of an open-loop simulation are far from independent: the interval is that of a
+    sandwich estimator over blocks of the recordings.
+    """
+    point = _vector(model, names)
+    slope = _slopes(recordings, point, names, 1.0)
+    error = np.concatenate([_errors(model, one) for one in recordings])
+    blocks = np.array_split(np.arange(len(error)), _BLOCKS)
+    bread = np.linalg.pinv(slope.T @ slope, hermitian=True)
+    pull = np.array([slope[rows].T @ error[rows] for rows in blocks])
+    covariance = bread @ (pull.T @ pull) @ bread * _BLOCKS / (_BLOCKS - 1.0)
+    half = float(student.ppf(0.975, _BLOCKS - 1)) * np.sqrt(np.diag(covariance))
+    found = []
+    for name, value, width in zip(names, point.tolist(), half.tolist(), strict=True):
+        grown = name in ('gain', *_VISCOUS)
+        low, centre, high = (
+            float(np.exp(end)) if grown else float(end)
+            for end in (value - width, value, value + width)
+        )
+        found.append(Parameter(name, centre, low, high, _why_not(name, centre, low, high)))
+    return tuple(found)
+
+
+def _why_not(name: str, value: float, low: float, high: float) -> str:
+    """Return why the data cannot tell a parameter."""
+    remedy = {
+        'gain': 'moves with more acceleration',
+        'coulomb': 'slow moves both ways',
+        'offset': 'slow moves both ways',
+        'delay': 'steps of the command, or faster reversals',
+        'drive_lag': 'steps of the command, or faster reversals',
+    }.get(name, 'longer stretches at different constant speeds')
+    if name == 'offset':
+        return ''  # 0 is as good an answer as any other
+    if not high < inf or low <= 0.0 or high - low > value:
+        return f'these data cannot tell it; {remedy} would'
+    return ''
+
+
+def told(fit: AxisFit, name: str) -> bool:
+    """Whether a parameter was identified, and the data can tell it."""
+    return any(one.name == name and not one.why_not for one in fit.parameters)
+
+
+def without_untold(fit: AxisFit) -> AxisModel:
+    """Return the model with dead time and lag at 0 where the data cannot tell them."""
+    known = {item.name for item in fields(AxisModel)}
+    gone = {
+        one.name: 0.0
+        for one in fit.parameters
+        if one.why_not and one.name in ('delay', 'drive_lag') and one.name in known
+    }
+    return replace(fit.model, **gone)

@@ -1,0 +1,290 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Machine data: what is known of one machine, its axes, its path motion and its controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from itertools import combinations
+from math import sqrt
+from types import MappingProxyType
+from typing import Any
+
+from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
+from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxis, BallscrewAxisConfig
+from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
+
+PlantConfig = LatheAxisConfig | BallscrewAxisConfig
+"""Model of a driven axis: lags in a row, or a mass with friction."""
+
+PLANTS: Mapping[str, type[LatheAxisConfig] | type[BallscrewAxisConfig]] = MappingProxyType(
+    {'lags': LatheAxisConfig, 'mass': BallscrewAxisConfig}
+)
+"""Models by the name that a machine file calls them."""
+
+LINEAR_AXES = 'XYZ'
+"""Axes of a tool path."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisLimits(Config):
+    """What an axis is allowed, and what is believed of the forces on it."""
+
+    velocity: float = param(0.25, 'm/s', 'Largest velocity', low=1e-6, high=100.0)
+    acceleration: float = param(4.0, 'm/s^2', 'Largest acceleration', low=1e-6, high=1e4)
+    jerk: float = param(0.0, 'm/s^3', 'Largest jerk; 0 is none', low=0.0, high=1e7)
+    travel_low: float = param(
+        -0.25, 'm', 'Lowest position that the axis is sent to', low=-100.0, high=100.0
+    )
+    travel_high: float = param(
+        0.25, 'm', 'Highest position that the axis is sent to', low=-100.0, high=100.0
+    )
+    positioning_velocity: float = param(
+        0.0, 'm/s', 'Velocity on the way to a position; 0 takes `velocity`', low=0.0, high=100.0
+    )
+    positioning_acceleration: float = param(
+        0.0,
+        'm/s^2',
+        'Acceleration on the way to a position; 0 takes `acceleration`',
+        low=0.0,
+        high=1e4,
+    )
+    positioning_jerk: float = param(
+        30.0, 'm/s^3', 'Jerk on the way to a position', low=1e-3, high=1e6
+    )
+    resonance: float = param(
+        0.0,
+        'Hz',
+        'Lowest resonance, of which controllers stay well below; 0 if none is known',
+        low=0.0,
+        high=1e4,
+    )
+    load: float = param(
+        0.12, '-', 'Largest steady load either way, as share of full duty', low=0.0, high=1.0
+    )
+    friction: float = param(
+        0.12, '-', 'Largest friction, as share of full duty', low=0.0, high=1.0
+    )
+
+    def __post_init__(self) -> None:
+        """Check the fields, and that there is travel.
+
+        Raises
+        ------
+        ValueError
+            If a field is out of its bounds, or the travel is empty.
+        """
+        super().__post_init__()
+        if not self.travel_low < self.travel_high:
+            raise ValueError(
+                f'travel_high: expected more than travel_low = {self.travel_low} m but found '
+                f'{self.travel_high} m'
+            )
+
+    @property
+    def positioning(self) -> tuple[float, float, float]:
+        """Velocity, acceleration and jerk on the way to a position [m/s, m/s^2, m/s^3]."""
+        return (
+            self.positioning_velocity or self.velocity,
+            self.positioning_acceleration or self.acceleration,
+            self.positioning_jerk,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathLimits(Config):
+    """What the motion along a path is allowed."""
+
+    velocity: float = param(0.25, 'm/s', 'Largest speed along the path', low=1e-6, high=100.0)
+    acceleration: float = param(
+        1.5, 'm/s^2', 'Largest change of speed along the path', low=1e-6, high=1e4
+    )
+    jerk: float = param(0.0, 'm/s^3', 'Largest jerk along the path; 0 is none', low=0.0, high=1e7)
+    feed: float = param(
+        0.0, 'm/s', 'Feed where the path asks for no less; 0 takes `velocity`', low=0.0, high=100.0
+    )
+    settle: float = param(
+        0.1, 's', 'Rest at exact stops, for the axes to arrive', low=0.0, high=10.0
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisData:
+    """One axis of a machine.
+
+    Parameters
+    ----------
+    limits : AxisLimits
+        What it is allowed.
+    plant : LatheAxisConfig or BallscrewAxisConfig or None
+        Its model, sensor included; None where only its limits are known.
+    controller : str
+        Position controller that it is used with; empty for the default.
+    settings : mapping of str to float
+        What the controller's parameters are, where they are not its defaults.
+    """
+
+    limits: AxisLimits = AxisLimits()
+    plant: PlantConfig | None = None
+    controller: str = ''
+    settings: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def model(self) -> str:
+        """Name of the plant's model, of `PLANTS`; empty where there is none."""
+        return next((name for name, kind in PLANTS.items() if type(self.plant) is kind), '')
+
+    def simulated(self, **changes: Any) -> AxisPlant:
+        """Return the axis as a simulated plant.
+
+        Parameters
+        ----------
+        **changes
+            What differs from the plant's parameters, faults among them: `load=0.1`.
+
+        Raises
+        ------
+        ValueError
+            If the machine data have no plant, or a change is unknown or out of its bounds.
+        """
+        if self.plant is None:
+            raise ValueError(
+                'plant: expected a model of the axis but found its limits alone; '
+                '`fuzzycnc machine identify` finds one from a recording'
+            )
+        known = {item.name for item in fields(self.plant)}
+        for name in changes:
+            if name not in known:
+                raise ValueError(
+                    f'{name}: expected a parameter of the model {self.model}: '
+                    f'{", ".join(sorted(known))}'
+                )
+        plant = replace(self.plant, **changes)
+        return LatheAxis(plant) if isinstance(plant, LatheAxisConfig) else BallscrewAxis(plant)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MachineData:
+    """A whole machine; every part may be left at its default.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    axes : mapping of str to AxisData
+        Axes by their letters, in the order of the machine.
+    path : PathLimits
+        Limits along the path.
+    loop : ContouringConfig
+        Lags of the axes that follow a path: interpolator, position and velocity loop.
+    contour_constant : mapping of str to float
+        Contour error over normal acceleration [s^2] by the pair of axes that moves, such as XY;
+        pairs left out have that of `loop`.
+    source : mapping of str to str
+        Where a value comes from, by its place in the file such as `axes.X.limits.velocity`; what
+        is left out is a default.
+    """
+
+    name: str = 'machine'
+    axes: Mapping[str, AxisData] = field(default_factory=dict)
+    path: PathLimits = PathLimits()
+    loop: ContouringConfig = field(default_factory=ContouringConfig)
+    contour_constant: Mapping[str, float] = field(default_factory=dict)
+    source: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the pairs of axes.
+
+        Raises
+        ------
+        ValueError
+            If a pair is none of two linear axes, or its constant is not positive.
+        """
+        pairs = [''.join(pair) for pair in combinations(LINEAR_AXES, 2)]
+        for pair, value in self.contour_constant.items():
+            if pair not in pairs:
+                raise ValueError(
+                    f'contour_constant: expected pairs of axes among {", ".join(pairs)} but '
+                    f'found {pair}'
+                )
+            if not 1e-9 <= value <= 1.0:
+                raise ValueError(
+                    f'contour_constant: expected 1e-09 to 1 s^2 for {pair} but found {value}'
+                )
+
+    @property
+    def machine_constant(self) -> float:
+        """Largest contour error over normal acceleration of any pair of axes [s^2]."""
+        known = self.contour_constant
+        missing = len(known) < len(LINEAR_AXES)
+        return max([*known.values(), *([self.loop.contour_constant] if missing else [])])
+
+    def limits(self, name: str) -> tuple[float, float, float]:
+        """Return a limit of X, Y and Z; a missing axis has the strictest of the others.
+
+        Parameters
+        ----------
+        name : {'velocity', 'acceleration', 'jerk'}
+            Which limit.
+
+        Returns
+        -------
+        tuple of float, length 3
+            In SI units.
+        """
+        found = {
+            axis: float(getattr(data.limits, name))
+            for axis, data in self.axes.items()
+            if axis in LINEAR_AXES
+        }
+        given = [value for value in found.values() if value] or [
+            float(getattr(AxisLimits(), name))
+        ]
+        x, y, z = (found.get(axis, min(given)) for axis in LINEAR_AXES)
+        return x, y, z
+
+
+def loop_of_constant(constant: float, nominal: ContouringConfig | None = None) -> ContouringConfig:
+    """Return a loop with a contour constant, slower or faster throughout than the nominal one.
+
+    Parameters
+    ----------
+    constant : float
+        Contour error over normal acceleration, C [s^2]; positive.
+    nominal : ContouringConfig, optional
+        Loop whose ratio of gains is kept; the interpolator's filter stays as it is.
+
+    Returns
+    -------
+    ContouringConfig
+        With `contour_constant` equal to C.
+
+    Raises
+    ------
+    ValueError
+        If the interpolator's filter alone leaves more than that.
+
+    Examples
+    --------
+    >>> f'{loop_of_constant(1e-4).contour_constant:.6e}'
+    '1.000000e-04'
+    """
+    base = nominal or ContouringConfig()
+    window = base.filter_samples * base.interpolation_period
+    loops = constant - window**2 / 24.0
+    if not loops > 0.0:
+        raise ValueError(
+            f'contour_constant: expected more than {window**2 / 24.0:.3g} s^2, which the '
+            f'interpolator alone leaves, but found {constant:g} s^2'
+        )
+    factor = sqrt((base.contour_constant - window**2 / 24.0) / loops)
+    fast = max(1, round(base.control_steps * factor))
+    return replace(
+        base,
+        position_gain=base.position_gain * factor,
+        velocity_bandwidth=base.velocity_bandwidth * factor,
+        control_steps=fast,
+    )

@@ -1,0 +1,194 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Friction that a moving reference will meet, fed forward, and how an observer learns it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
+
+_MOVING = 1e-3
+"""Velocity above which an axis is surely in motion [m/s]."""
+_MEMORY = 0.05
+"""Time of motion over which the disturbance seen in it is averaged [s]."""
+_HIDDEN = 2.0
+"""Friction that is believed to hide forces at rest over the known one [-]."""
+
+
+class MovingDisturbance:
+    """What an observer saw of the disturbance while an axis moved, by direction.
+
+    At rest friction takes whatever force there is, and the observer learns that instead: an axis
+    that set off with it was up to 28 um behind or ahead.
+
+    Parameters
+    ----------
+    period : float
+        Control period [s].
+    settle : float
+        Time of motion after which the observer has found the disturbance [s].
+
+    Examples
+    --------
+    >>> memory = MovingDisturbance(1e-3, settle=2e-3)
+    >>> memory.reset(0.02)
+    >>> memory.recall(1)
+    0.02
+    >>> for seen in 0.01, 0.03, 0.05:
+    ...     memory.learn(1, seen)
+    >>> memory.recall(1), memory.recall(-1)
+    (0.05, 0.05)
+    """
+
+    def __init__(self, period: float, settle: float) -> None:
+        self._share = period / _MEMORY
+        self._settle = round(settle / period)
+        self.reset(0.0)
+
+    def reset(self, disturbance: float) -> None:
+        """Forget what was seen; a disturbance [-] is all that is known."""
+        self._first = disturbance
+        self._seen: dict[int, float] = {}
+        self._count = {1: 0, -1: 0}
+        self.rest()
+
+    def rest(self) -> None:
+        """Note a period in which the axis may be at rest, or turns back."""
+        self._moved = 0
+
+    def learn(self, way: int, disturbance: float) -> None:
+        """Take the disturbance [-] of a period of motion in the direction 1 or -1."""
+        self._moved += 1
+        if self._moved <= self._settle:
+            return
+        self._count[way] += 1
+        before = self._seen.get(way, disturbance)
+        share = max(1.0 / self._count[way], self._share)
+        self._seen[way] = before + (disturbance - before) * share
+
+    def recall(self, way: int) -> float:
+        """Return the mean disturbance [-] of motion in a direction, else in the other one."""
+        return self._seen.get(way, self._seen.get(-way, self._first))
+
+
+class ReferenceFriction:
+    """Coulomb friction that a moving reference will meet.
+
+    Where the reference comes to rest it stays fed forward until the axis has arrived: the axis
+    lags, and what is left of its way meets the same friction.
+
+    Parameters
+    ----------
+    forward, backward : float
+        Duty [-] that friction takes in positive and in negative motion, with the sign of the axis.
+
+    Attributes
+    ----------
+    way : int
+        Direction of the motion that is under way, 1 or -1; 0 for none.
+
+    Examples
+    --------
+    >>> friction = ReferenceFriction(0.06, 0.04)
+    >>> friction.reset()
+    >>> friction.of(0.1, 0.0, 1e-5), friction.of(0.0, 0.0, 1e-6), friction.of(0.0, 0.0, 0.0)
+    (0.06, 0.06, 0.0)
+    >>> friction.of(-0.1, 0.0, 0.0)
+    -0.04
+    """
+
+    def __init__(self, forward: float, backward: float) -> None:
+        self._forward, self._backward = forward, backward
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin at rest."""
+        self.way = 0
+
+    def of(self, velocity: float, acceleration: float, error: float) -> float:
+        """Return the friction [-] at a reference's motion [m/s, m/s^2] and an error [m]."""
+        motion = velocity or acceleration  # it sets off in the period that begins
+        if motion:
+            self.way = 1 if motion > 0.0 else -1
+        elif self.way and error * self.way <= 0.0:
+            self.way = 0  # arrived
+        return (0.0, self._forward, -self._backward)[self.way]
+
+
+class FrictionFedController(VariableUniverseController):
+    """Production controller with the known Coulomb friction of its axis fed forward.
+
+    The observer is told of the friction: it sees the duty without it, so that only what the model
+    does not know ends up in the observed disturbance.  Nothing is made up for twice, and at a
+    reversal the observer need not first unlearn the friction of the way there.
+
+    Where the reference sets off again the observer goes on from what it saw in motion of that
+    direction, see `MovingDisturbance`; friction that differs from the known one is learnt by that,
+    too.
+
+    Parameters
+    ----------
+    axis : LinearAxis
+        Nominal model.
+    forward, backward : float
+        Duty that friction takes in positive and in negative motion [-], not negative.
+    observer_bandwidth : float
+        Natural frequency of the observer [rad/s].
+    **options
+        As `VariableUniverseController`.
+    """
+
+    def __init__(
+        self,
+        axis: LinearAxis,
+        *,
+        forward: float,
+        backward: float,
+        observer_bandwidth: float,
+        **options: Any,
+    ) -> None:
+        super().__init__(axis, **options)
+        sign = self._direction
+        self._known = ReferenceFriction(sign * forward, sign * backward)
+        self._hides = _HIDDEN * max(forward, backward)
+        self._going = 0  # direction of the reference in the last period
+        self._moving = MovingDisturbance(axis.period, settle=3.0 / observer_bandwidth)
+
+    def _restart(self, position: float, duty: float) -> None:
+        self._friction = 0.0
+        self._going = 0
+        self._known.reset()
+        self._moving.reset(duty)
+        super()._restart(position, duty)
+
+    def _wanted(
+        self, reference: float, position: float, velocity: float, acceleration: float
+    ) -> float:
+        motion = velocity or acceleration
+        self._friction = self._known.of(velocity, acceleration, self._error)
+        if motion:
+            self._learn(velocity)
+        self._going = self._known.way if motion else 0
+        return super()._wanted(reference, position, velocity, acceleration)
+
+    def _learn(self, velocity: float) -> None:
+        """Have the observer set off with what was seen in motion, and see what there is to see."""
+        observer, way = self._observer, self._known.way
+        assert observer is not None
+        if not self._going:
+            # At rest the observer is off by what friction takes; a load beyond that is seen.
+            seen, rest, hidden = self._moving.recall(way), observer.state[-1], self._hides
+            observer.state = (*observer.state[:-1], min(max(seen, rest - hidden), rest + hidden))
+        slowest = min(way * velocity, way * observer.state[observer.velocity_place])
+        if slowest > _MOVING and self._going == way:
+            self._moving.learn(way, observer.state[-1])
+        else:
+            self._moving.rest()
+
+    def _commit(self, duty: float, position: float) -> None:
+        super()._commit(duty - self._friction, position)
+
+    def _bridge(self, duty: float) -> None:
+        super()._bridge(duty - self._friction)

@@ -1,0 +1,152 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc advise`: remedies for a program, and what it writes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.core.feedrate.job.controller_program import program_moves
+from fuzzycnc_ros.core.feedrate.job.split_program import check_same_path
+from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
+from fuzzycnc_ros.core.feedrate.program import read_program, strip_feeds
+from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.scenario.program_judge import ProgramPath
+
+PART = """(part)
+G21 G90 G17 G64 P0.02
+G0 X0 Y0 Z0
+G1 X8 F1500
+Y6
+G3 X5 Y9 I-3 J0
+G1 X0
+X-3 Y5
+Y1
+X0 Y0
+M2
+"""
+
+
+@pytest.fixture
+def part(fuzzycnc):
+    """A part program with corners and an arc, in the folder that the command runs in."""
+    path = Path('part.ngc')
+    path.write_text(PART)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def one_acceleration(monkeypatch):
+    """Refine with one acceleration only, which takes a third of the time."""
+    monkeypatch.setattr('fuzzycnc_ros.scenario.advice.REFINED', (0.5,))
+
+
+def advised(fuzzycnc, part, *options, code=0):
+    outcome = fuzzycnc(
+        'advise', part, '--tolerance', '20um', '--json', 'a.json', '--out', 'out.ngc', *options
+    )
+    assert outcome.code == code, outcome.out + outcome.err
+    return outcome, json.loads(Path('a.json').read_text())
+
+
+def test_the_fastest_that_keeps_the_tolerance_is_recommended_and_written(fuzzycnc, part):
+    outcome, found = advised(fuzzycnc, part, '--corners', 'split', '--report', 'page.html')
+    remedies = found['remedies']
+    names = [one['name'] for one in remedies]
+    assert names[:3] == ['as it is', 'acceleration of tolerance / C', 'lower acceleration']
+    kept = [one for one in remedies if one['simulated']['error'] <= 20e-6]
+    assert found['kept']
+    best = remedies[found['best']]
+    assert best in kept
+    assert best['simulated']['duration'] <= 1.01 * min(
+        one['simulated']['duration'] for one in kept
+    )
+    assert 'recommended: ' in outcome.out
+    # what was written does what was said, along the same path
+    given, written = read_program(PART), read_program(Path('out.ngc').read_text())
+    check_same_path(given, written)
+    limits = ControllerLimits(
+        velocity=(0.25,) * 3, acceleration=tuple(best['acceleration']), path_velocity=0.25
+    )
+    path = ProgramPath(program_moves(given.blocks))
+    judged = path.run(program_moves(written.blocks), limits, ContouringConfig())
+    assert judged.error == pytest.approx(best['simulated']['error'], rel=0.02)
+    assert judged.duration == pytest.approx(best['simulated']['duration'], rel=0.01)
+    page = Path('page.html').read_text()
+    for name in names:
+        assert name in page
+    assert 'Time against largest contour error' in page
+
+
+def test_without_cutting_only_words_change(fuzzycnc, part):
+    _, found = advised(fuzzycnc, part)
+    assert not any('cut' in one['name'] for one in found['remedies'])
+    lines = [
+        line
+        for line in strip_feeds(Path('out.ngc').read_text()).splitlines()
+        if not line.startswith('G64')
+    ]
+    assert lines == strip_feeds(PART).replace(' G64 P0.02', '').splitlines()
+
+
+def test_what_cannot_be_kept_is_said_in_a_sentence_and_by_the_code(fuzzycnc, part):
+    outcome = fuzzycnc(
+        'advise', part, '--tolerance', '0.01um', '--corners', 'none', '--json', 'a.json'
+    )
+    assert outcome.code == 1
+    assert '! nothing that was tried keeps 0.01 um; the least error' in outcome.out
+    found = json.loads(Path('a.json').read_text())
+    errors = [one['simulated']['error'] for one in found['remedies']]
+    assert errors[found['best']] == min(errors)
+    assert not found['kept']
+
+
+def test_a_program_that_is_good_is_left_alone(fuzzycnc, part):
+    part.write_text('G21 G64 P0.01\nG1 X30 F600\nX60\n')
+    outcome = fuzzycnc('advise', part, '--tolerance', '20um', '--out', 'out.ngc')
+    assert outcome.code == 0
+    assert 'leave it as it is' in outcome.out
+    assert Path('out.ngc').read_text() == part.read_text()
+
+
+@pytest.mark.parametrize(
+    ('options', 'naming'),
+    [
+        (['--corners', 'round'], ['--corners', 'none, feed, split']),
+        (['--tolerance', '5'], ['--tolerance']),
+        (['--blend', 'much'], ['--blend']),
+        (['--units', 'cm'], ['--units']),
+        (['--out', 'part.ngc'], ['part.ngc', '--in-place']),
+        (['--machine-file', 'none.yaml'], ['none.yaml']),
+    ],
+)
+def test_bad_options_are_refused(refused, part, options, naming):
+    refused('advise', part, *options, naming=naming)
+    assert [path.name for path in Path().iterdir()] == ['part.ngc']
+
+
+def test_bad_programs_are_refused(fuzzycnc, refused):
+    Path('still.ngc').write_text('M3 S100\nM2\n')
+    refused('advise', 'still.ngc', '--tolerance', '20um', naming=['still.ngc', 'moves the tool'])
+    Path('wrong.ngc').write_text('G1 X1\n')
+    refused('advise', 'wrong.ngc', '--tolerance', '20um', naming=['wrong.ngc', 'line 1', 'feed'])
+
+
+def test_a_slower_loop_asks_for_more(fuzzycnc, part):
+    Path('m.yaml').write_text(
+        '/**/feedrate_scheduler:\n  ros__parameters:\n    tolerance: 2e-5\n'
+        '/**/simulated_machine:\n  ros__parameters:\n    axis_position_gain: 20.0\n'
+    )
+    _, ours = advised(fuzzycnc, part, '--corners', 'none')
+    _, slow = advised(fuzzycnc, part, '--corners', 'none', '--machine-file', 'm.yaml')
+
+    def fastest(found):
+        return found['remedies'][found['best']]['simulated']['duration']
+
+    assert slow['remedies'][0]['simulated']['error'] > ours['remedies'][0]['simulated']['error']
+    assert fastest(slow) > fastest(ours)
+    assert np.isclose(
+        slow['remedies'][0]['simulated']['duration'], ours['remedies'][0]['simulated']['duration']
+    )
