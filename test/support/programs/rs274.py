@@ -3,6 +3,7 @@
 """LinuxCNC's own interpreter as the judge of part programs."""
 
 import math
+import os
 import re
 import shutil
 import subprocess
@@ -22,18 +23,18 @@ def interpreted(text, folder):
     program.write_bytes(text.encode('utf-8', errors='surrogateescape'))
     (folder / 'tool.tbl').write_text('T1 P1 Z0\n', encoding='utf-8')
     (folder / 'rs274.var').write_text('', encoding='utf-8')
-    for _ in range(3):
-        ended = subprocess.run(
-            [interpreter, '-g', '-t', 'tool.tbl', '-v', 'rs274.var', program.name, output.name],
-            cwd=folder,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=60,
-            check=False,  # a program that ends without M2 or % counts as failed
-        )
-        # A LinuxCNC that ends elsewhere on this computer takes interpreters with it.
-        if ended.returncode >= 0:
-            break
+    subprocess.run(
+        [interpreter, '-g', '-t', 'tool.tbl', '-v', 'rs274.var', program.name, output.name],
+        cwd=folder,
+        env={
+            **os.environ,
+            'HOME': str(folder),
+        },  # where it keeps a tool table that others overwrite
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        timeout=60,
+        check=False,  # a program that ends without M2 or % counts as failed
+    )
     unit, feed, moves = 1e-3, 0.0, []
     for line in output.read_text(encoding='utf-8').splitlines():
         name, _, rest = line.split(maxsplit=2)[2].partition('(')
