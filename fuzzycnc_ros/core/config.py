@@ -6,11 +6,10 @@ A field made with `param` carries unit, meaning, bounds and whether it may chang
 The ROS declaration, `params/*.yaml` and the parameter tables of the docs all follow from it.
 """
 
+import sys
 from dataclasses import MISSING, dataclass, field, fields
 from math import isfinite
 from typing import Any
-
-import numpy as np
 
 Value = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 """What a parameter can hold; tuples become ROS arrays."""
@@ -101,9 +100,15 @@ def _coerced(name: str, value: Any, default: Any) -> Value:
 
 
 def _without_numpy(value: Any) -> Any:
-    """Return numpy's scalars and arrays as what Python calls them."""
-    if isinstance(value, (np.ndarray, np.generic)):
-        return value.tolist()
+    """Return numpy's scalars and arrays as what Python calls them.
+
+    Who made such a value has loaded numpy; a configuration alone does not.
+    """
+    numpy = sys.modules.get('numpy')
+    if numpy is not None and isinstance(value, (numpy.ndarray, numpy.generic)):
+        value = value.tolist()
+        if isinstance(value, numpy.longdouble):  # is left as it is by tolist
+            return float(value)
     if isinstance(value, (list, tuple)):
         return [_without_numpy(item) for item in value]
     return value

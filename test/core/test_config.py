@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Configuration records: what they accept, what they refuse and how they say so."""
 
+import subprocess
+import sys
 from dataclasses import FrozenInstanceError, dataclass, fields, replace
 
 import numpy as np
@@ -151,28 +153,71 @@ def test_whole_number_beyond_all_doubles_is_refused(name):
         Example(count=huge)
 
 
-def test_numpy_values_are_plain_ones():
-    example = Example(
-        enabled=np.bool_(False),
-        count=np.int64(4),
-        length=np.float32(0.5),
-        gains=np.array([1, 2]),
-        names=np.array(['Z']),
-    )
-    assert example == Example(enabled=False, count=4, length=0.5, gains=(1.0, 2.0), names=('Z',))
-    assert [type(value) for value in (example.enabled, example.count, example.length)] == [
-        bool,
-        int,
-        float,
-    ]
-    assert type(Example(length=np.array(1)).length) is float
-    assert Example(gains=[np.float64(1.0), 2]).gains == (1.0, 2.0)
+@pytest.mark.parametrize(
+    ('name', 'value', 'plain'),
+    [
+        *(('length', kind(0.5), 0.5) for kind in (np.float16, np.float32, np.float64)),
+        ('length', np.longdouble(0.5), 0.5),
+        *(('length', kind(1), 1.0) for kind in (np.int8, np.int64, np.uint64)),
+        ('length', np.array(0.5), 0.5),
+        ('length', np.array(1), 1.0),
+        *(('count', kind(4), 4) for kind in (np.int8, np.int64, np.uint64)),
+        ('count', np.array(4), 4),
+        ('enabled', np.bool_(False), False),
+        ('enabled', np.array(False), False),
+        ('gains', np.array([1, 2]), (1.0, 2.0)),
+        ('gains', np.array([1.0, 2.0], np.float32), (1.0, 2.0)),
+        ('gains', np.array([1.0, 2.0], np.longdouble), (1.0, 2.0)),
+        ('gains', [np.float64(1.0), 2], (1.0, 2.0)),
+        ('gains', (np.int64(1), np.array(2.0)), (1.0, 2.0)),
+        ('names', np.array(['Z']), ('Z',)),
+        ('names', (np.str_('Z'),), ('Z',)),
+    ],
+)
+def test_numpy_values_are_plain_ones(name, value, plain):
+    found = getattr(Example(**{name: value}), name)
+    assert (found, type(found)) == (plain, type(plain))
+    if isinstance(plain, tuple):
+        assert [type(item) for item in found] == [type(item) for item in plain]
 
 
 @pytest.mark.parametrize(
-    ('name', 'value'),
-    [('count', np.float64(2.0)), ('length', np.array([0.5])), ('length', np.float64(np.nan))],
+    ('name', 'value', 'message'),
+    [
+        ('count', np.float64(2.0), 'count: expected int .* but found 2.0'),
+        ('count', np.float32(2.0), 'count: expected int .* but found 2.0'),
+        ('count', np.array(2.0), 'count: expected int .* but found 2.0'),
+        ('count', np.longdouble(2.0), 'count: expected int .* but found 2.0'),
+        ('count', np.bool_(True), 'count: expected int .* but found True'),
+        ('enabled', np.int64(1), 'enabled: expected bool .* but found 1'),
+        ('length', np.bool_(True), 'length: expected float .* but found True'),
+        ('length', np.array([0.5]), r'length: expected float .* but found \[0.5\]'),
+        ('length', np.float64(np.nan), 'length = nan is outside'),
+        ('length', np.float32(np.nan), 'length = nan is outside'),
+        ('length', np.array(np.nan), 'length = nan is outside'),
+        ('length', np.longdouble('1e400'), 'length = inf is outside'),
+        ('length', np.ma.masked, 'length: expected float .* but found None'),
+        ('gains', np.array([[1.0]]), r'gains: expected tuple .* but found \[\[1.0\]\]'),
+        ('gains', np.array(1.0), 'gains: expected tuple .* but found 1.0'),
+        ('gains', np.array([1.0, np.nan]), 'gains = nan is outside'),
+        ('names', np.array([1]), r'names: expected tuple .* but found \[1\]'),
+    ],
 )
-def test_numpy_values_are_refused_as_plain_ones_are(name, value):
-    with pytest.raises(ValueError, match=name):
+def test_numpy_values_are_refused_as_plain_ones_are(name, value, message):
+    with pytest.raises(ValueError, match=message):
         Example(**{name: value})
+
+
+def test_a_configuration_alone_loads_no_numpy():
+    script = (
+        'import sys\n'
+        'from dataclasses import dataclass\n'
+        'from fuzzycnc_ros.core.config import Config, param\n'
+        '@dataclass(frozen=True, kw_only=True)\n'
+        'class Example(Config):\n'
+        "    gains: tuple[float, ...] = param((1.0,), '-', 'Gains', low=0.0, high=1.0)\n"
+        'assert Example(gains=[1]).gains == (1.0,)\n'
+        "assert 'numpy' not in sys.modules\n"
+    )
+    outcome = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True)
+    assert outcome.returncode == 0, outcome.stderr
