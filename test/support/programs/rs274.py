@@ -26,10 +26,8 @@ def interpreted(text, folder):
     subprocess.run(
         [interpreter, '-g', '-t', 'tool.tbl', '-v', 'rs274.var', program.name, output.name],
         cwd=folder,
-        env={
-            **os.environ,
-            'HOME': str(folder),
-        },  # where it keeps a tool table that others overwrite
+        # Its tool table lies there; others that run at the same time would overwrite it.
+        env={**os.environ, 'HOME': str(folder)},
         stdin=subprocess.DEVNULL,
         capture_output=True,
         timeout=60,
