@@ -210,7 +210,8 @@ def _plain(segment: Segment) -> Iterable[Segment]:
     """Return a segment as lines and arcs."""
     if isinstance(segment, (LineSegment, ArcSegment)):
         return (segment,)
-    bend = float(segment.curvatures(64).max())
+    # a cusp bends infinitely: no sharper than the chord error is told apart
+    bend = min(float(segment.curvatures(64).max()), 1.0 / _CURVE_CHORD)
     count = int(np.ceil(segment.length * np.sqrt(max(bend, 1e-9) / (8.0 * _CURVE_CHORD))))
     points = [tuple(point) for point in segment.points(max(count, 8)).tolist()]
     return [
