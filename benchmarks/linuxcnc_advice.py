@@ -15,8 +15,10 @@ import argparse
 import json
 import re
 import sys
+from collections.abc import Callable
 from math import inf
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -75,12 +77,23 @@ def duration(lines: list[str]) -> float:
 
 
 class Stand:
-    """A LinuxCNC, and what its runs have shown."""
+    """A LinuxCNC, and what its runs have shown; and what was advised."""
 
     def __init__(self, memory: Path | None, recorder: Recorder) -> None:
         self._memory, self._recorder = memory, recorder
         known = memory is not None and memory.exists()
         self._found = json.loads(memory.read_text()) if memory and known else {}
+
+    def advice(self, name: str, find: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """Return what is advised, if need be as it is found now."""
+        if f'{name}, advice' not in self._found:
+            self._found[f'{name}, advice'] = find()
+            self._keep()
+        return dict(self._found[f'{name}, advice'])
+
+    def _keep(self) -> None:
+        if self._memory is not None:
+            self._memory.write_text(json.dumps(self._found, indent=1))
 
     def run(self, name: str, text: str, path: ProgramPath, acceleration: float) -> Judged:
         """Run a program, if that has not been done."""
@@ -93,8 +106,7 @@ class Stand:
             self._found[name] = judged.document()
             print(f'{name}: {judged.duration:.2f} s, {1e6 * judged.error:.1f} um',
                   file=sys.stderr, flush=True)  # fmt: skip
-            if self._memory is not None:
-                self._memory.write_text(json.dumps(self._found, indent=1))
+            self._keep()
         return Judged(**self._found[name])
 
 
@@ -105,15 +117,11 @@ def compare(stand: Stand, path: Path, seconds: float, tolerance: float) -> list[
         program = read_program(program_with_mode(program.text, OWN_MODE))
     moves = program_moves(program.blocks)
     true = ProgramPath(moves)
-    settings = program_settings(FeedrateSchedulerConfig(tolerance=tolerance, blend=1e-5))
-    adviser = Adviser(program, tolerance, LIMITS, MACHINE, settings)
-    advice = adviser.advise('split')
-    chosen = advice.chosen
     name = f'{path.name}, {seconds:g} s, {1e6 * tolerance:g} um'
+    chosen = stand.advice(name, lambda: advised(program, tolerance))
     own = stand.run(f'{name}, as it is', program.text, true, LIMITS.acceleration[0])
-    best = stand.run(
-        f'{name}, advised', advised_program(program, chosen), true, chosen.acceleration[0]
-    )
+    rise = chosen['acceleration']
+    best = stand.run(f'{name}, advised', chosen['program'], true, rise)
     allowed = max(best.error, tolerance)
     grid = []
     for share in MODES:
@@ -130,12 +138,24 @@ def compare(stand: Stand, path: Path, seconds: float, tolerance: float) -> list[
     if rival is not None:
         what, judged = rival
         rows.append(row('', f'best of the grid: {what}', judged, None))
-    mode = chosen.mode.word if chosen.mode else "program's path mode"
-    what = f'advised: {chosen.name}, {1e3 * chosen.acceleration[0]:.0f} mm/s², {mode}'
-    rows.append(row('', what, best, chosen.judged))
+    what = f'advised: {chosen["name"]}, {1e3 * rise:.0f} mm/s², {chosen["mode"]}'
+    rows.append(row('', what, best, Judged(**chosen['judged'])))
     gain = 1.0 - best.duration / rival[1].duration if rival else inf
     rows[-1] = (*rows[-1][:-1], f'{100.0 * gain:+.0f} %')
     return rows
+
+
+def advised(program: Program, tolerance: float) -> dict[str, Any]:
+    """Return what is advised for a program."""
+    settings = program_settings(FeedrateSchedulerConfig(tolerance=tolerance, blend=1e-5))
+    chosen = Adviser(program, tolerance, LIMITS, MACHINE, settings).advise('split').chosen
+    return {
+        'name': chosen.name,
+        'acceleration': chosen.acceleration[0],
+        'mode': chosen.mode.word if chosen.mode else "program's path mode",
+        'program': advised_program(program, chosen),
+        'judged': chosen.judged.document(),
+    }
 
 
 MODE = re.compile(r'[gG]\s*0*6[14]')

@@ -19,7 +19,13 @@ from fuzzycnc_ros.cli.console import (
     write_text,
 )
 from fuzzycnc_ros.cli.options import Report
-from fuzzycnc_ros.cli.program_files import check_output, new_program, open_program, program_lines
+from fuzzycnc_ros.cli.program_files import (
+    STREAM,
+    check_output,
+    new_program,
+    open_program,
+    program_lines,
+)
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 from fuzzycnc_ros.cli.scheduling_machine import Machine, SchedulingMachine, read_machine
 from fuzzycnc_ros.cli.unkept import say_unkept
@@ -111,6 +117,8 @@ def advise(
     for path in (report, json_file):
         check_folder(path)
     if out is not None:
+        if str(out) == STREAM:
+            raise ValueError('--out: expected a file, since the table is on standard output')
         check_output(program, out, in_place)
     given = _read(program, units)
     before = _mode(blend)

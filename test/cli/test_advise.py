@@ -119,6 +119,7 @@ def test_a_program_that_is_good_is_left_alone(fuzzycnc, part):
         (['--blend', 'much'], ['--blend']),
         (['--units', 'cm'], ['--units']),
         (['--out', 'part.ngc'], ['part.ngc', '--in-place']),
+        (['--out', '-'], ['--out', 'a file']),
         (['--machine-file', 'none.yaml'], ['none.yaml']),
     ],
 )

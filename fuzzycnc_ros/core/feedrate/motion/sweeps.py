@@ -193,15 +193,16 @@ class BandSweep(SpeedSweep):
             part = slice(0, known + 1)
             brake_spans(self._bands.part(0, known), cap[part], self._stop[part])
         offset, gain = self._bands.part(known, len(self._bands)).backward()
-        both = np.column_stack([cap[known:], cap[known:]])
-        both[-1, 0] = 0.0
-        for k in range(len(both) - 2, -1, -1):
-            allowed = (offset[k, :, np.newaxis] + gain[k, :, np.newaxis] * both[k + 1]).min(axis=0)
-            np.minimum(both[k], allowed, out=both[k])
-        return (
-            np.concatenate([cap[:known], both[:, 0]]),
-            np.concatenate([cap[:known], both[:, 1]]),
-        )
+        rest, free = cap[known:].tolist(), cap[known:].tolist()
+        rest[-1] = 0.0
+        least = np.minimum.reduce  # the method `min` costs as much again
+        for k in range(len(rest) - 2, -1, -1):
+            base, factor, slow, fast = offset[k], gain[k], rest[k + 1], free[k + 1]
+            allowed = float(least(base + factor * slow))
+            rest[k] = min(rest[k], allowed)
+            # a few pieces before the end both are the same
+            free[k] = min(free[k], allowed if fast == slow else float(least(base + factor * fast)))
+        return np.append(cap[:known], rest), np.append(cap[:known], free)
 
     def _forward(self, begin: int, end: int, cap: Array, entry: float) -> Array:
         assert self._bands is not None
@@ -210,11 +211,12 @@ class BandSweep(SpeedSweep):
         if self._stop[begin + 1 : end].any():
             rise_spans(self._bands.part(begin, end), found, self._stop[begin : end + 1])
             return found
-        slope, width = self._bands.slope, self._bands.width
-        for k in range(len(found) - 1):
-            allowed = (width[begin + k] - slope[begin + k] * found[k]).min()
-            found[k + 1] = min(found[k + 1], max(allowed, 0.0))
-        return found
+        slope, width, least = self._bands.slope, self._bands.width, np.minimum.reduce
+        speed = found.tolist()
+        for k in range(len(speed) - 1):
+            allowed = float(least(width[begin + k] - slope[begin + k] * speed[k]))
+            speed[k + 1] = min(speed[k + 1], max(allowed, 0.0))
+        return np.array(speed)
 
     def _drop(self, count: int) -> None:
         assert self._bands is not None
