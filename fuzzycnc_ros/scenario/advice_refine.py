@@ -16,8 +16,8 @@ from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
 from fuzzycnc_ros.scenario.program_judge import LocalErrors, ProgramPath
 
-# Chosen on nine random programs of lines with corners, lines and arcs, and splines as short
-# lines (seeds 0 to 8), for 20 um: the least time among six choices of these five.
+# FALL, RISE, RISE_MOST and BEHIND were chosen on nine random programs of lines with corners,
+# lines and arcs, and splines as short lines (seeds 0 to 8), for 20 um: the least time among six.
 FALL, RISE = 0.7, 0.5
 """Powers of error over tolerance by which feeds fall and rise in a round [-]."""
 FALL_MOST, RISE_MOST = 0.3, 1.5
