@@ -50,7 +50,7 @@ setup(
         package_name: [
             'py.typed',
             'machine_file/built_in/*.yaml',
-            'nodes/*.xml',
+            'ros/*.xml',
             'report/templates/*',
         ]
     },

@@ -24,18 +24,18 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.components.component import Component
-from fuzzycnc_ros.components.merge import Merger
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
+from fuzzycnc_ros.core.machine import record_run
+from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, evaluate, train_model
+from fuzzycnc_ros.runtime.component import Component
+from fuzzycnc_ros.runtime.merge import Merger
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     Displacement,
     Record,
     Temperatures,
     ThermalReference,
 )
-from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.core.machine import record_run
-from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, evaluate, train_model
 from fuzzycnc_ros.scenario import PublishedBag, record_calibration
 
 RATE, DURATION = 10, 3600

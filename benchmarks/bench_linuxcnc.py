@@ -42,10 +42,10 @@ class Listener:
         import rclpy
         from rclpy.executors import SingleThreadedExecutor
 
-        from fuzzycnc_ros.components.component import Durability
-        from fuzzycnc_ros.components.records import Compensation, CompensationApplied, MachineState
-        from fuzzycnc_ros.nodes.messages import message_class
-        from fuzzycnc_ros.nodes.qos import publisher_qos, subscription_qos
+        from fuzzycnc_ros.ros.messages import message_class
+        from fuzzycnc_ros.ros.qos import publisher_qos, subscription_qos
+        from fuzzycnc_ros.runtime.component import Durability
+        from fuzzycnc_ros.runtime.records import Compensation, CompensationApplied, MachineState
 
         rclpy.init()
         self.node = rclpy.create_node('bench', namespace='/mill')
@@ -74,9 +74,9 @@ class Listener:
 
     def command(self, offset: float) -> None:
         """Command an offset of Z [m]."""
-        from fuzzycnc_ros.components.records import SECOND, Compensation
-        from fuzzycnc_ros.convert import encode
-        from fuzzycnc_ros.nodes.messages import RCLPY
+        from fuzzycnc_ros.ros.messages import RCLPY
+        from fuzzycnc_ros.runtime.convert import encode
+        from fuzzycnc_ros.runtime.records import SECOND, Compensation
 
         now = time.time_ns()
         record = Compensation(
@@ -144,7 +144,7 @@ def measure(listener: Listener, seconds: float) -> tuple[np.ndarray, np.ndarray]
 def main() -> None:
     """Measure once and print a table."""
     from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation
-    from fuzzycnc_ros.nodes.environment import prepare_environment
+    from fuzzycnc_ros.ros.environment import prepare_environment
 
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
     prepare_environment()

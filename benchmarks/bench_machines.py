@@ -29,9 +29,15 @@ from rclpy.executors import SingleThreadedExecutor
 from fuzzycnc_ros.cli.free_domain import own_domain
 from fuzzycnc_ros.cli.graph_processes import COMPOSED, GraphProcesses, NodeSpec
 from fuzzycnc_ros.cli.up import THERMAL
-from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
-from fuzzycnc_ros.components.component import STREAM
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.core.machine.duties import DUTIES, simulate_duty
+from fuzzycnc_ros.core.thermal import train_model
+from fuzzycnc_ros.ros.environment import prepare_environment
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.qos import publisher_qos, subscription_qos
+from fuzzycnc_ros.runtime.codes import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.component import STREAM
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,
     CompensationApplied,
@@ -39,12 +45,6 @@ from fuzzycnc_ros.components.records import (
     Record,
     Temperatures,
 )
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.core.machine.duties import DUTIES, simulate_duty
-from fuzzycnc_ros.core.thermal import train_model
-from fuzzycnc_ros.nodes.environment import prepare_environment
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos, subscription_qos
 from fuzzycnc_ros.scenario.soak_process import held_by
 
 MACHINES, SECONDS = 20, 60

@@ -31,12 +31,12 @@ from rclpy.executors import SingleThreadedExecutor
 
 from fuzzycnc_ros.cli.free_domain import own_domain
 from fuzzycnc_ros.cli.graph_processes import GraphProcesses, NodeSpec
-from fuzzycnc_ros.components.codes import ServoStatus
-from fuzzycnc_ros.components.component import STREAM
-from fuzzycnc_ros.components.records import SECOND, ServoState
-from fuzzycnc_ros.convert import decode
-from fuzzycnc_ros.nodes.messages import message_class
-from fuzzycnc_ros.nodes.qos import subscription_qos
+from fuzzycnc_ros.ros.messages import message_class
+from fuzzycnc_ros.ros.qos import subscription_qos
+from fuzzycnc_ros.runtime.codes import ServoStatus
+from fuzzycnc_ros.runtime.component import STREAM
+from fuzzycnc_ros.runtime.convert import decode
+from fuzzycnc_ros.runtime.records import SECOND, ServoState
 
 MOVE_TIME, EMPTY, MOVES = 1.2, 10, 10
 """Time of a move [s], and how many times it runs empty, and moves."""

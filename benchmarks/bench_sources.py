@@ -95,11 +95,11 @@ def measure(
     from rclpy.executors import SingleThreadedExecutor
 
     from fuzzycnc_ros.cli.graph_processes import NodeSpec, parameter_file, ros_arguments
-    from fuzzycnc_ros.components.component import STREAM
-    from fuzzycnc_ros.components.records import SECOND, Temperatures
-    from fuzzycnc_ros.convert import decode
-    from fuzzycnc_ros.nodes.messages import message_class
-    from fuzzycnc_ros.nodes.qos import subscription_qos
+    from fuzzycnc_ros.ros.messages import message_class
+    from fuzzycnc_ros.ros.qos import subscription_qos
+    from fuzzycnc_ros.runtime.component import STREAM
+    from fuzzycnc_ros.runtime.convert import decode
+    from fuzzycnc_ros.runtime.records import SECOND, Temperatures
 
     spec = NodeSpec('temperature_acquisition', {'source': 'devices', 'device_file': file})
     arguments = ros_arguments('/bench', [parameter_file(folder, '/bench', [spec])])
@@ -140,7 +140,7 @@ def measure(
 
 def main() -> int:
     """Print all cases; fail if one is not sustained."""
-    from fuzzycnc_ros.nodes.environment import prepare_environment
+    from fuzzycnc_ros.ros.environment import prepare_environment
 
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
     prepare_environment()

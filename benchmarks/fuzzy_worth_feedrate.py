@@ -19,8 +19,8 @@ from types import SimpleNamespace
 import numpy as np
 from fuzzy_worth_rows import FUZZY, LAW, NOTHING, PLAIN, UNKNOWN, Part, Way
 
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.program_request import program_settings
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.motion.program_request import program_settings
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate import (
     ConstantFeed,

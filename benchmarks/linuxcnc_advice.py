@@ -22,10 +22,10 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from fuzzycnc_ros.bridges.linuxcnc import LinuxcncError
+from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
 from fuzzycnc_ros.cli.linuxcnc_recorder import PERIOD, Recorder, recording
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.program_request import program_settings
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.motion.program_request import program_settings
 from fuzzycnc_ros.core.feedrate.job.controller_program import PathMode, program_moves, simulate
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 from fuzzycnc_ros.core.feedrate.program import Program, read_program

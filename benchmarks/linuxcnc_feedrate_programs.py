@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import BPoly, PPoly
 
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.program_request import program_settings
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.motion.program_request import program_settings
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.job.program_schedule import schedule_program
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES

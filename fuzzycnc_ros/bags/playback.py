@@ -17,7 +17,7 @@ from fuzzycnc_ros.bags.errors import BagError, BagTopicError, BagTypeError
 from fuzzycnc_ros.bags.metadata import Profiles
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.typestore import type_hash
-from fuzzycnc_ros.components.records import SECOND
+from fuzzycnc_ros.runtime.records import SECOND
 
 HELD = 20_000
 """Messages held back to be put in the order of their stamps: a recorder is read out every 500

@@ -30,7 +30,7 @@ from fuzzycnc_ros.bags.metadata import (
 from fuzzycnc_ros.bags.sqlitefile import SqliteFile
 from fuzzycnc_ros.bags.storage import Attachment, Contents
 from fuzzycnc_ros.bags.upgrade import UPGRADERS, Upgraders
-from fuzzycnc_ros.components.provenance import MESSAGE_SET
+from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
 
 
 class BagMessage(NamedTuple):

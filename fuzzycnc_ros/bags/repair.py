@@ -14,7 +14,7 @@ from fuzzycnc_ros.bags.mcapfile import McapFile
 from fuzzycnc_ros.bags.metadata import Metadata, parse_qos, read_metadata
 from fuzzycnc_ros.bags.storage import Attachment, Channel, RawMessage
 from fuzzycnc_ros.bags.writer import METADATA_RECORD, BagWriter
-from fuzzycnc_ros.components.provenance import MESSAGE_SET
+from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
 
 
 @dataclass(frozen=True)

@@ -20,24 +20,24 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.replay_comparison import TopicComparison, compare_topic
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.typestore import message_type
-from fuzzycnc_ros.components.component import Component, Emission, Input
-from fuzzycnc_ros.components.host_records import (
+from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
+from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
+from fuzzycnc_ros.core.config import Config
+from fuzzycnc_ros.registry import COMPONENTS, MACHINES
+from fuzzycnc_ros.runtime.component import Component, Emission, Input
+from fuzzycnc_ros.runtime.convert import Target, decode, encode
+from fuzzycnc_ros.runtime.host_records import (
     DeadlineFired,
     MachineTick,
     NodeConfiguration,
     NodeEvent,
 )
-from fuzzycnc_ros.components.merge import Merger
-from fuzzycnc_ros.components.provenance import CLOCK_STEP, REFUSED
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.runtime.merge import Merger
+from fuzzycnc_ros.runtime.provenance import CLOCK_STEP, REFUSED
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     Record,
 )
-from fuzzycnc_ros.components.registry import COMPONENTS, MACHINES
-from fuzzycnc_ros.components.sensor_selector import SensorSelector
-from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.convert import Target, decode, encode
-from fuzzycnc_ros.core.config import Config
 
 ROSBAGS = Target(message_type, numpy_arrays=True)
 """Builds rosbags' messages."""

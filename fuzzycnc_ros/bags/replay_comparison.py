@@ -12,8 +12,8 @@ import numpy as np
 
 from fuzzycnc_ros.bags.canonical import canonical_message
 from fuzzycnc_ros.bags.typestore import deserialize
-from fuzzycnc_ros.components.records import SECOND
-from fuzzycnc_ros.convert import stamp_of
+from fuzzycnc_ros.runtime.convert import stamp_of
+from fuzzycnc_ros.runtime.records import SECOND
 
 ROUNDING = 1e-9
 """Relative difference that linear algebra on another processor may cause [-]."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fuzzycnc_ros.bags.errors import BagVersionError
-from fuzzycnc_ros.components.provenance import MESSAGE_SET
+from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
 
 Upgrader = Callable[[Any], Any]
 """Takes a message of one version and returns what the next version has in its place.

@@ -29,7 +29,7 @@ from fuzzycnc_ros.bags.typestore import (
     type_hash,
 )
 from fuzzycnc_ros.bags.uninterrupted import uninterrupted
-from fuzzycnc_ros.components.provenance import MESSAGE_SET
+from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
 
 CHUNK_SIZE = 16384
 """Uncompressed size at which a chunk is closed [bytes]; what is in an open chunk dies with us."""

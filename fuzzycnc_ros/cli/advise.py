@@ -202,7 +202,7 @@ def _three(name: str, values: tuple[float, ...], absent: float) -> tuple[float, 
 
 def _settings(machine: SchedulingMachine, before: 'PathMode') -> 'ProgramSettings':
     """Return how feeds are scheduled for this controller."""
-    from fuzzycnc_ros.components.program_request import program_settings
+    from fuzzycnc_ros.components.motion.program_request import program_settings
 
     settings = program_settings(machine.scheduler)
     if settings.blend or before.rounding == inf:

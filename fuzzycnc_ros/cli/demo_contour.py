@@ -67,8 +67,8 @@ def contour_demo(console: Console, out: Path, seed: int) -> None:
 
 def _run(out: Path, seed: int, progress: Steps) -> tuple[ContourResult, Any]:
     from fuzzycnc_ros.bags.replay import replay
-    from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-    from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
+    from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
+    from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
     from fuzzycnc_ros.report import contouring_page, contouring_table, render_page
     from fuzzycnc_ros.scenario import SETTLE, ContouringLog, run_contouring
 

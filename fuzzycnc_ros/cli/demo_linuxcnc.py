@@ -15,7 +15,7 @@ from typing import Any
 import typer
 from rich.console import Console
 
-from fuzzycnc_ros.bridges.linuxcnc import LinuxcncError
+from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
 from fuzzycnc_ros.cli.console import complain, show
 from fuzzycnc_ros.cli.demo_steps import RUN_TIMEOUT, Steps, print_files, progress_of
 from fuzzycnc_ros.cli.free_domain import own_domain
@@ -98,7 +98,7 @@ def linuxcnc_demo(console: Console, out: Path, seed: int, rate: float = RATE) ->
 
 
 def _run(out: Path, seed: int, rate: float, progress: Steps) -> tuple[ClosedLoopResult, Any]:
-    from fuzzycnc_ros.components.compensator import CompensatorConfig
+    from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
     from fuzzycnc_ros.core.thermal import train_model
     from fuzzycnc_ros.report import render_html, summary_document, summary_table
     from fuzzycnc_ros.scenario import compensation_runs, record_calibration, shift_report
@@ -176,8 +176,8 @@ def _run_live(
 ) -> tuple[dict[str, Any], bool]:
     """Run the graph for a duty; return what the body says, and whether LinuxCNC cut to the end."""
     from fuzzycnc_ros.cli.operator import Operator
-    from fuzzycnc_ros.components.records import Temperatures
-    from fuzzycnc_ros.components.simulated_machine_duties import MACHINE_DUTIES
+    from fuzzycnc_ros.components.machine.simulated_machine_duties import MACHINE_DUTIES
+    from fuzzycnc_ros.runtime.records import Temperatures
     from fuzzycnc_ros.scenario.closed_loop import duty_program
 
     program = controller.write_program('duty', duty_program(MACHINE_DUTIES[DUTY], rate))
@@ -226,7 +226,7 @@ def _await_bridge(operator: Any) -> None:
     GraphError
         If it does not in time.
     """
-    from fuzzycnc_ros.components.records import MachineState
+    from fuzzycnc_ros.runtime.records import MachineState
 
     until = time.monotonic() + START_TIMEOUT
     while not operator.newest(MachineState, 'machine_state').offsets_allowed:

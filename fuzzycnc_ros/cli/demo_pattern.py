@@ -68,7 +68,7 @@ def pattern_demo(console: Console, out: Path, seed: int) -> None:
 
 def _run(out: Path, seed: int, progress: Steps) -> tuple[PatternResult, Any]:
     from fuzzycnc_ros.bags.replay import replay
-    from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
+    from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
     from fuzzycnc_ros.report import render_page
     from fuzzycnc_ros.report.pattern import PUBLISHED_OF, pattern_page, pattern_table
     from fuzzycnc_ros.scenario.pattern import run_patterns

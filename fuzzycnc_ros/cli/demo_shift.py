@@ -263,7 +263,7 @@ def _run_alone(out: Path, settings: Any, thermal: str, foam: str, bar: Any) -> N
 def _compared(out: Path) -> tuple[dict[str, dict[str, str]], dict[str, list[str]]]:
     """Return the canonical hash of every topic by bag over DDS, and those that differ from it."""
     from fuzzycnc_ros.bags.canonical import topic_hashes
-    from fuzzycnc_ros.components.registry import COMPONENTS
+    from fuzzycnc_ros.registry import COMPONENTS
 
     outputs = {item.name for component in COMPONENTS.values() for item in component.OUTPUTS}
     topics, differing = {}, {}

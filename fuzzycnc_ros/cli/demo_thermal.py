@@ -60,7 +60,7 @@ def thermal_demo(console: Console, out: Path, seed: int) -> None:
 def _run(out: Path, seed: int, progress: Steps, started: float) -> tuple[ThermalResult, Any]:
     from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.cli.latency import measure_latency
-    from fuzzycnc_ros.components.compensator import CompensatorConfig
+    from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
     from fuzzycnc_ros.core.thermal import load_model
     from fuzzycnc_ros.report import summary_document, summary_table
     from fuzzycnc_ros.scenario import ShiftLog, compensation_runs, record_calibration

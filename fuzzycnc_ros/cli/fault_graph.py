@@ -24,14 +24,14 @@ from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpe
 from fuzzycnc_ros.cli.operator import parameter_request, refusals
 from fuzzycnc_ros.cli.supervision import RestartPolicy, Supervisor
 from fuzzycnc_ros.cli.up import node_specs
-from fuzzycnc_ros.components.component import HISTORY
-from fuzzycnc_ros.components.host_records import RecorderProgress
-from fuzzycnc_ros.components.records import SECOND, Record
-from fuzzycnc_ros.convert import decode
 from fuzzycnc_ros.faults.evidence import MARKS, RECORDS
 from fuzzycnc_ros.faults.relay import Relay, direct, durability, remappings
 from fuzzycnc_ros.faults.scenario import Stage
-from fuzzycnc_ros.nodes.qos import create_subscription, publisher_qos, subscription_qos
+from fuzzycnc_ros.ros.qos import create_subscription, publisher_qos, subscription_qos
+from fuzzycnc_ros.runtime.component import HISTORY
+from fuzzycnc_ros.runtime.convert import decode
+from fuzzycnc_ros.runtime.host_records import RecorderProgress
+from fuzzycnc_ros.runtime.records import SECOND, Record
 
 MACHINE = 'mill'
 MAKES_TIME = 'simulated_machine'

@@ -15,8 +15,17 @@ from lifecycle_msgs.srv import ChangeState
 
 from fuzzycnc_ros.cli.fault_graph import LiveGraph
 from fuzzycnc_ros.cli.graph_processes import NodeSpec
-from fuzzycnc_ros.components.codes import ServoStatus
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
+from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.faults.drive_verdict import GOAL, TRAVEL
+from fuzzycnc_ros.faults.pattern_verdict import BLEND
+from fuzzycnc_ros.faults.relay import direct, durability
+from fuzzycnc_ros.faults.scenario import Stage
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.runtime.codes import ServoStatus
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.records import (
     AxisCommand,
     AxisState,
     CompensatedPath,
@@ -29,15 +38,6 @@ from fuzzycnc_ros.components.records import (
     Trajectory,
     TrajectoryState,
 )
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
-from fuzzycnc_ros.faults.drive_verdict import GOAL, TRAVEL
-from fuzzycnc_ros.faults.pattern_verdict import BLEND
-from fuzzycnc_ros.faults.relay import direct, durability
-from fuzzycnc_ros.faults.scenario import Stage
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos
 
 MOVES = 5e-3
 """Speed from which on an axis moves [m/s]; readings of one that rests show less."""

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fuzzycnc_ros.cli.free_domain import free_domain
-from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.faults.campaign import chosen
 from fuzzycnc_ros.faults.scenario import Ends, Kind, Scenario, Stage
 from fuzzycnc_ros.faults.verdict import Verdict, judge
+from fuzzycnc_ros.registry import COMPONENTS
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.fault_graph import LiveGraph

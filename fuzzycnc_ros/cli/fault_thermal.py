@@ -14,8 +14,11 @@ import numpy as np
 
 from fuzzycnc_ros.cli.fault_graph import MACHINE, MAKES_TIME, LiveGraph
 from fuzzycnc_ros.cli.graph_processes import GraphProcesses, NodeSpec
-from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.faults.scenario import Stage
+from fuzzycnc_ros.faults.strangers import FALSE, STRANGER, Strangers, strange_word
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.runtime.codes import AppliedStatus, CompensationState
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,
     CompensationApplied,
@@ -24,9 +27,6 @@ from fuzzycnc_ros.components.records import (
     Temperatures,
     ThermalError,
 )
-from fuzzycnc_ros.components.registry import COMPONENTS
-from fuzzycnc_ros.faults.scenario import Stage
-from fuzzycnc_ros.faults.strangers import FALSE, STRANGER, Strangers, strange_word
 
 DUTY = 'T2'
 AT_WORK = 2e-6

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fuzzycnc_ros.components.codes import PrimitiveKind
 from fuzzycnc_ros.core.deformation.samples import RecordedPath
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, LINE, SheetMaterial
+from fuzzycnc_ros.runtime.codes import PrimitiveKind
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.components.records import CompensatedPath, Material, StitchedPath
     from fuzzycnc_ros.core.arrays import Array
+    from fuzzycnc_ros.runtime.records import CompensatedPath, Material, StitchedPath
 
 SECOND = 1e9
 
@@ -64,8 +64,8 @@ def read_recordings(bags: Sequence[Path]) -> Recordings:
 def _read_bag(bag: Path, found: Recordings) -> None:
     from fuzzycnc_ros.bags.reader import BagReader
     from fuzzycnc_ros.bags.runs import find_topic
-    from fuzzycnc_ros.components.records import CompensatedPath, Material, StitchedPath
-    from fuzzycnc_ros.convert import decode
+    from fuzzycnc_ros.runtime.convert import decode
+    from fuzzycnc_ros.runtime.records import CompensatedPath, Material, StitchedPath
 
     with BagReader(bag) as reader:
         topic = find_topic(reader, 'compensated_path', CompensatedPath.TYPE)

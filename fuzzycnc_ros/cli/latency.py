@@ -15,9 +15,13 @@ from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
 from fuzzycnc_ros.cli.operator import DISCOVERY_TIMEOUT, Operator
-from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
-from fuzzycnc_ros.components.component import LATCHED, STREAM, Durability
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.core.thermal import ThermalModel
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.qos import publisher_qos, subscription_qos
+from fuzzycnc_ros.runtime.codes import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.component import LATCHED, STREAM, Durability
+from fuzzycnc_ros.runtime.convert import encode, stamp_of
+from fuzzycnc_ros.runtime.records import (
     Compensation,
     CompensationApplied,
     MachineState,
@@ -26,10 +30,6 @@ from fuzzycnc_ros.components.records import (
     ThermalReference,
     nanoseconds,
 )
-from fuzzycnc_ros.convert import encode, stamp_of
-from fuzzycnc_ros.core.thermal import ThermalModel
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos, subscription_qos
 
 SAMPLES = 300
 WARM_UP = 20

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fuzzycnc_ros.bridges.linuxcnc import LinuxcncError
+from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
 from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation, exclusive
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.nodes.ending import child_set_up
+from fuzzycnc_ros.ros.ending import child_set_up
 
 PERIOD = 1e-3
 """Servo period [s]."""

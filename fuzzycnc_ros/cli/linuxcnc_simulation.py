@@ -16,8 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from fuzzycnc_ros.bridges.linuxcnc import LinuxcncError, linuxcnc_runs
-from fuzzycnc_ros.nodes.ending import child_set_up
+from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError, linuxcnc_runs
+from fuzzycnc_ros.ros.ending import child_set_up
 
 PYTHON = '/usr/bin/python3'
 START_TIMEOUT = 40.0

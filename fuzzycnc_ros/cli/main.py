@@ -45,7 +45,7 @@ from fuzzycnc_ros.cli.soak import soak
 from fuzzycnc_ros.cli.train import train
 from fuzzycnc_ros.cli.up import up
 from fuzzycnc_ros.core.visible import visible
-from fuzzycnc_ros.nodes.ending import interruptible
+from fuzzycnc_ros.ros.ending import interruptible
 
 HELP = """Measure, predict and compensate the thermal error of a CNC machine.
 

@@ -18,7 +18,7 @@ from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.operator import Operator
-    from fuzzycnc_ros.components.records import CompensationApplied
+    from fuzzycnc_ros.runtime.records import CompensationApplied
 
 HELP = """Act at a running machine: look, activate, set limits, reference and probe.
 
@@ -140,7 +140,7 @@ def set_values(
         fuzzycnc operate set compensator.offset_max=10e-6 compensator.slew_max=5e-8
     """
     check_ros('operate')
-    from fuzzycnc_ros.components.registry import COMPONENTS
+    from fuzzycnc_ros.registry import COMPONENTS
     from fuzzycnc_ros.scenario.thermal_shift import checked
 
     given = node_parameters('set', values)
@@ -214,7 +214,7 @@ def probe(
     import numpy as np
 
     from fuzzycnc_ros.cli.operator import Operator
-    from fuzzycnc_ros.components.records import Displacement
+    from fuzzycnc_ros.runtime.records import Displacement
 
     with Operator(machine, patience=PATIENCE) as operator:
         operator.pause(LISTENING)
@@ -274,7 +274,7 @@ def _operator(machine: str, node: str, *, managed: bool = True) -> 'Operator':
     """Return an operator at a node that must exist, and have a lifecycle if it is managed."""
     check_ros('operate')
     from fuzzycnc_ros.cli.operator import Operator
-    from fuzzycnc_ros.components.registry import COMPONENTS
+    from fuzzycnc_ros.registry import COMPONENTS
 
     names = [name for name, item in COMPONENTS.items() if item.MANAGED or not managed]
     if node not in names:
@@ -326,7 +326,7 @@ def _why(machine: str, node: str) -> str:
 
 def _applied(operator: 'Operator') -> 'CompensationApplied | None':
     """Return the read-back of the machine side, None if it has none."""
-    from fuzzycnc_ros.components.records import CompensationApplied
+    from fuzzycnc_ros.runtime.records import CompensationApplied
 
     if not operator.has_publisher('compensation_applied'):
         return None

@@ -19,12 +19,12 @@ from rclpy.parameter import Parameter
 from fuzzycnc_msgs.action import TrainThermalModel
 from fuzzycnc_msgs.srv import SelectSensors, SetThermalReference
 from fuzzycnc_ros.cli.graph_processes import GraphError
-from fuzzycnc_ros.components.component import Durability
-from fuzzycnc_ros.components.records import Record
-from fuzzycnc_ros.convert import decode, encode
-from fuzzycnc_ros.nodes.environment import prepare_environment
-from fuzzycnc_ros.nodes.messages import RCLPY
-from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, subscription_qos
+from fuzzycnc_ros.ros.environment import prepare_environment
+from fuzzycnc_ros.ros.messages import RCLPY
+from fuzzycnc_ros.ros.qos import create_publisher, create_subscription, subscription_qos
+from fuzzycnc_ros.runtime.component import Durability
+from fuzzycnc_ros.runtime.convert import decode, encode
+from fuzzycnc_ros.runtime.records import Record
 
 DISCOVERY_TIMEOUT = 20.0
 """Wall time [s] until a node must be there."""

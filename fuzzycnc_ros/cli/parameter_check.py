@@ -14,12 +14,12 @@ from rclpy.node import Node
 from fuzzycnc_ros.bags.yaml_file import compose
 from fuzzycnc_ros.cli.console import check_new
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
-from fuzzycnc_ros.components.host_config import HostConfig, RecorderConfig
-from fuzzycnc_ros.components.registry import COMPONENTS
-from fuzzycnc_ros.nodes.arguments import understood
-from fuzzycnc_ros.nodes.environment import RANGE, prepare_environment
-from fuzzycnc_ros.nodes.parameters import ParameterError, declare
-from fuzzycnc_ros.nodes.state_file import StateDirectory, StateFileError
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.ros.arguments import understood
+from fuzzycnc_ros.ros.environment import RANGE, prepare_environment
+from fuzzycnc_ros.ros.parameters import ParameterError, declare
+from fuzzycnc_ros.ros.state_file import StateDirectory, StateFileError
+from fuzzycnc_ros.runtime.host_config import HostConfig, RecorderConfig
 
 
 def check_files(files: Sequence[Path]) -> None:

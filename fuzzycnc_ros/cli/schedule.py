@@ -229,7 +229,7 @@ def _settled(
 
 def _settings(machine: SchedulingMachine, feed: str | None, feed_step: str) -> 'ProgramSettings':
     """Return how programs are scheduled."""
-    from fuzzycnc_ros.components.program_request import program_settings
+    from fuzzycnc_ros.components.motion.program_request import program_settings
 
     step = quantity('--feed-step', feed_step, SHARES, example='5%', zero=True)
     bound = None if feed is None else quantity('--feed', feed, FEEDS, example='12000mm/min')

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional, TypeVar
 import typer
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
+    from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
     from fuzzycnc_ros.core.config import Config
     from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
 
@@ -76,7 +76,7 @@ def read_machine(file: str | None) -> SchedulingMachine:
 
 
 def _of_machine_file(file: str) -> SchedulingMachine:
-    from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
+    from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
     from fuzzycnc_ros.machine_file.feeds import scheduler_parameters, simulated_loop
     from fuzzycnc_ros.machine_file.reader import read_machine_file
 
@@ -90,10 +90,10 @@ def _of_machine_file(file: str) -> SchedulingMachine:
 
 def _of_parameter_file(path: Path | None) -> SchedulingMachine:
     """Read a ROS parameter file, as the nodes do."""
-    from fuzzycnc_ros.components.contouring_motion import contouring_config
-    from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-    from fuzzycnc_ros.components.host_config import HostConfig
-    from fuzzycnc_ros.components.simulated_machine_config import SimulatedMachineConfig
+    from fuzzycnc_ros.components.machine.contouring_motion import contouring_config
+    from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
+    from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+    from fuzzycnc_ros.runtime.host_config import HostConfig
 
     found = _sections(path) if path is not None else {}
     scheduler, simulated = (found.get(node, _Section()) for node in _NODES)

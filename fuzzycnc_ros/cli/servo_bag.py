@@ -22,9 +22,16 @@ import numpy as np
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import find_topic
 from fuzzycnc_ros.cli.servo_records import Moves
-from fuzzycnc_ros.components.codes import ServoStatus
-from fuzzycnc_ros.components.host_records import NodeConfiguration
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.servo.servo_controller import ServoController
+from fuzzycnc_ros.components.servo.servo_controller_config import (
+    ServoControllerConfig,
+    profile_limits,
+)
+from fuzzycnc_ros.core.servo import point_to_point
+from fuzzycnc_ros.runtime.codes import ServoStatus
+from fuzzycnc_ros.runtime.convert import decode
+from fuzzycnc_ros.runtime.host_records import NodeConfiguration
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisCommand,
     AxisState,
@@ -33,10 +40,6 @@ from fuzzycnc_ros.components.records import (
     ServoState,
     nanoseconds,
 )
-from fuzzycnc_ros.components.servo_controller import ServoController
-from fuzzycnc_ros.components.servo_controller_config import ServoControllerConfig, profile_limits
-from fuzzycnc_ros.convert import decode
-from fuzzycnc_ros.core.servo import point_to_point
 
 NEEDED: dict[str, type[Record]] = {
     'axis_state': AxisState,

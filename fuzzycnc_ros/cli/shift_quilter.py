@@ -42,7 +42,7 @@ def first_piece(out: Path, foam: str, seed: int) -> str:
 
 def pattern_alone(path: Path, model: str, seed: int) -> None:
     """Stitch the pattern in this process, into a bag; without a model it is not compensated."""
-    from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
+    from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
     from fuzzycnc_ros.scenario import PublishedBag
     from fuzzycnc_ros.scenario.pattern import TRACK, run_patterns
 

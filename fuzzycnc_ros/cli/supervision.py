@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Protocol
 
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec, process_name
-from fuzzycnc_ros.nodes.ending import REFUSED
+from fuzzycnc_ros.ros.ending import REFUSED
 
 TIME_SOURCES = ('simulated_machine', 'simulated_body', 'player')
 """Nodes that make machine time: a run is over when its one ends, and cannot be resumed."""

@@ -11,9 +11,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from fuzzycnc_ros.cli.operator import Operator
-from fuzzycnc_ros.components.component import Level
-from fuzzycnc_ros.components.host_records import NodeConfiguration
-from fuzzycnc_ros.nodes.messages import message_class
+from fuzzycnc_ros.ros.messages import message_class
+from fuzzycnc_ros.runtime.component import Level
+from fuzzycnc_ros.runtime.host_records import NodeConfiguration
 
 SILENT = 5.0
 """Wall time [s] without a word from a node, which reports every second."""

@@ -13,8 +13,8 @@ from rich.table import Table
 
 from fuzzycnc_ros.cli.background_output import BackgroundOutput
 from fuzzycnc_ros.cli.supervision import State, Supervised
-from fuzzycnc_ros.components.component import Level
 from fuzzycnc_ros.core.visible import visible
+from fuzzycnc_ros.runtime.component import Level
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.supervision_monitor import Monitor, NodeView

@@ -16,7 +16,7 @@ from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpe
 from fuzzycnc_ros.cli.machine_names import machine_name
 from fuzzycnc_ros.cli.supervision_run import check_free, supervise
 from fuzzycnc_ros.cli.terminal import Terminal
-from fuzzycnc_ros.nodes.environment import open_to_network
+from fuzzycnc_ros.ros.environment import open_to_network
 
 BANNER = (
     'fuzzycnc is not a safety function (ISO 13849): emergency stop, limit switches and drive '
@@ -72,7 +72,7 @@ def node_specs(
     GraphError
         If a name is no node.
     """
-    from fuzzycnc_ros.components.registry import COMPONENTS
+    from fuzzycnc_ros.registry import COMPONENTS
 
     wanted = {*nodes, *(('feedrate_scheduler',) if feedrate else ())}
     unknown = sorted(wanted - {*COMPONENTS, 'recorder'})

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.codes import ServoStatus
-from fuzzycnc_ros.components.records import SECOND, Floats
 from fuzzycnc_ros.faults.evidence import Evidence, Recorded, Window
 from fuzzycnc_ros.faults.measured import MICRO, Measured, changes
 from fuzzycnc_ros.faults.path_verdict import END_PERIODS, MOVING_PERIODS
 from fuzzycnc_ros.faults.scenario import RESTING, SERVO, Ends, Scenario
+from fuzzycnc_ros.runtime.codes import ServoStatus
+from fuzzycnc_ros.runtime.records import SECOND, Floats
 
 GOAL = 0.04
 """The axis is sent back and forth between this and minus this [m]."""

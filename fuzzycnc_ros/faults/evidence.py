@@ -18,8 +18,11 @@ from fuzzycnc_ros.bags.mcapfile import McapFile
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
 from fuzzycnc_ros.bags.sequence import SequenceCounter
-from fuzzycnc_ros.components.component import STREAM
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.faults.relay import direct
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.runtime.component import STREAM
+from fuzzycnc_ros.runtime.convert import decode
+from fuzzycnc_ros.runtime.records import (
     AxisCommand,
     AxisState,
     CompensatedPath,
@@ -32,9 +35,6 @@ from fuzzycnc_ros.components.records import (
     Trajectory,
     TrajectoryState,
 )
-from fuzzycnc_ros.components.registry import COMPONENTS
-from fuzzycnc_ros.convert import decode
-from fuzzycnc_ros.faults.relay import direct
 
 MARKS = 'fault_marks'
 """Topic of the marks: `begin <scenario>` and `end <scenario>`."""

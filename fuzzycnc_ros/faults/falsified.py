@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.components.records import SECOND, Record, nanoseconds
+from fuzzycnc_ros.runtime.records import SECOND, Record, nanoseconds
 
 Change = Callable[[Any], Any]
 KINDS = ('nan', 'stuck', 'jump', 'drift')

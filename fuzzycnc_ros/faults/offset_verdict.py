@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState
-from fuzzycnc_ros.components.records import SECOND
 from fuzzycnc_ros.faults.evidence import Evidence, Recorded, Window
 from fuzzycnc_ros.faults.measured import MICRO, Measured, changes, largest
 from fuzzycnc_ros.faults.scenario import (
@@ -22,6 +20,8 @@ from fuzzycnc_ros.faults.scenario import (
     Scenario,
 )
 from fuzzycnc_ros.faults.strangers import FORGED, STRANGER
+from fuzzycnc_ros.runtime.codes import AppliedStatus, CompensationState
+from fuzzycnc_ros.runtime.records import SECOND
 
 ROUNDING = 1e-12
 """What may be lost in sums of offsets [m]."""

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.codes import TrajectoryStatus
-from fuzzycnc_ros.components.records import SECOND, Floats
 from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryInputConfig
 from fuzzycnc_ros.faults.evidence import Evidence, Recorded, Window
 from fuzzycnc_ros.faults.measured import MICRO, Measured, changes
 from fuzzycnc_ros.faults.programmed import Programmed
 from fuzzycnc_ros.faults.scenario import RESTING, SCHEDULER, Ends, Scenario
+from fuzzycnc_ros.runtime.codes import TrajectoryStatus
+from fuzzycnc_ros.runtime.records import SECOND, Floats
 
 GUARD = TrajectoryInputConfig()
 """Limits of the machine side."""

@@ -4,13 +4,15 @@
 
 import numpy as np
 
-from fuzzycnc_ros.components.deformation_compensator_config import DeformationCompensatorConfig
-from fuzzycnc_ros.components.records import CompensatedPath
+from fuzzycnc_ros.components.soft.deformation_compensator_config import (
+    DeformationCompensatorConfig,
+)
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.faults.evidence import Evidence, Window
 from fuzzycnc_ros.faults.measured import Measured, largest
 from fuzzycnc_ros.faults.path_verdict import measure_path
 from fuzzycnc_ros.faults.scenario import Scenario
+from fuzzycnc_ros.runtime.records import CompensatedPath
 
 LIMITS = DeformationCompensatorConfig()
 BLEND = 10e-6

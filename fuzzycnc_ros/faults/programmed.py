@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fuzzycnc_ros.components.records import Floats, ToolPath, Trajectory
-from fuzzycnc_ros.components.tool_paths import tool_path_segments
+from fuzzycnc_ros.components.motion.tool_paths import tool_path_segments
 from fuzzycnc_ros.core.feedrate.program import NurbsSegment
+from fuzzycnc_ros.runtime.records import Floats, ToolPath, Trajectory
 
 SPACING = 1e-5
 """Distance of the points that a straight line is searched by [m]."""

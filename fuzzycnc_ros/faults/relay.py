@@ -16,16 +16,16 @@ from typing import Any, Protocol
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
-from fuzzycnc_ros.components.component import STREAM, Durability
-from fuzzycnc_ros.components.records import Record
-from fuzzycnc_ros.components.registry import COMPONENTS
-from fuzzycnc_ros.convert import decode, encode
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import (
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.qos import (
     create_subscription,
     publisher_qos,
     subscription_qos,
 )
+from fuzzycnc_ros.runtime.component import STREAM, Durability
+from fuzzycnc_ros.runtime.convert import decode, encode
+from fuzzycnc_ros.runtime.records import Record
 
 CLOCK = '/clock'
 THERMAL = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator')

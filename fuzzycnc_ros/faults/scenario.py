@@ -8,11 +8,11 @@ from enum import Enum
 from math import log
 from typing import Any, Protocol
 
-from fuzzycnc_ros.components.compensator import CompensatorConfig
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.servo_axes import make_plant
-from fuzzycnc_ros.components.servo_controller_config import ServoControllerConfig
-from fuzzycnc_ros.components.simulated_machine_config import SimulatedMachineConfig
+from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.servo.servo_axes import make_plant
+from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
+from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
 from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
 from fuzzycnc_ros.faults.relay import THERMAL, Relay
 

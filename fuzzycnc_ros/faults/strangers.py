@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import rclpy
 
-from fuzzycnc_ros.components.codes import AppliedStatus
-from fuzzycnc_ros.components.component import STREAM
-from fuzzycnc_ros.components.records import SECOND, AxisCommand, Compensation, Record
-from fuzzycnc_ros.convert import encode
 from fuzzycnc_ros.faults.relay import record_types
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.runtime.codes import AppliedStatus
+from fuzzycnc_ros.runtime.component import STREAM
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.records import SECOND, AxisCommand, Compensation, Record
 
 STRANGE_EPOCH = 10**6
 """Epoch of strangers' commands of axes: the highest rank."""

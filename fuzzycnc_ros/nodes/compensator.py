@@ -7,9 +7,9 @@ node goes on publishing until they are there.  Should it be killed meanwhile, th
 lets its last command expire.
 """
 
-from fuzzycnc_ros.components.compensator import Compensator
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.managed import ManagedComponentNode
+from fuzzycnc_ros.components.thermal.compensator import Compensator
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.managed import ManagedComponentNode
 
 
 def make() -> ManagedComponentNode:

@@ -6,8 +6,8 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.visible_log import tell_error
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.visible_log import tell_error
 
 _MACHINE = 'simulated_machine'
 
@@ -26,7 +26,7 @@ def run_composed(names: Sequence[str], ros_arguments: Sequence[str]) -> int:
     unknown = [name for name, make in makers.items() if make is None]
     if unknown or not names:
         # Loaded on use: it brings all components, and with them 18 MiB, into every process.
-        from fuzzycnc_ros.components.registry import COMPONENTS
+        from fuzzycnc_ros.registry import COMPONENTS
 
         known = ', '.join((*COMPONENTS, 'recorder', 'player'))
         raise ValueError(f'expected nodes among {known} but found {", ".join(unknown) or "none"}')

@@ -12,16 +12,16 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-from fuzzycnc_ros.components.component import Answer
-from fuzzycnc_ros.components.deformation_compensator import (
+from fuzzycnc_ros.components.soft.deformation_compensator import (
     DeformationCompensator,
     DeformationCompensatorConfig,
 )
 from fuzzycnc_ros.core.deformation import model_file, offset_file
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.files import file_text
-from fuzzycnc_ros.nodes.managed import ManagedComponentNode
-from fuzzycnc_ros.nodes.parameters import ParameterError, changed, refusal
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.files import file_text
+from fuzzycnc_ros.ros.managed import ManagedComponentNode
+from fuzzycnc_ros.ros.parameters import ParameterError, changed, refusal
+from fuzzycnc_ros.runtime.component import Answer
 
 Request = Callable[[str, Mapping[str, Any]], Answer]
 

@@ -15,17 +15,17 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
 from fuzzycnc_msgs.srv import ScheduleProgram
-from fuzzycnc_ros.components.component import Answer
-from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.host_records import DeadlineFired
-from fuzzycnc_ros.components.records import nanoseconds
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.host import DEADLINE_POLL
-from fuzzycnc_ros.nodes.managed import ManagedComponentNode
-from fuzzycnc_ros.nodes.messages import RCLPY
-from fuzzycnc_ros.nodes.timers import wall_timer
+from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.host import DEADLINE_POLL
+from fuzzycnc_ros.ros.managed import ManagedComponentNode
+from fuzzycnc_ros.ros.messages import RCLPY
+from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.runtime.component import Answer
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.host_records import DeadlineFired
+from fuzzycnc_ros.runtime.records import nanoseconds
 
 LAG = 0.02
 """How far behind the present the node works [s]: messages take their time to arrive."""

@@ -2,17 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node `linuxcnc_bridge`: compensation into the LinuxCNC of this computer."""
 
-from fuzzycnc_ros.bridges.controller import Controller
-from fuzzycnc_ros.bridges.linuxcnc import Linuxcnc, LinuxcncError, linuxcnc_runs
-from fuzzycnc_ros.components.linuxcnc_bridge import LinuxcncBridge
-from fuzzycnc_ros.components.linuxcnc_bridge_config import LinuxcncBridgeConfig
-from fuzzycnc_ros.components.linuxcnc_status import (
+from fuzzycnc_ros.adapters.bridge_node import ControllerBridgeNode
+from fuzzycnc_ros.adapters.controller import Controller
+from fuzzycnc_ros.adapters.linuxcnc.control import Linuxcnc, LinuxcncError, linuxcnc_runs
+from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge
+from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge_config import LinuxcncBridgeConfig
+from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_status import (
     ControllerLimits,
     ControllerOutput,
     ControllerStatus,
 )
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.controller_bridge import ControllerBridgeNode
+from fuzzycnc_ros.ros import run
 
 SOON = 0.002
 """Wall time [s] between two cycles while LinuxCNC is on its way: the read-back comes sooner."""

@@ -10,18 +10,18 @@ import os
 import socket
 from pathlib import Path
 
-from fuzzycnc_ros.bridges.controller import Controller
-from fuzzycnc_ros.bridges.link import LinkError
-from fuzzycnc_ros.bridges.opcua_control import ControlFile, OpcUaControl
-from fuzzycnc_ros.bridges.opcua_session import library_trouble
-from fuzzycnc_ros.bridges.threaded import ThreadedController
-from fuzzycnc_ros.components.offset_lines import LineLimits, LineOrders, LineStatus
-from fuzzycnc_ros.components.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.controller_bridge import ControllerBridgeNode
-from fuzzycnc_ros.nodes.opcua_control_file import check_axes, read_control
-from fuzzycnc_ros.nodes.parameters import ParameterError
-from fuzzycnc_ros.nodes.sources.opc_ua_fields import read_credentials
+from fuzzycnc_ros.adapters.bridge_node import ControllerBridgeNode
+from fuzzycnc_ros.adapters.controller import Controller
+from fuzzycnc_ros.adapters.link import LinkError
+from fuzzycnc_ros.adapters.opcua.control import ControlFile, OpcUaControl
+from fuzzycnc_ros.adapters.opcua.control_file import check_axes, read_control
+from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
+from fuzzycnc_ros.adapters.opcua.offset_lines import LineLimits, LineOrders, LineStatus
+from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
+from fuzzycnc_ros.adapters.opcua.session import library_trouble
+from fuzzycnc_ros.adapters.threaded import ThreadedController
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.parameters import ParameterError
 
 LOOK = 0.01
 """Wall time [s] between two looks at what the thread has brought."""

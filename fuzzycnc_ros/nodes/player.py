@@ -25,17 +25,17 @@ from fuzzycnc_ros.bags.playback import (
     require_topics,
 )
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.components.component import STREAM, Health, Level
-from fuzzycnc_ros.components.host_config import PlayerConfig
-from fuzzycnc_ros.components.records import SECOND, nanoseconds
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.bag_node import BagNode, bag_refused, closed_on_failure, pattern
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.parameters import ParameterError
-from fuzzycnc_ros.nodes.qos import publisher_qos, routes_matched
-from fuzzycnc_ros.nodes.sequencer import Sequencer
-from fuzzycnc_ros.nodes.timers import wall_timer
-from fuzzycnc_ros.nodes.visible_log import tell_error
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.bag_node import BagNode, bag_refused, closed_on_failure, pattern
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.ros.qos import publisher_qos, routes_matched
+from fuzzycnc_ros.ros.sequencer import Sequencer
+from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.ros.visible_log import tell_error
+from fuzzycnc_ros.runtime.component import STREAM, Health, Level
+from fuzzycnc_ros.runtime.host_config import PlayerConfig
+from fuzzycnc_ros.runtime.records import SECOND, nanoseconds
 
 POLL = 0.005
 """Wall time [s] between two looks at what is due, at a rate."""

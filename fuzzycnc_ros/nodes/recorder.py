@@ -21,26 +21,26 @@ from fuzzycnc_ros.bags.holes import HoleCounter, not_explained
 from fuzzycnc_ros.bags.metadata import Qos
 from fuzzycnc_ros.bags.recorder import Progress, RecordingThread
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.components.component import STREAM, Health, Level
-from fuzzycnc_ros.components.host_config import RecorderConfig
-from fuzzycnc_ros.components.host_records import NodeConfiguration, RecorderProgress
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.core.visible import visible
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.bag_node import BagNode, bag_refused, closed_on_failure, pattern
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.ros.qos import create_publisher, create_subscription, routes_matched
+from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.ros.turn_taker import TurnTaker
+from fuzzycnc_ros.ros.visible_log import tell_error
+from fuzzycnc_ros.runtime.component import STREAM, Health, Level
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.host_config import RecorderConfig
+from fuzzycnc_ros.runtime.host_records import NodeConfiguration, RecorderProgress
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     Displacement,
     MachineState,
     Temperatures,
 )
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.core.text_hash import text_hash
-from fuzzycnc_ros.core.visible import visible
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.bag_node import BagNode, bag_refused, closed_on_failure, pattern
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.parameters import ParameterError
-from fuzzycnc_ros.nodes.qos import create_publisher, create_subscription, routes_matched
-from fuzzycnc_ros.nodes.timers import wall_timer
-from fuzzycnc_ros.nodes.turn_taker import TurnTaker
-from fuzzycnc_ros.nodes.visible_log import tell_error
 
 DEPTH = 5000
 """What the subscription may hold while the process is stopped."""

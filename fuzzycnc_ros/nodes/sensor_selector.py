@@ -6,9 +6,9 @@ from rclpy.node import Node
 
 from fuzzycnc_msgs.srv import SelectSensors
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.components.sensor_selector import SensorSelector
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.host import ComponentNode
+from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.host import ComponentNode
 
 
 class SensorSelectorNode(ComponentNode):

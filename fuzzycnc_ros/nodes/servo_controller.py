@@ -13,18 +13,18 @@ import gc
 import os
 from pathlib import Path
 
-from fuzzycnc_ros.components.component import Durability
-from fuzzycnc_ros.components.host_records import DeadlineFired
-from fuzzycnc_ros.components.records import Record, nanoseconds
-from fuzzycnc_ros.components.servo_controller import ServoController
-from fuzzycnc_ros.components.servo_controller_config import ServoControllerConfig
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.host import DEADLINE_POLL
-from fuzzycnc_ros.nodes.managed import ManagedComponentNode
-from fuzzycnc_ros.nodes.messages import RCLPY
-from fuzzycnc_ros.nodes.qos import create_subscription, subscription_qos
-from fuzzycnc_ros.nodes.timers import wall_timer
+from fuzzycnc_ros.components.servo.servo_controller import ServoController
+from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.host import DEADLINE_POLL
+from fuzzycnc_ros.ros.managed import ManagedComponentNode
+from fuzzycnc_ros.ros.messages import RCLPY
+from fuzzycnc_ros.ros.qos import create_subscription, subscription_qos
+from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.runtime.component import Durability
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.host_records import DeadlineFired
+from fuzzycnc_ros.runtime.records import Record, nanoseconds
 
 POLL = 0.01
 """Wall time [s] between two looks at the deadline in real time."""

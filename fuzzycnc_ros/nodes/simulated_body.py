@@ -13,14 +13,14 @@ import time
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from fuzzycnc_ros.components.component import STREAM
-from fuzzycnc_ros.components.simulated_body import SimulatedBody, SimulatedBodyConfig
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.host import ComponentNode
-from fuzzycnc_ros.nodes.messages import RCLPY
-from fuzzycnc_ros.nodes.pace import CLOCK_PERIOD, START_POLL, Pace, StartGate
-from fuzzycnc_ros.nodes.qos import publisher_qos
-from fuzzycnc_ros.nodes.timers import wall_timer
+from fuzzycnc_ros.components.machine.simulated_body import SimulatedBody, SimulatedBodyConfig
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.host import ComponentNode
+from fuzzycnc_ros.ros.messages import RCLPY
+from fuzzycnc_ros.ros.pace import CLOCK_PERIOD, START_POLL, Pace, StartGate
+from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.runtime.component import STREAM
 
 
 class SimulatedBodyNode(ComponentNode):

@@ -10,16 +10,19 @@ from collections.abc import Mapping
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from fuzzycnc_ros.components.component import STREAM
-from fuzzycnc_ros.components.records import SECOND, nanoseconds
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.host import ComponentNode
-from fuzzycnc_ros.nodes.messages import RCLPY
-from fuzzycnc_ros.nodes.pace import CLOCK_PERIOD, SLIP, START_POLL, Pace, StartGate
-from fuzzycnc_ros.nodes.qos import publisher_qos
-from fuzzycnc_ros.nodes.sequencer import Sequencer
-from fuzzycnc_ros.nodes.timers import wall_timer
+from fuzzycnc_ros.components.machine.simulated_machine import (
+    SimulatedMachine,
+    SimulatedMachineConfig,
+)
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.host import ComponentNode
+from fuzzycnc_ros.ros.messages import RCLPY
+from fuzzycnc_ros.ros.pace import CLOCK_PERIOD, SLIP, START_POLL, Pace, StartGate
+from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.ros.sequencer import Sequencer
+from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.runtime.component import STREAM
+from fuzzycnc_ros.runtime.records import SECOND, nanoseconds
 
 HOUR = 3600 * SECOND
 CATCH_UP = 0.02

@@ -5,15 +5,15 @@
 from rclpy.node import Node
 
 from fuzzycnc_msgs.srv import SetThermalReference
-from fuzzycnc_ros.components.component import Health
-from fuzzycnc_ros.components.temperature_acquisition import (
+from fuzzycnc_ros.adapters.readings.open_source import open_source
+from fuzzycnc_ros.components.thermal.temperature_acquisition import (
     TemperatureAcquisition,
     TemperatureAcquisitionConfig,
 )
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.host import ComponentNode
-from fuzzycnc_ros.nodes.parameters import ParameterError
-from fuzzycnc_ros.nodes.sources.open_source import open_source
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.host import ComponentNode
+from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.runtime.component import Health
 
 
 class TemperatureAcquisitionNode(ComponentNode):

@@ -24,15 +24,18 @@ from rclpy.task import Future
 from fuzzycnc_msgs.action import TrainThermalModel
 from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalPredictorConfig
+from fuzzycnc_ros.components.thermal.thermal_predictor import (
+    ThermalPredictor,
+    ThermalPredictorConfig,
+)
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.core.thermal.model_document import SIZE_MAX
-from fuzzycnc_ros.nodes import run
-from fuzzycnc_ros.nodes.files import file_text
-from fuzzycnc_ros.nodes.host import ComponentNode
-from fuzzycnc_ros.nodes.parameters import ParameterError, changed, refusal
-from fuzzycnc_ros.nodes.timers import wall_timer
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.files import file_text
+from fuzzycnc_ros.ros.host import ComponentNode
+from fuzzycnc_ros.ros.parameters import ParameterError, changed, refusal
+from fuzzycnc_ros.ros.timers import wall_timer
 
 POLL = 0.05
 """Wall time [s] between two looks at a training."""

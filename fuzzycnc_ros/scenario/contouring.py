@@ -9,10 +9,13 @@ that both give the same outputs.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.graph import Sink
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
+from fuzzycnc_ros.components.machine.simulated_machine import (
+    SimulatedMachine,
+    SimulatedMachineConfig,
+)
+from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.runtime.graph import Sink
 from fuzzycnc_ros.scenario.contouring_log import ContouringLog, FollowedPath
 from fuzzycnc_ros.scenario.judged_graph import run_served
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.codes import TrajectoryStatus
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.runtime.codes import TrajectoryStatus
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,
     ContourError,

@@ -4,10 +4,10 @@
 
 from collections.abc import Callable, Sequence
 
-from fuzzycnc_ros.components.component import Component
-from fuzzycnc_ros.components.graph import InProcessGraph, Sink
-from fuzzycnc_ros.components.records import Record
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine
+from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachine
+from fuzzycnc_ros.runtime.component import Component
+from fuzzycnc_ros.runtime.graph import InProcessGraph, Sink
+from fuzzycnc_ros.runtime.records import Record
 
 
 def judged_graph(

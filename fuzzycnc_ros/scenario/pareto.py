@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from fuzzycnc_ros.components.feedrate_scheduler_config import (
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
     FeedrateSchedulerConfig,
     make_scheduler,
 )

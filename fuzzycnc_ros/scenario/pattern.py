@@ -9,12 +9,17 @@ that both give the same outputs.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from fuzzycnc_ros.components.deformation_compensator import DeformationCompensator
-from fuzzycnc_ros.components.deformation_compensator_config import DeformationCompensatorConfig
-from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.graph import Sink
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
+from fuzzycnc_ros.components.machine.simulated_machine import (
+    SimulatedMachine,
+    SimulatedMachineConfig,
+)
+from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.soft.deformation_compensator import DeformationCompensator
+from fuzzycnc_ros.components.soft.deformation_compensator_config import (
+    DeformationCompensatorConfig,
+)
+from fuzzycnc_ros.runtime.graph import Sink
 from fuzzycnc_ros.scenario.judged_graph import judged_graph
 from fuzzycnc_ros.scenario.pattern_log import PatternLog, StitchedPattern
 

@@ -8,9 +8,9 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.pattern_programme import track_of
-from fuzzycnc_ros.components.records import CompensatedPath, Material, StitchedPath
+from fuzzycnc_ros.components.machine.pattern_programme import track_of
 from fuzzycnc_ros.core.machine import FoamSheet, TrackQuality
+from fuzzycnc_ros.runtime.records import CompensatedPath, Material, StitchedPath
 from fuzzycnc_ros.scenario.record_log import RecordLog
 
 Floats = NDArray[np.float64]

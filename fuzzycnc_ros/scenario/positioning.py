@@ -9,10 +9,13 @@ that both give the same outputs.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from fuzzycnc_ros.components.graph import Sink
-from fuzzycnc_ros.components.servo_controller import ServoController
-from fuzzycnc_ros.components.servo_controller_config import ServoControllerConfig
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
+from fuzzycnc_ros.components.machine.simulated_machine import (
+    SimulatedMachine,
+    SimulatedMachineConfig,
+)
+from fuzzycnc_ros.components.servo.servo_controller import ServoController
+from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
+from fuzzycnc_ros.runtime.graph import Sink
 from fuzzycnc_ros.scenario.judged_graph import run_served
 from fuzzycnc_ros.scenario.positioning_log import PositioningLog, PositioningMove
 

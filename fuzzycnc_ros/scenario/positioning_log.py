@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.codes import ServoStatus
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.core.servo.positioning import settle_times
+from fuzzycnc_ros.runtime.codes import ServoStatus
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisCommand,
     AxisState,
     PositionCommand,
     ServoState,
 )
-from fuzzycnc_ros.core.servo.positioning import settle_times
 from fuzzycnc_ros.scenario.record_log import RecordLog
 
 Floats = NDArray[np.float64]

@@ -12,16 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.probe_correction import FILTERS, ProbeCorrection
-from fuzzycnc_ros.components.probes import Probe, ProbeSource
-from fuzzycnc_ros.components.records import Displacement, Stamp, nanoseconds
-from fuzzycnc_ros.components.thermal_predictor_config import ThermalPredictorConfig
+from fuzzycnc_ros.components.thermal.probe_correction import FILTERS, ProbeCorrection
+from fuzzycnc_ros.components.thermal.probes import Probe, ProbeSource
+from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal import Evaluation, ThermalModel, ThermalRun
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, REFERENCE_SAMPLES, ThermalDataError
 from fuzzycnc_ros.core.thermal.training import at_interval
 from fuzzycnc_ros.report.model import Score
+from fuzzycnc_ros.runtime.records import Displacement, Stamp, nanoseconds
 
 UNPROBED, HELD = 'unprobed', 'held'
 """Rows beside those of `FILTERS`: the default alone, and the last probe without any model."""

@@ -11,7 +11,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.feedrate_scheduler_config import (
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
     FeedrateSchedulerConfig,
     heeds_tolerance,
     make_scheduler,

@@ -9,10 +9,10 @@ from fuzzycnc_ros.bags.metadata import LATCHED as LATCHED_QOS
 from fuzzycnc_ros.bags.metadata import STREAM as STREAM_QOS
 from fuzzycnc_ros.bags.replay import ROSBAGS
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.components.component import LATCHED
-from fuzzycnc_ros.components.records import Record
-from fuzzycnc_ros.components.registry import COMPONENTS
-from fuzzycnc_ros.convert import encode
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.runtime.component import LATCHED
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.records import Record
 
 _LATCHED_TOPICS = {'node_configuration'} | {
     item.name

@@ -9,8 +9,8 @@ from typing import Any, ClassVar, TypeVar
 
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import find_topic
-from fuzzycnc_ros.components.records import Record
-from fuzzycnc_ros.convert import decode
+from fuzzycnc_ros.runtime.convert import decode
+from fuzzycnc_ros.runtime.records import Record
 
 Log = TypeVar('Log', bound='RecordLog')
 

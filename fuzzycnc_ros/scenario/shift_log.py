@@ -9,8 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.codes import Status
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.thermal.spindle_speed import TOPICS as SPEED_TOPICS
+from fuzzycnc_ros.components.thermal.spindle_speed import speed_told, speeds_at
+from fuzzycnc_ros.components.thermal.substitution import RiseSource
+from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.report import CompensationRun
+from fuzzycnc_ros.runtime.codes import Status
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,
     CompensationApplied,
@@ -23,12 +29,6 @@ from fuzzycnc_ros.components.records import (
     ThermalError,
     ThermalReference,
 )
-from fuzzycnc_ros.components.spindle_speed import TOPICS as SPEED_TOPICS
-from fuzzycnc_ros.components.spindle_speed import speed_told, speeds_at
-from fuzzycnc_ros.components.substitution import RiseSource
-from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun
-from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
-from fuzzycnc_ros.report import CompensationRun
 from fuzzycnc_ros.scenario.record_log import RecordLog
 
 Floats = NDArray[np.float64]

@@ -20,13 +20,16 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.canonical import combined_hash, topic_hashes
 from fuzzycnc_ros.bags.replay import ROSBAGS
-from fuzzycnc_ros.components.component import Component
-from fuzzycnc_ros.components.graph import InProcessGraph
-from fuzzycnc_ros.components.records import Record
-from fuzzycnc_ros.components.registry import COMPONENTS
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
-from fuzzycnc_ros.convert import encode
+from fuzzycnc_ros.components.machine.simulated_machine import (
+    SimulatedMachine,
+    SimulatedMachineConfig,
+)
 from fuzzycnc_ros.core.machine.duties import DUTIES
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.runtime.component import Component
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.graph import InProcessGraph
+from fuzzycnc_ros.runtime.records import Record
 from fuzzycnc_ros.scenario.soak_process import (
     GROWTH_MAX,
     LATENCY_GROWTH_MAX,

@@ -13,20 +13,26 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.components.compensator import Compensator, CompensatorConfig
-from fuzzycnc_ros.components.component import Answer
-from fuzzycnc_ros.components.graph import Sink
-from fuzzycnc_ros.components.registry import COMPONENTS
-from fuzzycnc_ros.components.sensor_selector import SensorSelector, SensorSelectorConfig
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
-from fuzzycnc_ros.components.temperature_acquisition import (
+from fuzzycnc_ros.components.machine.simulated_machine import (
+    SimulatedMachine,
+    SimulatedMachineConfig,
+)
+from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
+from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector, SensorSelectorConfig
+from fuzzycnc_ros.components.thermal.temperature_acquisition import (
     TemperatureAcquisition,
     TemperatureAcquisitionConfig,
 )
-from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalPredictorConfig
+from fuzzycnc_ros.components.thermal.thermal_predictor import (
+    ThermalPredictor,
+    ThermalPredictorConfig,
+)
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.core.thermal import ThermalRun, load_model
+from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.report import CompensationRun
+from fuzzycnc_ros.runtime.component import Answer
+from fuzzycnc_ros.runtime.graph import Sink
 from fuzzycnc_ros.scenario.judged_graph import judged_graph
 from fuzzycnc_ros.scenario.published_bag import PublishedBag
 from fuzzycnc_ros.scenario.shift_log import ShiftLog, compensation_runs

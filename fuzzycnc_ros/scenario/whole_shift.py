@@ -12,20 +12,23 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.components.compensator import Compensator, CompensatorConfig
-from fuzzycnc_ros.components.component import Component
-from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.graph import Sink
-from fuzzycnc_ros.components.sensor_selector import SensorSelector
-from fuzzycnc_ros.components.servo_controller import ServoController
-from fuzzycnc_ros.components.servo_controller_config import ServoControllerConfig
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
-from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition
-from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.components.tool_paths import program_tool_path
+from fuzzycnc_ros.components.machine.simulated_machine import (
+    SimulatedMachine,
+    SimulatedMachineConfig,
+)
+from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.motion.tool_paths import program_tool_path
+from fuzzycnc_ros.components.servo.servo_controller import ServoController
+from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
+from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
+from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
+from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisition
+from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.core.feedrate.program import LineSegment, read_program
 from fuzzycnc_ros.core.thermal import ThermalModel, load_model
+from fuzzycnc_ros.runtime.component import Component
+from fuzzycnc_ros.runtime.graph import Sink
 from fuzzycnc_ros.scenario.judged_graph import judged_graph
 from fuzzycnc_ros.scenario.whole_shift_log import ShiftLogs, WholeShift, whole_shift
 

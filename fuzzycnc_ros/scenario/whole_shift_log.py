@@ -10,12 +10,12 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.job_programme import MOVE, timed_jobs
-from fuzzycnc_ros.components.records import Record, ToolPath
-from fuzzycnc_ros.components.simulated_machine_duties import WHOLE_SHIFT
-from fuzzycnc_ros.components.tool_paths import tool_path_segments
+from fuzzycnc_ros.components.machine.job_programme import MOVE, timed_jobs
+from fuzzycnc_ros.components.machine.simulated_machine_duties import WHOLE_SHIFT
+from fuzzycnc_ros.components.motion.tool_paths import tool_path_segments
 from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.report import CompensationRun
+from fuzzycnc_ros.runtime.records import Record, ToolPath
 from fuzzycnc_ros.scenario.contouring_log import ContouringLog, FollowedPath
 from fuzzycnc_ros.scenario.positioning_log import PositioningLog, PositioningMove
 from fuzzycnc_ros.scenario.record_log import RecordLog

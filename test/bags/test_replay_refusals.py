@@ -9,11 +9,11 @@ import pytest
 from fuzzycnc_ros.bags.replay import ReplayError, replay
 from fuzzycnc_ros.bags.typestore import message_type
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.components.host_records import NodeEvent
-from fuzzycnc_ros.components.provenance import configuration_record
-from fuzzycnc_ros.components.records import SECOND
-from fuzzycnc_ros.components.registry import COMPONENTS
-from fuzzycnc_ros.convert import Target, encode
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.runtime.convert import Target, encode
+from fuzzycnc_ros.runtime.host_records import NodeEvent
+from fuzzycnc_ros.runtime.provenance import configuration_record
+from fuzzycnc_ros.runtime.records import SECOND
 
 ROSBAGS = Target(message_type, numpy_arrays=True)
 

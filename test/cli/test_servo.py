@@ -11,14 +11,8 @@ import yaml
 from fuzzycnc_ros.cli.servo import COMMANDS
 from fuzzycnc_ros.cli.servo_bag import read_bag
 from fuzzycnc_ros.cli.servo_search import swinging
-from fuzzycnc_ros.components.codes import ServoStatus
-from fuzzycnc_ros.components.records import (
-    AxisCommand,
-    AxisState,
-    ServoState,
-)
-from fuzzycnc_ros.components.servo_controller_config import ServoControllerConfig
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
+from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
+from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
 from fuzzycnc_ros.core.servo import (
     PidController,
@@ -26,6 +20,12 @@ from fuzzycnc_ros.core.servo import (
     VariableUniverseParams,
     point_to_point,
     position,
+)
+from fuzzycnc_ros.runtime.codes import ServoStatus
+from fuzzycnc_ros.runtime.records import (
+    AxisCommand,
+    AxisState,
+    ServoState,
 )
 from fuzzycnc_ros.scenario.positioning import run_positioning
 from fuzzycnc_ros.scenario.published_bag import PublishedBag

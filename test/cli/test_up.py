@@ -13,9 +13,9 @@ from fuzzycnc_ros.cli.graph_processes import GraphError, NodeSpec
 from fuzzycnc_ros.cli.supervision import RestartPolicy, State, Supervisor
 from fuzzycnc_ros.cli.supervision_view import View, row, table
 from fuzzycnc_ros.cli.up import THERMAL, node_specs
-from fuzzycnc_ros.components.component import Level
-from fuzzycnc_ros.components.registry import COMPONENTS
-from fuzzycnc_ros.nodes import environment
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.ros import environment
+from fuzzycnc_ros.runtime.component import Level
 
 POLICY = RestartPolicy(delay=0.5, delay_max=4.0, restarts_max=5, window=100.0)
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from rules import for_each
 
-from fuzzycnc_ros.components.component import LATCHED
-from fuzzycnc_ros.components.registry import COMPONENTS, MACHINES
 from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal import ThermalRun, evaluate, train_model
+from fuzzycnc_ros.registry import COMPONENTS, MACHINES
+from fuzzycnc_ros.runtime.component import LATCHED
 
 ROOT = Path(__file__).parents[2]
 TABLES = runpy.run_path(str(ROOT / 'tools' / 'make_tables.py'))
@@ -145,7 +145,7 @@ def test_dotted_names_can_be_imported(page):
 def test_named_paths_exist(page):
     """Paths of the repository in inline code."""
     tops = '|'.join(('bags', 'docs', 'launch', 'msg_defs', 'params', 'test', 'tools', r'\.ci'))
-    rings = '|'.join(('core', 'components', 'nodes', 'cli', 'report', 'scenario'))
+    rings = '|'.join(path.name for path in (ROOT / 'fuzzycnc_ros').iterdir() if path.is_dir())
     text = page.read_text()
     for name in re.findall(rf'`((?:{tops})/[\w./-]+)`', text):
         assert (ROOT / name).exists(), name

@@ -18,25 +18,38 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 # Ring -> rings that it may import besides itself.
 RINGS = {
     'core': set(),
-    'components': {'core'},
-    'convert': {'components', 'core'},
-    'bags': {'convert', 'components', 'core'},
+    'runtime': {'core'},
+    'components': {'runtime', 'core'},
     'machine_file': {'bags', 'core'},
     'report': {'core'},
-    'scenario': {'report', 'machine_file', 'bags', 'convert', 'components', 'core'},
-    'nodes': {'bridges', 'machine_file', 'bags', 'convert', 'components', 'core'},
-    'bridges': {'bags', 'convert', 'components', 'core'},
-    'faults': {'nodes', 'report', 'bags', 'convert', 'components', 'core'},
+    'bags': {'registry', 'components', 'runtime', 'core'},
+    'ros': {'machine_file', 'bags', 'registry', 'components', 'runtime', 'core'},
+    'adapters': {'ros', 'bags', 'components', 'runtime', 'core'},
+    'registry': {'adapters', 'components', 'runtime'},
+    'scenario': {'report', 'machine_file', 'bags', 'registry', 'components', 'runtime', 'core'},
+    'nodes': {
+        'adapters',
+        'ros',
+        'registry',
+        'machine_file',
+        'bags',
+        'components',
+        'runtime',
+        'core',
+    },
+    'faults': {'ros', 'nodes', 'registry', 'report', 'bags', 'components', 'runtime', 'core'},
     'cli': {
         'faults',
         'nodes',
-        'bridges',
+        'adapters',
+        'ros',
+        'registry',
         'scenario',
         'report',
         'machine_file',
         'bags',
-        'convert',
         'components',
+        'runtime',
         'core',
     },
     'start': set(),
@@ -56,14 +69,15 @@ ROS = {
 }
 WITHOUT_ROS = (
     'core',
+    'runtime',
     'components',
-    'convert',
+    'registry',
     'bags',
     'machine_file',
-    'bridges',
     'report',
     'scenario',
 )
+PURE = ('core', 'runtime', 'components')
 LOADED_ON_USE = {
     'asyncua',
     'cryptography',
@@ -182,8 +196,8 @@ def test_no_node_imports_another():
     assert not found
 
 
-@for_each([path for path in MODULES if ring_of(path) in ('core', 'components')], label)
-def test_core_and_components_are_pure(path):
+@for_each([path for path in MODULES if ring_of(path) in PURE], label)
+def test_inner_rings_are_pure(path):
     """No clock, file, log or global random state: the same inputs give the same outputs."""
     found = [
         f'{label(path)}:{line} imports {name}'
@@ -202,7 +216,7 @@ def test_core_and_components_are_pure(path):
     assert not found
 
 
-@pytest.mark.parametrize('ring', ['core', 'components', 'convert'])
+@pytest.mark.parametrize('ring', [*PURE, 'registry'])
 def test_inner_rings_import_in_plain_python(ring):
     """Numpy and scipy are enough."""
     script = IMPORT_ALL.format(
@@ -218,7 +232,10 @@ def test_inner_rings_import_in_plain_python(ring):
 def test_nodes_start_with_rclpy_numpy_and_scipy_alone():
     """What else a node can use is loaded on use."""
     blocked = sorted(LOADED_ON_USE - {'yaml'})  # rclpy itself needs it
-    script = IMPORT_ALL.format(blocked=blocked, packages=['fuzzycnc_ros.nodes'])
+    script = IMPORT_ALL.format(
+        blocked=blocked,
+        packages=['fuzzycnc_ros.ros', 'fuzzycnc_ros.adapters', 'fuzzycnc_ros.nodes'],
+    )
     done = subprocess.run(
         [sys.executable, '-c', script], cwd=ROOT, capture_output=True, text=True, check=False
     )

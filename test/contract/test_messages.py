@@ -11,7 +11,7 @@ import interfaces
 from interfaces import FILES, FOLDER, Field
 from rules import for_each
 
-from fuzzycnc_ros.components.registry import COMPONENTS
+from fuzzycnc_ros.registry import COMPONENTS
 
 UNITS = {'-', 'm', '1/m', 'm/s', 'rad', 'rad/s', 's', 'degC', 'K', 'Pa'}
 NODES = {*COMPONENTS, 'recorder', 'player'}

@@ -150,7 +150,7 @@ def test_ros_declaration_is_the_schema(node, monkeypatch, tmp_path):
     rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
     from rclpy.node import Node
 
-    from fuzzycnc_ros.nodes.parameters import declare
+    from fuzzycnc_ros.ros.parameters import declare
 
     context = rclpy.Context()
     context.init()

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from rules import for_each
 
-from fuzzycnc_ros.components import codes, host_records, records
-from fuzzycnc_ros.components.records import Record, SensorCluster
-from fuzzycnc_ros.convert import Target, decode, encode
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.core.machine.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime import codes, host_records, records
+from fuzzycnc_ros.runtime.convert import Target, decode, encode
+from fuzzycnc_ros.runtime.records import Record, SensorCluster
 
 TYPES = {
     item.TYPE.split('/')[-1]: item
@@ -171,7 +171,7 @@ def rclpy_target() -> Target:
     """Return the target that builds rclpy's messages."""
     pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
     pytest.importorskip('fuzzycnc_msgs.msg', reason='fuzzycnc_msgs is not built: run `make test`')
-    from fuzzycnc_ros.nodes.messages import RCLPY
+    from fuzzycnc_ros.ros.messages import RCLPY
 
     return RCLPY
 

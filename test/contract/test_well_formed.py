@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from rules import for_each
 
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.runtime.records import (
     AxisCommand,
     CompensationApplied,
     SensorCluster,
@@ -19,8 +20,7 @@ from fuzzycnc_ros.components.records import (
     Temperatures,
     TrajectoryState,
 )
-from fuzzycnc_ros.components.registry import COMPONENTS
-from fuzzycnc_ros.components.well_formed import EPOCH_MAX, PARALLEL, misfit
+from fuzzycnc_ros.runtime.well_formed import EPOCH_MAX, PARALLEL, misfit
 
 ANSWERED = {
     'AxisCommand',

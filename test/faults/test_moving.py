@@ -10,8 +10,16 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from fuzzycnc_ros.components.codes import ServoStatus, TrajectoryStatus
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.motion.tool_paths import curve_tool_path
+from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
+from fuzzycnc_ros.core.feedrate.path.curves import trident
+from fuzzycnc_ros.faults.drive_verdict import GOAL, TRAVEL
+from fuzzycnc_ros.faults.evidence import Evidence, Recorded, Window
+from fuzzycnc_ros.faults.programmed import Programmed
+from fuzzycnc_ros.faults.scenario import BY_DRIVE, BY_PATH, Kind, Scenario
+from fuzzycnc_ros.faults.verdict import judge
+from fuzzycnc_ros.runtime.codes import ServoStatus, TrajectoryStatus
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisCommand,
     AxisState,
@@ -21,14 +29,6 @@ from fuzzycnc_ros.components.records import (
     Trajectory,
     TrajectoryState,
 )
-from fuzzycnc_ros.components.tool_paths import curve_tool_path
-from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
-from fuzzycnc_ros.core.feedrate.path.curves import trident
-from fuzzycnc_ros.faults.drive_verdict import GOAL, TRAVEL
-from fuzzycnc_ros.faults.evidence import Evidence, Recorded, Window
-from fuzzycnc_ros.faults.programmed import Programmed
-from fuzzycnc_ros.faults.scenario import BY_DRIVE, BY_PATH, Kind, Scenario
-from fuzzycnc_ros.faults.verdict import judge
 
 NAME = 'trial'
 MILLISECOND = SECOND // 1000

@@ -11,14 +11,14 @@ pytest.importorskip('rclpy')
 
 from fault_records import SCENARIO, TICK, applied, command, error, evidence_of, judged
 
-from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState
-from fuzzycnc_ros.components.records import SECOND
 from fuzzycnc_ros.faults.evidence import Recorded
 from fuzzycnc_ros.faults.offset_verdict import streams
 from fuzzycnc_ros.faults.scenario import BY_COMPENSATOR, BY_MACHINE, MACHINE, Ends
 from fuzzycnc_ros.faults.strangers import STRANGER
 from fuzzycnc_ros.faults.table import result_tables
 from fuzzycnc_ros.faults.verdict import Verdict, judge
+from fuzzycnc_ros.runtime.codes import AppliedStatus, CompensationState
+from fuzzycnc_ros.runtime.records import SECOND
 
 
 def test_a_graph_that_follows_is_safe():

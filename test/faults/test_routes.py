@@ -9,9 +9,6 @@ pytest.importorskip('rclpy')
 
 from fault_records import MICRO, TICK, applied, command
 
-from fuzzycnc_ros.components.component import LATCHED, STREAM
-from fuzzycnc_ros.components.records import SECOND, Compensation, TrajectoryState
-from fuzzycnc_ros.convert import encode
 from fuzzycnc_ros.faults.falsified import (
     DRIVE_FIELDS,
     FIELDS,
@@ -33,6 +30,9 @@ from fuzzycnc_ros.faults.relay import (
 )
 from fuzzycnc_ros.faults.scenario import MACHINE
 from fuzzycnc_ros.faults.strangers import FORGED, STRANGE_EPOCH, STRANGER, strange_word
+from fuzzycnc_ros.runtime.component import LATCHED, STREAM
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.records import SECOND, Compensation, TrajectoryState
 
 ALL = [
     *FIELDS.values(),
@@ -77,7 +77,7 @@ def state(stamp, epoch):
 )
 def test_whole_numbers_stay_whole(kind, epoch, arc_length):
     """What is no number is another field: whole numbers cannot say it."""
-    from fuzzycnc_ros.nodes.messages import RCLPY
+    from fuzzycnc_ros.ros.messages import RCLPY
 
     change = falsified(PATH_FIELDS['trajectory_state'], kind)
     change(state(0, 3))
@@ -111,7 +111,7 @@ def test_routes_are_disturbed_by_seed():
 def test_only_the_messages_of_one_topic_are_falsified():
     from rclpy.serialization import deserialize_message, serialize_message
 
-    from fuzzycnc_ros.nodes.messages import RCLPY, message_class
+    from fuzzycnc_ros.ros.messages import RCLPY, message_class
 
     payload = bytes(serialize_message(encode(command(TICK), RCLPY)))
     fault = Falsify('compensation', falsified(FIELDS['compensation'], 'jump'))

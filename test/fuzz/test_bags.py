@@ -24,14 +24,17 @@ from fuzzycnc_ros.bags.repair import repair
 from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.components.compensator import Compensator, CompensatorConfig
-from fuzzycnc_ros.components.graph import InProcessGraph
-from fuzzycnc_ros.components.host_records import NodeConfiguration, NodeEvent
-from fuzzycnc_ros.components.sensor_selector import SensorSelector
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
-from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition
-from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.convert import encode
+from fuzzycnc_ros.components.machine.simulated_machine import (
+    SimulatedMachine,
+    SimulatedMachineConfig,
+)
+from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
+from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
+from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisition
+from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.graph import InProcessGraph
+from fuzzycnc_ros.runtime.host_records import NodeConfiguration, NodeEvent
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

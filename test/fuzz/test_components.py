@@ -14,8 +14,8 @@ from fuzzing.component_targets import TARGETS
 from fuzzing.record_mutations import check_published, mutated
 from hypothesis import given
 
-from fuzzycnc_ros.components.records import SECOND
-from fuzzycnc_ros.components.registry import COMPONENTS
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.runtime.records import SECOND
 
 MESSAGES = 40
 """Hostile messages of an example."""

@@ -10,8 +10,8 @@ from fuzzing.campaign import SEEDS, bounded, fuzz, refusal
 from fuzzing.file_mutations import mutated_bytes, mutated_text
 from hypothesis import given
 
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.program_request import schedule_text
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.motion.program_request import schedule_text
 from fuzzycnc_ros.core.feedrate.program import ProgramError, follow, read_program
 
 

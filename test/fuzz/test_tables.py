@@ -15,6 +15,8 @@ from fuzzing.file_mutations import damaged, mutated_json, mutated_text
 from fuzzing.pattern_targets import offsets_text
 from hypothesis import given
 
+from fuzzycnc_ros.adapters.opcua.control_file import read_control
+from fuzzycnc_ros.adapters.readings.device_file import read_devices
 from fuzzycnc_ros.bags.csv import CsvMapping, import_csv
 from fuzzycnc_ros.bags.errors import BagError, CsvError
 from fuzzycnc_ros.bags.runs import read_run
@@ -23,9 +25,7 @@ from fuzzycnc_ros.cli.scheduling_machine import read_machine
 from fuzzycnc_ros.cli.servo_settings import read_settings
 from fuzzycnc_ros.core.deformation.offset_file import read_offsets
 from fuzzycnc_ros.core.thermal.document import ModelFileError
-from fuzzycnc_ros.nodes.opcua_control_file import read_control
-from fuzzycnc_ros.nodes.parameters import ParameterError
-from fuzzycnc_ros.nodes.sources.device_file import read_devices
+from fuzzycnc_ros.ros.parameters import ParameterError
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

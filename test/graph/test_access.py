@@ -16,7 +16,8 @@ import rclpy
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.cli.operator import Operator
 from fuzzycnc_ros.cli.supervision_monitor import Monitor
-from fuzzycnc_ros.components.access import (
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.ros.access import (
     ACTIONS,
     OPERATOR,
     PLAYER,
@@ -24,7 +25,6 @@ from fuzzycnc_ros.components.access import (
     RECORDER,
     access_of,
 )
-from fuzzycnc_ros.components.registry import COMPONENTS
 
 pytestmark = pytest.mark.ros
 

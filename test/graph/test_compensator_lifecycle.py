@@ -15,19 +15,19 @@ from lifecycle_msgs.msg import State, Transition
 from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_ros.bags.replay import replay
-from fuzzycnc_ros.components.codes import CompensationState
-from fuzzycnc_ros.components.component import Durability
-from fuzzycnc_ros.components.host_records import NodeConfiguration, NodeEvent
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.runtime.codes import CompensationState
+from fuzzycnc_ros.runtime.component import Durability
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.host_records import NodeConfiguration, NodeEvent
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,
     CompensationApplied,
     MachineState,
     ThermalError,
 )
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos
 
 pytestmark = pytest.mark.ros
 

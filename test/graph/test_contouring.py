@@ -8,14 +8,14 @@ from live_graph import ANSWER_TIMEOUT, KILL_TIMEOUT
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.replay import replay
-from fuzzycnc_ros.components.codes import TrajectoryStatus
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.runtime.codes import TrajectoryStatus
+from fuzzycnc_ros.runtime.records import (
     AxisState,
     ContourError,
     TrajectoryState,
 )
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.scenario import ContouringLog, PublishedBag, run_contouring
 
 pytestmark = pytest.mark.ros

@@ -13,25 +13,25 @@ from rcl_interfaces.srv import SetParameters
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.replay import replay
-from fuzzycnc_ros.components.component import LATCHED
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.soft.stitch_patterns import stitch_pattern
+from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
+from fuzzycnc_ros.core.deformation.stitch_path import Primitive
+from fuzzycnc_ros.core.machine import FoamTrack
+from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.runtime.component import LATCHED
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.records import (
     CompensatedPath,
     Material,
     StitchedPath,
     StitchPattern,
     TrajectoryState,
 )
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
-from fuzzycnc_ros.components.stitch_patterns import stitch_pattern
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
-from fuzzycnc_ros.core.deformation.stitch_path import Primitive
-from fuzzycnc_ros.core.machine import FoamTrack
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
-from fuzzycnc_ros.core.text_hash import text_hash
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos
 from fuzzycnc_ros.scenario import PublishedBag
 from fuzzycnc_ros.scenario.pattern import STITCH_BLEND, run_patterns
 from fuzzycnc_ros.scenario.pattern_log import PatternLog

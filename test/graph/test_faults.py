@@ -7,9 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState
-from fuzzycnc_ros.components.compensator import CompensatorConfig
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.machine.simulated_machine import DAY_START, SimulatedMachineConfig
+from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
+from fuzzycnc_ros.runtime.codes import AppliedStatus, CompensationState
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,
     CompensationApplied,
@@ -17,7 +18,6 @@ from fuzzycnc_ros.components.records import (
     Temperatures,
     ThermalError,
 )
-from fuzzycnc_ros.components.simulated_machine import DAY_START, SimulatedMachineConfig
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

@@ -14,10 +14,15 @@ from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_msgs.srv import ScheduleProgram
 from fuzzycnc_ros.bags.replay import replay
-from fuzzycnc_ros.components.codes import TrajectoryStatus
-from fuzzycnc_ros.components.component import Durability
-from fuzzycnc_ros.components.host_records import NodeConfiguration
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.motion.tool_paths import curve_tool_path
+from fuzzycnc_ros.core.feedrate.path.curves import trident
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.runtime.codes import TrajectoryStatus
+from fuzzycnc_ros.runtime.component import Durability
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.host_records import NodeConfiguration
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,
     FeedSchedule,
@@ -27,11 +32,6 @@ from fuzzycnc_ros.components.records import (
     TrajectoryState,
     nanoseconds,
 )
-from fuzzycnc_ros.components.tool_paths import curve_tool_path
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.core.feedrate.path.curves import trident
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos
 
 pytestmark = pytest.mark.ros
 

@@ -14,9 +14,9 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
 
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.components.host_config import HostConfig, PlayerConfig, RecorderConfig
-from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.core.config import Config
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.runtime.host_config import HostConfig, PlayerConfig, RecorderConfig
 
 pytestmark = pytest.mark.ros
 

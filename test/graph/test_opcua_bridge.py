@@ -15,8 +15,8 @@ from equipment.field_servers import LOCAL, Field, Route
 from equipment.opcua_machine import AXES, FILE, ControlServer, LineControl, control_file
 from equipment.secured_server import PINNING, secured, user_file
 
-from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.runtime.codes import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.records import (
     MachineState,
 )
 

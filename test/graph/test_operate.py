@@ -11,17 +11,17 @@ import pytest
 
 from fuzzycnc_ros.cli import operate
 from fuzzycnc_ros.cli.main import run
-from fuzzycnc_ros.components.codes import AppliedStatus
-from fuzzycnc_ros.components.component import Durability
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.runtime.codes import AppliedStatus
+from fuzzycnc_ros.runtime.component import Durability
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     CompensationApplied,
     Displacement,
     Temperatures,
 )
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos
 
 pytestmark = pytest.mark.ros
 

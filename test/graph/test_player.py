@@ -13,14 +13,14 @@ from fuzzycnc_ros.bags.playback import PlayedMessage, by_stamp
 from fuzzycnc_ros.bags.replay import ROSBAGS
 from fuzzycnc_ros.bags.typestore import serialize
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.components.component import Durability
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.runtime.component import Durability
+from fuzzycnc_ros.runtime.convert import encode, stamp_of
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     Displacement,
     Temperatures,
     ThermalReference,
 )
-from fuzzycnc_ros.convert import encode, stamp_of
 
 pytestmark = pytest.mark.ros
 

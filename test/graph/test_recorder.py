@@ -14,7 +14,7 @@ import pytest
 from fuzzycnc_ros.bags.errors import BagError, BagTruncatedError
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
-from fuzzycnc_ros.components.records import SECOND, MachineState
+from fuzzycnc_ros.runtime.records import SECOND, MachineState
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

@@ -13,7 +13,7 @@ import pytest
 from processes import HANG, children, start, wait_for
 
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.components.records import SECOND, MachineState, Temperatures
+from fuzzycnc_ros.runtime.records import SECOND, MachineState, Temperatures
 
 pytestmark = pytest.mark.ros
 

@@ -12,9 +12,9 @@ from live_graph import ANSWER_TIMEOUT, KILL_TIMEOUT
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.replay import replay
-from fuzzycnc_ros.components.codes import ServoStatus
-from fuzzycnc_ros.components.component import Level
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.runtime.codes import ServoStatus
+from fuzzycnc_ros.runtime.component import Level
+from fuzzycnc_ros.runtime.records import (
     AxisCommand,
     AxisState,
     ServoState,

@@ -7,11 +7,11 @@ import pytest
 from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_ros.bags.replay import replay
-from fuzzycnc_ros.components.component import STREAM
-from fuzzycnc_ros.components.records import SECOND, Temperatures
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.runtime.component import STREAM
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.records import SECOND, Temperatures
 
 pytestmark = pytest.mark.ros
 

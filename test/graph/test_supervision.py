@@ -14,11 +14,13 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState
-from fuzzycnc_ros.components.compensator import CompensatorConfig
-from fuzzycnc_ros.components.component import LATCHED
-from fuzzycnc_ros.components.host_records import NodeConfiguration, NodeEvent
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
+from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
+from fuzzycnc_ros.runtime.codes import AppliedStatus, CompensationState
+from fuzzycnc_ros.runtime.component import LATCHED
+from fuzzycnc_ros.runtime.convert import decode
+from fuzzycnc_ros.runtime.host_records import NodeConfiguration, NodeEvent
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,
     CompensationApplied,
@@ -26,8 +28,6 @@ from fuzzycnc_ros.components.records import (
     Temperatures,
     ThermalError,
 )
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
-from fuzzycnc_ros.convert import decode
 
 pytestmark = pytest.mark.ros
 

@@ -7,9 +7,9 @@ import pytest
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
 
-from fuzzycnc_ros.components.codes import Status
-from fuzzycnc_ros.components.records import SECOND, Temperatures
-from fuzzycnc_ros.nodes.messages import RCLPY
+from fuzzycnc_ros.ros.messages import RCLPY
+from fuzzycnc_ros.runtime.codes import Status
+from fuzzycnc_ros.runtime.records import SECOND, Temperatures
 
 pytestmark = pytest.mark.ros
 

@@ -14,10 +14,10 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 
 from fuzzycnc_msgs.action import TrainThermalModel
-from fuzzycnc_ros.components.component import LATCHED
-from fuzzycnc_ros.components.host_records import NodeConfiguration
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.runtime.component import LATCHED
+from fuzzycnc_ros.runtime.host_records import NodeConfiguration
 from fuzzycnc_ros.scenario.thermal_shift import record_calibration
 
 pytestmark = pytest.mark.ros

@@ -9,12 +9,15 @@ from dataclasses import replace
 import pytest
 from live_graph import ANSWER_TIMEOUT
 
-from fuzzycnc_ros.components.component import STREAM
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.nodes.messages import RCLPY
-from fuzzycnc_ros.nodes.qos import create_publisher, routes_matched
-from fuzzycnc_ros.nodes.sequencer import BACKLOG, Sequencer
+from fuzzycnc_ros.components.machine.simulated_machine import (
+    SimulatedMachine,
+    SimulatedMachineConfig,
+)
+from fuzzycnc_ros.ros.messages import RCLPY
+from fuzzycnc_ros.ros.qos import create_publisher, routes_matched
+from fuzzycnc_ros.ros.sequencer import BACKLOG, Sequencer
+from fuzzycnc_ros.runtime.component import STREAM
+from fuzzycnc_ros.runtime.convert import encode
 
 pytestmark = pytest.mark.ros
 

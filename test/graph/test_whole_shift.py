@@ -7,8 +7,8 @@ from live_graph import ANSWER_TIMEOUT
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.cli.demo_shift import mill_specs
-from fuzzycnc_ros.components.registry import COMPONENTS
 from fuzzycnc_ros.core.thermal import train_model
+from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.scenario import PublishedBag, record_calibration
 from fuzzycnc_ros.scenario.whole_shift import TICK, ShiftSettings, run_whole_shift
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.core.machine import (
     BallscrewAxisConfig,
     LatheAxisConfig,
@@ -123,7 +123,7 @@ def test_jerk_limits_reach_the_feeds(machine):
 
 
 def test_nodes_get_what_they_know():
-    from fuzzycnc_ros.components.registry import COMPONENTS
+    from fuzzycnc_ros.registry import COMPONENTS
 
     found = node_parameters(read_machine_file('mill'))
     for node, parameters in found.items():

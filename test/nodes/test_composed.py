@@ -25,7 +25,7 @@ def test_what_is_no_node_is_refused(names):
 def test_only_the_nodes_that_are_named_are_loaded():
     script = (
         'import sys, fuzzycnc_ros.nodes.composed, fuzzycnc_ros.nodes.compensator\n'
-        "print('fuzzycnc_ros.components.registry' in sys.modules)"
+        "print('fuzzycnc_ros.registry' in sys.modules)"
     )
     done = subprocess.run(
         [sys.executable, '-c', script], capture_output=True, text=True, check=False

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components.thermal_predictor_config import ThermalPredictorConfig
+from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal import ThermalRun, evaluate, train_model
 from fuzzycnc_ros.core.thermal.candidate import STANDARD
 from fuzzycnc_ros.core.thermal.comparison import Comparison, judge, splits

@@ -13,8 +13,8 @@ import pytest
 from equipment.bridge_rig import ACTIVATE, CONFIGURE, DEACTIVATE, MICRON, BridgeRig
 from equipment.linuxcnc_machine import LinuxcncMachine, exclusive
 
-from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.runtime.codes import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.records import (
     SECOND,
 )
 

@@ -12,7 +12,7 @@ from equipment.linuxcnc_machine import exclusive
 from rich.console import Console
 
 from fuzzycnc_ros.cli.demo_linuxcnc import linuxcnc_demo
-from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.codes import AppliedStatus, MachineMode
 from fuzzycnc_ros.scenario.closed_loop import ClosedLoopLog
 from fuzzycnc_ros.scenario.shift_log import ShiftLog
 

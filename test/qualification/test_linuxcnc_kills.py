@@ -17,12 +17,12 @@ import pytest
 from equipment.linuxcnc_machine import LinuxcncMachine, exclusive
 from equipment.linuxcnc_offsets import OffsetTrace, fastest
 
-from fuzzycnc_ros.components.codes import AppliedStatus
-from fuzzycnc_ros.components.component import Durability
-from fuzzycnc_ros.components.records import Compensation, CompensationApplied, ThermalError
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.runtime.codes import AppliedStatus
+from fuzzycnc_ros.runtime.component import Durability
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.records import Compensation, CompensationApplied, ThermalError
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.qualify]
 

@@ -10,8 +10,8 @@ import threading
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components.compensator import Compensator
-from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor
+from fuzzycnc_ros.components.thermal.compensator import Compensator
+from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.core.thermal import train_model
 from fuzzycnc_ros.scenario import record_calibration
 from fuzzycnc_ros.scenario.soak import (

@@ -14,13 +14,13 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.replay import ROSBAGS, ReplayError, replay
 from fuzzycnc_ros.bags.replay_comparison import relative_difference
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.components.codes import Status
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.runtime.codes import Status
+from fuzzycnc_ros.runtime.convert import decode, encode
+from fuzzycnc_ros.runtime.records import (
     Compensation,
     Temperatures,
     ThermalError,
 )
-from fuzzycnc_ros.convert import decode, encode
 
 BAGS = Path(__file__).parents[2] / 'bags'
 GOLDEN = sorted(path.name for path in BAGS.iterdir() if path.is_dir())

@@ -7,10 +7,12 @@ import pytest
 
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.replay import replay
-from fuzzycnc_ros.components.deformation_compensator_config import DeformationCompensatorConfig
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.pattern_programme import parse_patterns
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachineConfig
+from fuzzycnc_ros.components.machine.pattern_programme import parse_patterns
+from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.soft.deformation_compensator_config import (
+    DeformationCompensatorConfig,
+)
 from fuzzycnc_ros.core.deformation import (
     CompensatedPath,
     StitchPath,

@@ -7,18 +7,21 @@ import pytest
 
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.replay import replay
-from fuzzycnc_ros.components.codes import ServoStatus, TrajectoryStatus
-from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.graph import InProcessGraph
-from fuzzycnc_ros.components.servo_controller import ServoController
-from fuzzycnc_ros.components.servo_controller_config import (
+from fuzzycnc_ros.components.machine.simulated_machine import (
+    SimulatedMachine,
+    SimulatedMachineConfig,
+)
+from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.servo.servo_controller import ServoController
+from fuzzycnc_ros.components.servo.servo_controller_config import (
     ServoControllerConfig,
     make_controllers,
 )
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
 from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis
 from fuzzycnc_ros.core.servo import point_to_point, position
+from fuzzycnc_ros.runtime.codes import ServoStatus, TrajectoryStatus
+from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.scenario.positioning import PositioningError, run_positioning
 from fuzzycnc_ros.scenario.positioning_log import PositioningLog
 from fuzzycnc_ros.scenario.published_bag import PublishedBag

@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.replay import replay
-from fuzzycnc_ros.components.compensator import Compensator
-from fuzzycnc_ros.components.graph import InProcessGraph
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
-from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition
-from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalPredictorConfig
+from fuzzycnc_ros.components.machine.simulated_machine import (
+    SimulatedMachine,
+    SimulatedMachineConfig,
+)
+from fuzzycnc_ros.components.thermal.compensator import Compensator
+from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisition
+from fuzzycnc_ros.components.thermal.thermal_predictor import (
+    ThermalPredictor,
+    ThermalPredictorConfig,
+)
 from fuzzycnc_ros.core.thermal import train_model
+from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.scenario import PublishedBag, record_calibration, run_shift
 
 CANDIDATES = ('stable_grey', 'lag_ridge')

@@ -11,8 +11,8 @@ from fuzzycnc_ros.bags.errors import BagExistsError
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.components.codes import CompensationState
 from fuzzycnc_ros.core.thermal import ThermalDataError, load_model, train_model
+from fuzzycnc_ros.runtime.codes import CompensationState
 from fuzzycnc_ros.scenario import (
     PublishedBag,
     ShiftLog,

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from benches.component_bench import applied
 
-from fuzzycnc_ros.components.records import Displacement, ThermalReference, nanoseconds
-from fuzzycnc_ros.components.simulated_machine_duties import MACHINE_DUTIES
+from fuzzycnc_ros.components.machine.simulated_machine_duties import MACHINE_DUTIES
+from fuzzycnc_ros.runtime.records import Displacement, ThermalReference, nanoseconds
 from fuzzycnc_ros.scenario.closed_loop import RADIUS, ClosedLoopLog, duty_program
 
 MICRON = 1e-6

@@ -15,12 +15,12 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
-from fuzzycnc_ros.components.component import STREAM
-from fuzzycnc_ros.components.registry import COMPONENTS
-from fuzzycnc_ros.nodes.environment import prepare_environment
-from fuzzycnc_ros.nodes.messages import message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos, routes_matched, subscription_qos
-from fuzzycnc_ros.nodes.turn_taker import TurnTaker
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.ros.environment import prepare_environment
+from fuzzycnc_ros.ros.messages import message_class
+from fuzzycnc_ros.ros.qos import publisher_qos, routes_matched, subscription_qos
+from fuzzycnc_ros.ros.turn_taker import TurnTaker
+from fuzzycnc_ros.runtime.component import STREAM
 
 DELAY_MAX = 0.004
 """Longest delay [s]: many times a turn."""

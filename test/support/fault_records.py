@@ -6,16 +6,16 @@ import itertools
 
 import numpy as np
 
-from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.faults.evidence import Evidence, Recorded, Window
+from fuzzycnc_ros.faults.scenario import BY_MACHINE, Scenario
+from fuzzycnc_ros.faults.verdict import judge
+from fuzzycnc_ros.runtime.codes import AppliedStatus, CompensationState
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,
     CompensationApplied,
     ThermalError,
 )
-from fuzzycnc_ros.faults.evidence import Evidence, Recorded, Window
-from fuzzycnc_ros.faults.scenario import BY_MACHINE, Scenario
-from fuzzycnc_ros.faults.verdict import judge
 
 MICRO = 1e-6
 TICK = 12 * SECOND

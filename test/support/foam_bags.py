@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fuzzycnc_ros.components.codes import PrimitiveKind
-from fuzzycnc_ros.components.records import CompensatedPath, Material, StitchedPath
 from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack
+from fuzzycnc_ros.runtime.codes import PrimitiveKind
+from fuzzycnc_ros.runtime.records import CompensatedPath, Material, StitchedPath
 from fuzzycnc_ros.scenario.published_bag import PublishedBag
 
 SECOND = 10**9

@@ -44,13 +44,13 @@ from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.replay import ROSBAGS
 from fuzzycnc_ros.cli.graph_processes import NodeSpec, parameter_file, ros_arguments
 from fuzzycnc_ros.cli.up import node_specs
-from fuzzycnc_ros.components.component import Durability
-from fuzzycnc_ros.convert import decode, encode
 from fuzzycnc_ros.core.thermal import train_model
-from fuzzycnc_ros.nodes.environment import prepare_environment
-from fuzzycnc_ros.nodes.messages import message_class
-from fuzzycnc_ros.nodes.qos import subscription_qos
-from fuzzycnc_ros.nodes.run import run
+from fuzzycnc_ros.ros.environment import prepare_environment
+from fuzzycnc_ros.ros.messages import message_class
+from fuzzycnc_ros.ros.qos import subscription_qos
+from fuzzycnc_ros.ros.run import run
+from fuzzycnc_ros.runtime.component import Durability
+from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.scenario.thermal_shift import record_calibration, run_shift
 
 ROOT = Path(__file__).parents[2]
@@ -72,7 +72,7 @@ SET_CLOCK = """
 import sys
 from importlib import import_module
 from pathlib import Path
-from fuzzycnc_ros.nodes.host import ComponentNode
+from fuzzycnc_ros.ros.host import ComponentNode
 file, true = Path(sys.argv.pop(1)), ComponentNode._clock_now
 ComponentNode._clock_now = lambda self: true(self) + int(file.read_text())
 import_module(f'fuzzycnc_ros.nodes.{sys.argv.pop(1)}').main()

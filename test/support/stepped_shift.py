@@ -8,17 +8,23 @@ from functools import cache
 import numpy as np
 from kept import kept
 
-from fuzzycnc_ros.components.compensator import Compensator
-from fuzzycnc_ros.components.component import Emission
-from fuzzycnc_ros.components.graph import InProcessGraph
-from fuzzycnc_ros.components.records import Record
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
-from fuzzycnc_ros.components.temperature_acquisition import (
+from fuzzycnc_ros.components.machine.simulated_machine import (
+    SimulatedMachine,
+    SimulatedMachineConfig,
+)
+from fuzzycnc_ros.components.thermal.compensator import Compensator
+from fuzzycnc_ros.components.thermal.temperature_acquisition import (
     TemperatureAcquisition,
     TemperatureAcquisitionConfig,
 )
-from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalPredictorConfig
+from fuzzycnc_ros.components.thermal.thermal_predictor import (
+    ThermalPredictor,
+    ThermalPredictorConfig,
+)
 from fuzzycnc_ros.core.thermal import load_model, train_model
+from fuzzycnc_ros.runtime.component import Emission
+from fuzzycnc_ros.runtime.graph import InProcessGraph
+from fuzzycnc_ros.runtime.records import Record
 from fuzzycnc_ros.scenario import Calibration, record_calibration
 
 CANDIDATES = ('stable_grey', 'lag_ridge')

@@ -114,7 +114,7 @@ def test_text_annotations_indices_and_messages_stay(lines_after):
 
 def test_every_mutant_of_the_package_is_python(tool):
     root = TOOLS.parent
-    for name in ('convert.py', 'core/config.py', 'bags/mcapfile.py', 'components/records.py'):
+    for name in ('core/config.py', 'bags/mcapfile.py', 'runtime/convert.py', 'runtime/records.py'):
         file = root / 'fuzzycnc_ros' / name
         rows = file.read_text().split('\n')
         for mutant in tool.draw.mutants_of(root, file, ''):
@@ -138,24 +138,23 @@ SOME = """
             raise ValueError
         return max(a - 3.0, b)
 """
-PLACES = ('core__a__x', 'core__b__x', 'core__y', 'components__x', 'bags__x', 'nodes__x', 'cli__x')
+OTHERS = ('runtime', 'components', 'ros', 'adapters', 'nodes', 'bags', 'cli')
+PLACES = ('core__a__x', 'core__b__x', 'core__y', *(f'{group}__x' for group in OTHERS))
 
 
 @pytest.fixture
 def package(tree):
     """A tree with something in each part of the package."""
-    return tree(convert=SOME, **dict.fromkeys(PLACES, SOME))
+    return tree(**dict.fromkeys(PLACES, SOME))
 
 
 def test_a_draw_is_spread_over_parts_folders_and_kinds(tool, package):
-    drawn = tool.draw.draw(package, seed=1, count=37)
+    drawn = tool.draw.draw(package, seed=1, count=49)
     groups = Counter(mutant.group for mutant in drawn)
-    assert groups == {'core': 7} | dict.fromkeys(
-        ('components', 'bags', 'nodes', 'convert', 'cli'), 6
-    )
+    assert groups == {'core': 7} | dict.fromkeys(OTHERS, 6)
     folders = Counter(m.file.split('/')[2] for m in drawn if m.group == 'core')
     assert sorted(folders.values()) == [2, 2, 3]
-    for group in ('bags', 'convert'):
+    for group in ('bags', 'runtime'):
         assert {m.kind for m in drawn if m.group == group} == set(tool.kinds.KINDS)
 
 

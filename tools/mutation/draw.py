@@ -13,7 +13,7 @@ from pathlib import Path
 from mutation.kinds import KINDS, changes
 
 PACKAGE = 'fuzzycnc_ros'
-GROUPS = ('core', 'components', 'bags', 'nodes', 'convert.py', 'cli')
+GROUPS = ('core', 'runtime', 'components', 'ros', 'adapters', 'nodes', 'bags', 'cli')
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,9 @@ def shuffled(tree: Path, group: str, seed: int, without: Collection[str] = ()) -
 
     top = tree / PACKAGE / group
     by_place: dict[tuple[str, str], list[Mutant]] = defaultdict(list)
-    for file in [top] if top.is_file() else sorted(top.rglob('*.py')):
+    for file in sorted(top.rglob('*.py')):
         folder = '/'.join(file.relative_to(top).parts[:-1][:1])
-        for mutant in mutants_of(tree, file, group.removesuffix('.py')):
+        for mutant in mutants_of(tree, file, group):
             if mutant.id not in without:
                 by_place[folder, mutant.kind].append(mutant)
     for found in by_place.values():

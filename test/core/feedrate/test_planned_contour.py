@@ -5,9 +5,9 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components.feedrate_run import Header, PathRun
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.tool_paths import program_tool_path, tool_path_segments
+from fuzzycnc_ros.components.motion.feedrate_run import Header, PathRun
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.motion.tool_paths import program_tool_path, tool_path_segments
 from fuzzycnc_ros.core.feedrate.program import read_program
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringAxes, ContouringConfig

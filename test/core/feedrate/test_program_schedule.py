@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.components.feedrate_scheduler_config import (
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
     FeedrateSchedulerConfig,
     make_scheduler,
 )

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from benches.component_bench import Bench, machine_state, thermal_error
 
-from fuzzycnc_ros.components.compensator import Compensator, CompensatorConfig
-from fuzzycnc_ros.components.records import Compensation, nanoseconds
+from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
+from fuzzycnc_ros.runtime.records import Compensation, nanoseconds
 
 MICRON = 1e-6
 ERROR = (4e-6, -2e-6)

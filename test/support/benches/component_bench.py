@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.components.codes import MachineMode
-from fuzzycnc_ros.components.component import Component, Emission
-from fuzzycnc_ros.components.merge import Merger
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.runtime.codes import MachineMode
+from fuzzycnc_ros.runtime.component import Component, Emission
+from fuzzycnc_ros.runtime.merge import Merger
+from fuzzycnc_ros.runtime.records import (
     CompensationApplied,
     MachineState,
     Record,

@@ -10,13 +10,19 @@ from dataclasses import fields, replace
 import numpy as np
 from benches.component_bench import Bench, machine_state
 
-from fuzzycnc_ros.components.codes import MachineMode, TrajectoryStatus
-from fuzzycnc_ros.components.component import Emission
-from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
-from fuzzycnc_ros.components.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.host_records import MachineTick
-from fuzzycnc_ros.components.provenance import configuration_record, event_record
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.motion.tool_paths import (
+    curve_tool_path,
+)
+from fuzzycnc_ros.core.feedrate.path.curves import trident
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
+from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInput, TrajectoryPart
+from fuzzycnc_ros.runtime.codes import MachineMode, TrajectoryStatus
+from fuzzycnc_ros.runtime.component import Emission
+from fuzzycnc_ros.runtime.host_records import MachineTick
+from fuzzycnc_ros.runtime.provenance import configuration_record, event_record
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,
     Record,
@@ -25,12 +31,6 @@ from fuzzycnc_ros.components.records import (
     TrajectoryState,
     nanoseconds,
 )
-from fuzzycnc_ros.components.tool_paths import (
-    curve_tool_path,
-)
-from fuzzycnc_ros.core.feedrate.path.curves import trident
-from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
-from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInput, TrajectoryPart
 
 CONFIG = FeedrateSchedulerConfig(tolerance=5e-5)
 AXES = ('X', 'Y', 'Z')

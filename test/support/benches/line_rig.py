@@ -7,10 +7,10 @@ from benches.bridge_bench import BridgeRig
 from benches.component_bench import Bench
 from benches.line_control import LineControl
 
-from fuzzycnc_ros.components.codes import AppliedStatus, MachineMode
-from fuzzycnc_ros.components.offset_lines import LineLimits, Lines, LineStatus, Travel
-from fuzzycnc_ros.components.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
-from fuzzycnc_ros.components.records import nanoseconds
+from fuzzycnc_ros.adapters.opcua.offset_lines import LineLimits, Lines, LineStatus, Travel
+from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
+from fuzzycnc_ros.runtime.codes import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.records import nanoseconds
 
 AXES = ('X', 'Z')
 CYCLE = 0.1

@@ -9,14 +9,16 @@ import numpy as np
 from benches.component_bench import Bench
 from kept import kept
 
-from fuzzycnc_ros.components.deformation_compensator import DeformationCompensator
-from fuzzycnc_ros.components.deformation_compensator_config import DeformationCompensatorConfig
-from fuzzycnc_ros.components.records import Material, nanoseconds
-from fuzzycnc_ros.components.stitch_patterns import stitch_pattern
+from fuzzycnc_ros.components.soft.deformation_compensator import DeformationCompensator
+from fuzzycnc_ros.components.soft.deformation_compensator_config import (
+    DeformationCompensatorConfig,
+)
+from fuzzycnc_ros.components.soft.stitch_patterns import stitch_pattern
 from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive
 from fuzzycnc_ros.core.machine import FoamTrack
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.runtime.records import Material, nanoseconds
 
 FRAME = 'mill/workpiece'
 TRACK = FoamTrack.parallelogram(np.radians(45.0))

@@ -11,8 +11,15 @@ import numpy as np
 from benches.component_bench import Bench
 from kept import kept
 
-from fuzzycnc_ros.components.codes import MachineMode
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.thermal.thermal_predictor import (
+    ThermalPredictor,
+    ThermalPredictorConfig,
+)
+from fuzzycnc_ros.core.machine.duties import record_runs
+from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, load_model, train_model
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.runtime.codes import MachineMode
+from fuzzycnc_ros.runtime.records import (
     Displacement,
     MachineState,
     Temperatures,
@@ -20,10 +27,6 @@ from fuzzycnc_ros.components.records import (
     ThermalReference,
     nanoseconds,
 )
-from fuzzycnc_ros.components.thermal_predictor import ThermalPredictor, ThermalPredictorConfig
-from fuzzycnc_ros.core.machine.duties import record_runs
-from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, load_model, train_model
-from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 
 START = 6 * 3600.0
 """Machine time of the first sample [s]."""

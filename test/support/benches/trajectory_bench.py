@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.components.records import Trajectory
 from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryPart
+from fuzzycnc_ros.runtime.records import Trajectory
 
 PERIOD = 1e-3
 SECOND = 1_000_000_000

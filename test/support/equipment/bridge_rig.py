@@ -8,17 +8,17 @@ from typing import Any, ClassVar
 import numpy as np
 from lifecycle_msgs.msg import Transition
 
-from fuzzycnc_ros.components.codes import AppliedStatus
-from fuzzycnc_ros.components.component import Durability
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.runtime.codes import AppliedStatus
+from fuzzycnc_ros.runtime.component import Durability
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.records import (
     Compensation,
     CompensationApplied,
     MachineState,
     nanoseconds,
 )
-from fuzzycnc_ros.convert import encode
-from fuzzycnc_ros.nodes.messages import RCLPY, message_class
-from fuzzycnc_ros.nodes.qos import publisher_qos
 
 MICRON = 1e-6
 AGAIN = 1.0

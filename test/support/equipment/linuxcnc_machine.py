@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from fuzzycnc_ros.bridges.linuxcnc import LinuxcncError
+from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
 from fuzzycnc_ros.cli import linuxcnc_simulation
 from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation as LinuxcncMachine
 

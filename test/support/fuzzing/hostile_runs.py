@@ -12,11 +12,11 @@ from fuzzing.motion_targets import SchedulerTarget
 from fuzzing.record_mutations import ROSBAGS
 
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
-from fuzzycnc_ros.components.host_records import MachineTick
-from fuzzycnc_ros.components.provenance import configuration_record, event_record
-from fuzzycnc_ros.components.records import SECOND
-from fuzzycnc_ros.convert import encode
+from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.host_records import MachineTick
+from fuzzycnc_ros.runtime.provenance import configuration_record, event_record
+from fuzzycnc_ros.runtime.records import SECOND
 
 
 def run_of(path: Path, change, rows: int = 60) -> Path:

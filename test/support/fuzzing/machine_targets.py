@@ -12,17 +12,20 @@ from benches import trajectory_bench
 from benches.component_bench import Bench, applied, machine_state
 from fuzzing.targets import CopiedTarget, Target
 
-from fuzzycnc_ros.components.codes import AppliedStatus, CompensationState
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.machine.simulated_body import SimulatedBody, SimulatedBodyConfig
+from fuzzycnc_ros.components.machine.simulated_machine import (
+    SimulatedMachine,
+    SimulatedMachineConfig,
+)
+from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryPart
+from fuzzycnc_ros.runtime.codes import AppliedStatus, CompensationState
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisCommand,
     CompensatedPath,
     Compensation,
     nanoseconds,
 )
-from fuzzycnc_ros.components.simulated_body import SimulatedBody, SimulatedBodyConfig
-from fuzzycnc_ros.components.simulated_machine import SimulatedMachine, SimulatedMachineConfig
-from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryPart
 
 PERIOD = 1_000_000
 """Period of the axes [ns]."""

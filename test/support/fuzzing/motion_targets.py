@@ -10,16 +10,16 @@ from benches import trajectory_bench
 from benches.component_bench import Bench, machine_state
 from fuzzing.targets import CopiedTarget, work
 
-from fuzzycnc_ros.components.codes import MachineMode, ServoStatus, TrajectoryStatus
-from fuzzycnc_ros.components.feedrate_scheduler import FeedrateScheduler
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
+from fuzzycnc_ros.components.servo.servo_controller import ServoController
+from fuzzycnc_ros.runtime.codes import MachineMode, ServoStatus, TrajectoryStatus
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,
     PositionCommand,
     ToolPath,
     TrajectoryState,
 )
-from fuzzycnc_ros.components.servo_controller import ServoController
 
 PERIOD = 1_000_000
 """Control period of the servo axes [ns]."""

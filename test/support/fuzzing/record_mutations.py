@@ -16,8 +16,8 @@ import numpy as np
 
 from fuzzycnc_ros.bags.definitions import find_text
 from fuzzycnc_ros.bags.typestore import message_type, serialize, typestore
-from fuzzycnc_ros.components.records import SECOND, Record
-from fuzzycnc_ros.convert import Target, encode
+from fuzzycnc_ros.runtime.convert import Target, encode
+from fuzzycnc_ros.runtime.records import SECOND, Record
 
 ROSBAGS = Target(message_type, numpy_arrays=True)
 

@@ -9,7 +9,7 @@ from functools import cached_property
 
 from benches.component_bench import Bench
 
-from fuzzycnc_ros.components.records import SECOND, Record
+from fuzzycnc_ros.runtime.records import SECOND, Record
 
 
 class Target(ABC):

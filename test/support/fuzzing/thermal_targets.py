@@ -12,17 +12,17 @@ from benches import predictor_bench
 from benches.component_bench import Bench, applied, machine_state, readings, thermal_error
 from fuzzing.targets import CopiedTarget, work
 
-from fuzzycnc_ros.components.codes import CompensationState, Status
-from fuzzycnc_ros.components.compensator import Compensator
-from fuzzycnc_ros.components.records import (
+from fuzzycnc_ros.components.thermal.compensator import Compensator
+from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector, SensorSelectorConfig
+from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisition
+from fuzzycnc_ros.runtime.codes import CompensationState, Status
+from fuzzycnc_ros.runtime.records import (
     SECOND,
     SensorCluster,
     SensorSelection,
     SpindleSpeed,
     nanoseconds,
 )
-from fuzzycnc_ros.components.sensor_selector import SensorSelector, SensorSelectorConfig
-from fuzzycnc_ros.components.temperature_acquisition import TemperatureAcquisition
 
 
 class CompensatorTarget(CopiedTarget):

@@ -1,0 +1,351 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What every bridge to a real controller has in common: the guard, the owner, the read-back.
+
+A bridge stands where `simulated_machine` does, but a real controller makes the time: the host
+reads it in every cycle, hands the readout over, and writes what comes back.  What is published is
+the read-back, never the command.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar, Generic, TypeVar
+
+import numpy as np
+
+from fuzzycnc_ros.adapters.controller_bridge_config import ControllerBridgeConfig
+from fuzzycnc_ros.adapters.controller_status import Readout
+from fuzzycnc_ros.components.thermal.compensator import AXES, describe
+from fuzzycnc_ros.core.machine.offset_input import OffsetInput, OffsetInputConfig
+from fuzzycnc_ros.runtime.codes import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.component import (
+    Answer,
+    Component,
+    Emission,
+    Health,
+    Input,
+    Level,
+    Output,
+)
+from fuzzycnc_ros.runtime.records import (
+    Bools,
+    Compensation,
+    CompensationApplied,
+    Floats,
+    MachineState,
+    Names,
+    nanoseconds,
+)
+
+CLOSE = 0.2e-6
+"""Difference of two offsets that counts as none [m]; LinuxCNC leaves 0.3 nm."""
+ON_THE_WAY = 0.02
+"""Time between two reports while offsets move [s]."""
+NOTHING = 1e-12
+"""Offset that is the rounding of sums [m]."""
+STEPS_MAX = 2.0
+"""Cycles for whose time one cycle moves offsets at most, however late it comes."""
+SETTLING = 2.0
+"""How long a controller may take to go where it is told [s] before that is reported."""
+
+StatusT = TypeVar('StatusT', bound=Readout)
+OrdersT = TypeVar('OrdersT')
+
+
+class ControllerBridge(Component, ABC, Generic[StatusT, OrdersT]):
+    """Guard the offsets, say what the controller shall do, tell what is applied.
+
+    Subclasses bring the controller to the offsets that the guard allows, by `observe`, and say
+    by `_forbidden` when nobody is followed.
+    """
+
+    CONTROLLER: ClassVar[str]
+    """What the controller is called in messages."""
+    CONFIG = ControllerBridgeConfig
+    INPUTS = (Input('compensation', Compensation, sole=True),)
+    OUTPUTS = (
+        Output('machine_state', MachineState),
+        Output('compensation_applied', CompensationApplied),
+    )
+    MANAGED = True
+    MACHINE_SIDE = True
+    _config: ControllerBridgeConfig
+
+    def __init__(self, config: ControllerBridgeConfig | None = None) -> None:
+        super().__init__(config)
+        self._axes = self._config.axes
+        unknown = [axis for axis in self._axes if axis not in AXES]
+        if unknown or not self._axes or len(set(self._axes)) != len(self._axes):
+            raise ValueError(
+                f'axes: expected distinct names of {", ".join(AXES)} but found '
+                f'{", ".join(self._axes) or "none"}'
+            )
+        self._time = 0
+        self._stamp = 0
+        self._ahead = 0
+        self._step_max = STEPS_MAX * self._config.cycle_period
+        self._input = self._adopting(np.zeros(len(self._places)))
+        self._status: StatusT | None = None
+        self._absent = f'{self.CONTROLLER} has not been found yet'
+        self._active = False
+        self._holding = False
+        self._apart_since: int | None = None
+        self._told: dict[str, tuple[int, tuple[Any, ...]]] = {}
+        self._orders: OrdersT | None = None
+
+    @property
+    def orders(self) -> OrdersT | None:
+        """What to write; None while this bridge does not hold the controller."""
+        return self._orders
+
+    @property
+    def active(self) -> bool:
+        """Whether it may write, as soon as it holds the controller."""
+        return self._active
+
+    @property
+    def holding(self) -> bool:
+        """Whether the controller takes offsets from this bridge."""
+        return self._holding
+
+    @property
+    @abstractmethod
+    def moving(self) -> bool:
+        """Whether the controller is on its way to what was written last."""
+
+    @property
+    @abstractmethod
+    def at_rest(self) -> bool:
+        """Whether it is inactive and has nothing to take back: it may let the controller go."""
+
+    @property
+    @abstractmethod
+    def wants_control(self) -> bool:
+        """Whether it is time to take hold: active without it, and nothing else moves."""
+
+    @abstractmethod
+    def take_control(self) -> None:
+        """Note that the controller is this bridge's; go on from the offsets in force."""
+
+    @abstractmethod
+    def observe(self, stamp: int, status: StatusT) -> Iterator[Emission]:
+        """Take what was read at `stamp` [ns]; decide what to write, yield what is to be told."""
+
+    def on_compensation(self, command: Compensation) -> None:
+        """Take an offset command; the offset input decides whether it is followed."""
+        if self._active and self._leads:
+            self._command(command)
+
+    def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
+        """`activate` starts from the read-back; `deactivate` ramps to zero first."""
+        if name == 'activate':
+            if self._active:
+                return Answer(False, 'already active')
+            self._active = True
+            return Answer(True, f'active; {self._absent}' if self._absent else 'active')
+        if name == 'deactivate':
+            if not self._active:
+                return Answer(False, 'not active')
+            self._active = False
+            return Answer(True, 'ramping to zero')
+        return super().on_request(name, arguments, stamp)
+
+    def lose(self, stamp: int, why: str) -> Iterator[Emission]:
+        """Note that the controller is gone."""
+        self._work_at(stamp)
+        if not self._absent:
+            self._told = {}
+        self._status, self._absent = None, why
+        self._holding, self._orders, self._apart_since = False, None, None
+        self._forget()
+        self._input.allow(False, why)
+        nothing = np.full(len(self._axes), np.nan)
+        if not self._due('absent', (why,)):
+            return
+        yield Emission(
+            'machine_state', self._state(MachineMode.OFF, False, nothing, np.nan, False)
+        )
+        yield Emission(
+            'compensation_applied',
+            self._applied(AppliedStatus.REFUSED, why, self._left(), nothing > 0.0),
+        )
+
+    def renewed(self, step: int) -> 'tuple[ControllerBridge[StatusT, OrdersT], list[Emission]]':
+        """Go on through a step of the clock [ns]: the controller and its offsets know of none."""
+        self._ahead -= step
+        return self, []
+
+    def in_simulated_time(self) -> None:
+        """Take the clock as it comes: a simulation may run at any speed."""
+        self._step_max = np.inf
+        self._input = self._adopting(self._input.applied)
+
+    def health(self) -> list[Health]:
+        """Report the controller, the offsets in force, and why a command was refused."""
+        status = self._status
+        name = self.CONTROLLER.lower().removeprefix('the ')
+        if status is None:
+            return [Health(name, Level.ERROR, self._absent)]
+        values = {
+            f'offset {axis} [um]': f'{1e6 * offset:.2f}'
+            for axis, offset in zip(self._axes, status.applied, strict=True)
+        }
+        code, reason = self._verdict(status, self._forbidden(status))
+        owned = self._active or not np.any(np.abs(status.applied) > CLOSE)
+        level = (Level.WARN if reason else Level.OK) if owned else Level.ERROR
+        return [
+            Health(name, Level.OK, status.mode.name.lower()),
+            Health('compensation', level, reason or code.name.lower(), values),
+        ]
+
+    @property
+    @abstractmethod
+    def _leads(self) -> bool:
+        """Whether the controller goes where this bridge says."""
+
+    @abstractmethod
+    def _forbidden(self, status: StatusT) -> str:
+        """Say why commands are not followed now; empty if they are."""
+
+    @abstractmethod
+    def _complaint(self, status: StatusT) -> str:
+        """Say where the controller does not apply what it is told; empty if it does."""
+
+    @abstractmethod
+    def _cut(self, status: StatusT) -> Bools:
+        """Whether a limit of the controller cuts the offset of each axis."""
+
+    def _left(self) -> Floats:
+        """Return what a controller that is gone applies [m]: nothing, unless it goes on alone."""
+        return np.zeros(len(self._axes))
+
+    def _forget(self) -> None:
+        """Drop what was known of a controller that is gone."""
+
+    def _leaving(self, status: StatusT) -> str:
+        """Say how offsets that stand after the deactivation go away."""
+        return 'ramping to zero'
+
+    @property
+    def _places(self) -> Names:
+        """What the offset input guards an offset of; the axes, or points on them."""
+        return self._config.axes
+
+    @property
+    def _slew_max(self) -> float:
+        """Fastest change of an offset [m/s]."""
+        return self._config.slew_max
+
+    def _command(self, command: Compensation) -> None:
+        self._input.command(
+            command.epoch,
+            command.axis,
+            command.offset,
+            command.slope,
+            command.reference_position,
+            stamp=command.stamp + self._ahead,
+            valid_until=command.valid_until + self._ahead,
+        )
+
+    def _work_at(self, stamp: int) -> None:
+        """Go on to a stamp [ns].
+
+        The time that offsets move and expire by never goes back, whatever stamps do.
+        """
+        self._ahead = max(self._ahead, self._time - stamp)
+        self._stamp, self._time = stamp, stamp + self._ahead
+
+    def _adopting(self, offset: Floats, epoch: int = 0) -> OffsetInput:
+        """Return an offset input that has `offset` [m] in force now."""
+        config = OffsetInputConfig(
+            offset_max=self._config.offset_max,
+            slew_max=self._slew_max,
+            lead_max=self._config.lead_max,
+            validity_max=self._config.validity_max,
+        )
+        fresh = OffsetInput(self._places, config, start=self._time, step_max=self._step_max)
+        fresh.adopt(
+            np.where(np.abs(offset) > NOTHING, offset, 0.0),
+            epoch=epoch,
+            valid_until=self._time + nanoseconds(self._config.adopt_time),
+        )
+        return fresh
+
+    def _verdict(self, status: StatusT, why: str) -> tuple[AppliedStatus, str]:
+        """Return what is told of the commands, and why."""
+        standing = describe(self._axes, status.applied, np.abs(status.applied) > CLOSE)
+        if not self._active:
+            if not standing:
+                return AppliedStatus.IDLE, ''
+            owner = f'written by {status.writer}' if status.writer else 'nobody owns it'
+            if self._holding:
+                owner = self._leaving(status)
+            return AppliedStatus.REFUSED, f'inactive while {standing} stands: {owner}'
+        if why:
+            return AppliedStatus.REFUSED, f'{why}; in force: {standing or "nothing"}'
+        return (
+            AppliedStatus(int(self._input.status)),
+            self._complaint(status) or self._input.reason,
+        )
+
+    def _due(self, what: str, news: tuple[Any, ...], spacing: float = 0.0) -> bool:
+        """Whether to tell something: news, not sooner than `spacing` [s], or nothing for long."""
+        told_at, told = self._told.get(what, (None, ()))
+        if told_at is not None:
+            wait = spacing if news != told else self._config.report_period
+            if self._time - told_at < nanoseconds(wait):
+                return False
+        self._told[what] = (self._time, news)
+        return True
+
+    def _tell(self, status: StatusT, why: str) -> Iterator[Emission]:
+        code, reason = self._verdict(status, why)
+        allowed = self._active and not why
+        if self._due('machine_state', (status.mode, status.homed, allowed)):
+            state = self._state(
+                status.mode, status.homed, status.position, status.spindle_speed, allowed
+            )
+            yield Emission('machine_state', state)
+        limited = self._limited(status)
+        # Differences below a nanometre are LinuxCNC's own rounding.
+        offsets = np.rint(1e9 * status.applied).tobytes()
+        cause = (code, reason.partition(';')[0], limited.tobytes(), self._input.epoch)
+        changed = cause != self._told.get('applied', (0, ((),)))[1][0]
+        # On the way there a read-back is told now and then, at its end at once.
+        spacing = ON_THE_WAY if self.moving and not changed else 0.0
+        if self._due('applied', (cause, offsets), spacing):
+            told = self._applied(code, reason, status.applied, limited)
+            yield Emission('compensation_applied', told)
+
+    def _limited(self, status: StatusT) -> Bools:
+        """Whether any limit cuts the offset of each axis."""
+        return np.asarray(self._input.at_limit | self._cut(status), bool)
+
+    def _state(
+        self, mode: MachineMode, homed: bool, position: Floats, speed: float, allowed: bool
+    ) -> MachineState:
+        return MachineState(
+            stamp=self._stamp,
+            frame_id=self.frame('machine'),
+            state=int(mode),
+            homed=homed,
+            offsets_allowed=allowed,
+            cold_since=0,
+            spindle_speed=speed,
+            axis=self._axes,
+            position=position,
+        )
+
+    def _applied(
+        self, code: AppliedStatus, reason: str, offset: Floats, at_limit: Bools
+    ) -> CompensationApplied:
+        return CompensationApplied(
+            stamp=self._stamp,
+            frame_id=self.frame('machine'),
+            epoch=self._input.epoch,
+            status=int(code),
+            reason=reason,
+            axis=self._axes,
+            offset=np.asarray(offset, np.float64).copy(),
+            at_limit=np.asarray(at_limit, bool),
+        )

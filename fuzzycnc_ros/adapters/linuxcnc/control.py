@@ -1,0 +1,182 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A running LinuxCNC as an object: status in, counts out, in SI units.
+
+Behind it stands a process with the HAL pins (`linuxcnc_hal`); every connection is a fresh one.
+"""
+
+import contextlib
+import json
+import math
+import os
+import select
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fuzzycnc_ros.adapters.controller import Controller
+from fuzzycnc_ros.adapters.link import LinkError
+from fuzzycnc_ros.adapters.linuxcnc import hal_process as linuxcnc_hal
+from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_status import (
+    ControllerLimits,
+    ControllerOutput,
+    ControllerStatus,
+)
+from fuzzycnc_ros.runtime.codes import MachineMode
+from fuzzycnc_ros.runtime.records import Names
+
+ANSWER_TIMEOUT = 1.0
+"""Wall time [s] for an answer; measured on an idle machine: 0.2 ms."""
+START_TIMEOUT = 5.0
+"""Wall time [s] for the process to start and find the pins."""
+STILL = 1.0
+"""Wall time [s] after which a servo thread whose own time never changes stands still."""
+
+
+class LinuxcncError(LinkError):
+    """LinuxCNC is not there, has ended, or refuses; the text says what to do."""
+
+
+def linuxcnc_runs() -> bool:
+    """Whether a LinuxCNC runs on this machine."""
+    return linuxcnc_hal.hal_memory() is not None
+
+
+class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits]):
+    """Pins of one bridge in a running LinuxCNC.
+
+    Parameters
+    ----------
+    axes : sequence of str
+        Axes with offsets.
+    interpreter : str
+        Python that LinuxCNC's modules are built for.
+
+    Raises
+    ------
+    LinuxcncError
+        If LinuxCNC does not run, lacks the HAL file, or cannot be talked to.
+    """
+
+    def __init__(self, axes: Names, interpreter: str) -> None:
+        self._axes = [axis.lower() for axis in axes]
+        self._pending = b''
+        self._tick: Any = None
+        self._tick_at = time.monotonic()
+        command = [interpreter, '-I', str(Path(linuxcnc_hal.__file__)), ','.join(axes)]
+        try:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            )
+        except OSError as error:
+            raise LinuxcncError(f'interpreter = {interpreter}: {error}') from error
+        try:
+            self._receive(START_TIMEOUT)
+        except LinuxcncError:
+            self.close()
+            raise
+
+    def read(self) -> ControllerStatus:
+        """Return the present status."""
+        return self._status(self._ask({'op': 'read'}))
+
+    def write(self, orders: ControllerOutput) -> ControllerStatus:
+        """Write counts, and the heartbeat; return the present status."""
+        counts = [float(number) for number in orders.counts]
+        return self._status(self._ask({'op': 'write', 'counts': counts, 'rezero': orders.rezero}))
+
+    def limits(self) -> ControllerLimits:
+        """Return the limits of the HAL file."""
+        return ControllerLimits(**self._ask({'op': 'limits'}))
+
+    def claim(self) -> None:
+        """Become the writer of the counts, from where they stand.
+
+        Raises
+        ------
+        LinuxcncError
+            If another process or part of the HAL configuration writes them.
+        """
+        self._ask({'op': 'claim'})
+
+    def release(self) -> None:
+        """Write no more; the servo thread takes what still stands to zero."""
+        self._ask({'op': 'release'})
+
+    def close(self) -> None:
+        """End the process; offsets that stand are left to the watchdog of the HAL file."""
+        for stream in (self._process.stdin, self._process.stdout):
+            if stream is not None:
+                with contextlib.suppress(OSError):
+                    stream.close()
+        try:
+            self._process.wait(ANSWER_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
+        stream = self._process.stdin
+        assert stream is not None
+        try:
+            stream.write(json.dumps(request).encode() + b'\n')
+            stream.flush()
+        except (OSError, ValueError):
+            raise LinuxcncError('LinuxCNC has ended') from None
+        return self._receive(ANSWER_TIMEOUT)
+
+    def _receive(self, timeout: float) -> dict[str, Any]:
+        stream = self._process.stdout
+        assert stream is not None
+        end = time.monotonic() + timeout
+        while b'\n' not in self._pending:
+            left = end - time.monotonic()
+            if left <= 0.0 or not select.select([stream], [], [], left)[0]:
+                raise LinuxcncError(f'the process with the HAL pins is silent for {timeout:g} s')
+            block = os.read(stream.fileno(), 65536)
+            if not block:
+                raise LinuxcncError('LinuxCNC has ended')
+            self._pending += block
+        line, _, self._pending = self._pending.partition(b'\n')
+        answer: dict[str, Any] = json.loads(line)
+        if 'error' in answer:
+            raise LinuxcncError(str(answer['error']))
+        return answer
+
+    def _status(self, found: dict[str, Any]) -> ControllerStatus:
+        self._check_time(found['tick'])
+        metre = 1e-3 / found['units']
+
+        def column(name: str, unit: float) -> Any:
+            return unit * np.array([found[f'{name}-{axis}'] for axis in self._axes], np.float64)
+
+        return ControllerStatus(
+            mode=MachineMode[found['mode'].upper()],
+            homed=found['homed'],
+            ready=found['ready'],
+            alive=found['alive'],
+            frozen=not found['on'],
+            soft_limited=found['soft-limited'],
+            writer=found['writer'],
+            position=column('position', metre),
+            applied=column('applied', metre),
+            register=column('request', metre),
+            counts=column('register', 1.0),
+            scale=column('scale', metre),
+            tick=found['tick'],
+            spindle_speed=2.0 * math.pi * found['spindle'],
+        )
+
+    def _check_time(self, tick: Any) -> None:
+        """Notice a servo thread that stands still: what it tells is not true any more."""
+        now = time.monotonic()
+        if tick != self._tick:
+            self._tick, self._tick_at = tick, now
+        elif now - self._tick_at > STILL:
+            raise LinuxcncError(
+                f"LinuxCNC's servo thread has stood still for {now - self._tick_at:.1f} s; "
+                'it was killed or it hangs'
+            )

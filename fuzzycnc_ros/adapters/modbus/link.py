@@ -1,0 +1,147 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A connection to a Modbus TCP device."""
+
+from collections.abc import Sequence
+
+from fuzzycnc_ros.adapters.modbus.registers import Block, blocks, single_blocks, value_of
+from fuzzycnc_ros.adapters.readings.devices import ModbusDevice
+from fuzzycnc_ros.adapters.readings.link import LinkError, Reading
+from fuzzycnc_ros.ros.parameters import ParameterError
+
+ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
+EXCEPTIONS = {
+    ILLEGAL_FUNCTION: 'the device does not serve this table (illegal function)',
+    ILLEGAL_ADDRESS: 'the device has no such register (illegal data address)',
+    ILLEGAL_VALUE: 'the device refuses to read this many registers (illegal data value)',
+    4: 'the device reports a failure of its own',
+    5: 'the device asks for more time',
+    6: 'the device is busy',
+    10: 'the gateway has no way to this unit',
+    11: 'the unit behind the gateway does not answer',
+}
+WRONG_MAP = (ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE)
+
+
+def check(device: ModbusDevice) -> None:
+    """Check what only this protocol can check of a device of the file.
+
+    Raises
+    ------
+    ParameterError
+        If its library is missing.
+    """
+    try:
+        import pymodbus.client  # noqa: F401
+    except ImportError as error:
+        raise ParameterError(
+            f'device {device.name}: Modbus TCP needs pymodbus ({error}); run pip install '
+            "'fuzzycnc_ros[modbus]'"
+        ) from error
+
+
+class ModbusLink:
+    """One connection to a Modbus TCP device.
+
+    Parameters
+    ----------
+    device : ModbusDevice
+        Where it is and which registers hold what.
+    """
+
+    def __init__(self, device: ModbusDevice) -> None:
+        from pymodbus.client import AsyncModbusTcpClient
+
+        self._device = device
+        self._blocks = blocks(device.channels)
+        # The poller reconnects with a new client: an old one may hold half a frame.
+        self._client = AsyncModbusTcpClient(
+            device.host,
+            port=device.port,
+            timeout=device.timeout,
+            retries=0,
+            reconnect_delay=0,
+        )
+
+    @property
+    def requests(self) -> int:
+        """Number of requests that a reading takes."""
+        return len(self._blocks)
+
+    async def open(self) -> None:
+        """Connect."""
+        if not await self._client.connect():
+            device = self._device
+            raise LinkError(
+                f'cannot connect to {device.host}:{device.port}; is it on, is the address right, '
+                'does it have a free connection?'
+            )
+
+    async def read(self) -> Sequence[Reading]:
+        """Return a reading of each channel."""
+        found: list[Reading] = [''] * len(self._device.channels)
+        refused = []
+        for block in self._blocks:
+            answer = await self._ask(block)
+            if isinstance(answer, int):
+                if answer in WRONG_MAP and len(block.channels) > 1:
+                    refused.append(block)
+                for index in block.channels:
+                    found[index] = self._refusal(index, answer)
+                continue
+            for index in block.channels:
+                item = self._device.channels[index]
+                start = item.register - block.register
+                found[index] = value_of(item, answer[start : start + item.count])
+        # One wrong register must not cost the others of its block: from now on ask one by one.
+        for block in refused:
+            place = self._blocks.index(block)
+            self._blocks[place : place + 1] = single_blocks(block, self._device.channels)
+        return found
+
+    async def close(self) -> None:
+        """Drop the connection."""
+        self._client.close()
+
+    async def _ask(self, block: Block) -> list[int] | int:
+        """Return the registers of a block, or the exception code of the device."""
+        from pymodbus.exceptions import ConnectionException, ModbusException
+
+        client, unit = self._client, self._device.unit
+        ask = (
+            client.read_holding_registers
+            if block.table == 'holding'
+            else client.read_input_registers
+        )
+        try:
+            answer = await ask(block.register, count=block.count, device_id=unit)
+        except ConnectionException as error:
+            raise LinkError('connection lost') from error
+        except ModbusException as error:
+            raise LinkError(
+                f'no valid answer from unit {unit} within {self._device.timeout:g} s'
+            ) from error
+        if answer.isError():
+            return int(getattr(answer, 'exception_code', 0))
+        registers = getattr(answer, 'registers', [])
+        if answer.function_code != (3 if block.table == 'holding' else 4):
+            raise LinkError(
+                f'the device answers another request (function {answer.function_code})'
+            )
+        if len(registers) != block.count:
+            raise LinkError(
+                f'expected {block.count} registers from {block.register} of the table '
+                f'{block.table} but the device sent {len(registers)}'
+            )
+        return list(registers)
+
+    def _refusal(self, index: int, code: int) -> str:
+        """Say in words that a value cannot be had, and what to do if the file is wrong."""
+        item = self._device.channels[index]
+        text = EXCEPTIONS.get(code, f'the device answers with the exception code {code}')
+        last = item.register + item.count - 1
+        place = f'register {item.register}' + (f' to {last}' if item.count > 1 else '')
+        remedy = ''
+        if code in WRONG_MAP:
+            remedy = '; compare register, table and type with its manual; addresses count from 0'
+        return f'{place} of the table {item.table}: {text}{remedy}'

@@ -1,0 +1,83 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Driver: plays a CSV file."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+from rclpy.node import Node
+
+from fuzzycnc_ros.adapters.readings.source import Readings, Source
+from fuzzycnc_ros.bags.errors import BagError
+from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisitionConfig
+from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.runtime.records import SECOND, Floats
+
+FIRST_STAMP = SECOND
+"""Earliest stamp that a file's readings get [ns]: stamp 0 means unknown in messages."""
+
+
+class CsvFile(Source):
+    """Play a CSV file: a time column in seconds, or of dates, and one column per sensor in degC.
+
+    Readings carry the times of the file, moved so that the first is at least 1 s; an empty cell
+    is a missing reading.  The whole file is read and checked at once.
+
+    Raises
+    ------
+    ParameterError
+        If the file cannot be used; the text names file, line and column.
+    """
+
+    def __init__(self, node: Node, config: TemperatureAcquisitionConfig, frame_id: str) -> None:
+        if not config.csv_file:
+            raise ParameterError('parameter csv_file: expected a CSV file for the source csv')
+        self._node = node
+        self._path = Path(config.csv_file).expanduser()
+        try:
+            sensors, seconds, self._values = _read(self._path, config.csv_time)
+        except BagError as error:
+            raise ParameterError(f'parameter csv_file: {error}') from error
+        self._stamps = np.rint(seconds * SECOND).astype(np.int64)
+        self._stamps += max(0, FIRST_STAMP - int(self._stamps[0]))
+        self._readings = Readings(node, sensors, frame_id)
+        self._rate = config.csv_rate
+        self._row = 0
+        self._started: int | None = None
+        step = float(np.median(np.diff(seconds))) / self._rate
+        period = min(max(step / 2.0, 0.002), 0.1)
+        # Wall time: the file itself makes machine time, no clock does.
+        self._timer = wall_timer(node, period, self._play)
+
+    def _play(self) -> None:
+        """Publish the rows that are due."""
+        if self._started is None:
+            if not self._readings.heard:
+                return
+            self._started = time.monotonic_ns()
+        elapsed = (time.monotonic_ns() - self._started) * self._rate
+        due = int(self._stamps[0] + elapsed)
+        while self._row < len(self._stamps) and self._stamps[self._row] <= due:
+            self._readings.publish(int(self._stamps[self._row]), self._values[self._row])
+            self._row += 1
+        if self._row == len(self._stamps):
+            self._timer.cancel()
+            self._node.get_logger().info(f'{self._path}: end of file after {self._row} rows')
+
+
+def _read(path: Path, time_column: str) -> tuple[list[str], Floats, Floats]:
+    """Return sensor names, times [s] and temperatures [degC] of a file."""
+    from fuzzycnc_ros.bags.csv_mapping import CsvMapping  # costs a second of start-up
+    from fuzzycnc_ros.bags.csv_table import read_table
+
+    table = read_table(path, CsvMapping(time=time_column))
+    table.require([time_column])
+    sensors = [name for name in table.header if name != time_column]
+    if not sensors:
+        raise BagError(f'{path}: expected a column for each sensor beside {time_column!r}')
+    times = table.time(time_column, 's')
+    start = times.date or 0.0 if times.form else float(table.column(time_column)[0])
+    values = np.stack([table.column(name) for name in sensors], axis=1)
+    return sensors, start + times.seconds, values

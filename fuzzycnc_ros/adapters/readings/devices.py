@@ -1,0 +1,141 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Devices as the drivers know them: where each is, and where its values lie."""
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from fuzzycnc_ros.adapters.opcua.session import Address, Server
+
+FORMATS = {
+    'int16': 'h',
+    'uint16': 'H',
+    'int32': 'i',
+    'uint32': 'I',
+    'int64': 'q',
+    'uint64': 'Q',
+    'float32': 'f',
+    'float64': 'd',
+}
+"""Types of values in registers, as `struct` writes them."""
+SPINDLE = 'spindle_speed'
+"""Field, and name, of the channel that holds the spindle speed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channel:
+    """One value of a device: quantity = scale * raw + offset.
+
+    Parameters
+    ----------
+    name : str
+        Name of the sensor.
+    scale, offset : float
+        From the raw value to degC, for the spindle to rad/s.
+    open_circuit : tuple of numbers
+        Raw values by which the device says that no sensor is connected.
+    largest : float
+        Size beyond which a value is none; for the spindle, rad/s.
+    """
+
+    name: str
+    scale: float = 1.0
+    offset: float = 0.0
+    open_circuit: tuple[int | float, ...] = ()
+    largest: float = math.inf
+
+
+@dataclass(frozen=True, kw_only=True)
+class Register(Channel):
+    """A value in registers of a Modbus device.
+
+    Parameters
+    ----------
+    table : {'holding', 'input'}
+        Which registers.
+    register : int
+        Address of the first, counted from 0.
+    type : str
+        Type of the raw value, a key of `FORMATS`.
+    word_order, byte_order : {'big', 'little'}
+        Order of the registers of a value, and of the bytes in a register.
+    """
+
+    table: str
+    register: int
+    type: str
+    word_order: str = 'big'
+    byte_order: str = 'big'
+
+    @property
+    def count(self) -> int:
+        """Number of registers."""
+        return struct.calcsize(f'>{FORMATS[self.type]}') // 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variable(Channel, Address):
+    """A value in a variable of an OPC UA server."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Device:
+    """What all devices have.
+
+    Parameters
+    ----------
+    name : str
+        Name of the device in messages.
+    period : float
+        Time between two readings [s].
+    timeout : float
+        Longest wait for an answer [s].
+    channels : tuple of Channel
+        Sensors in the order of the file, the spindle speed last.
+    has_spindle : bool
+        Whether the last channel is the spindle speed.
+    """
+
+    name: str
+    period: float
+    timeout: float
+    channels: tuple[Channel, ...]
+    has_spindle: bool
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the sensors."""
+        temperatures = self.channels[:-1] if self.has_spindle else self.channels
+        return tuple(channel.name for channel in temperatures)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModbusDevice(Device):
+    """A Modbus TCP device, or one behind a gateway."""
+
+    channels: tuple[Register, ...]
+    host: str
+    port: int
+    unit: int
+
+    @property
+    def address(self) -> str:
+        """Where it is, for messages."""
+        return f'Modbus TCP {self.host}:{self.port} unit {self.unit}'
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpcUaDevice(Device, Server):
+    """An OPC UA server with sensors."""
+
+    channels: tuple[Variable, ...]
+
+    @property
+    def address(self) -> str:
+        """Where it is, for messages."""
+        return f'OPC UA {self.url}'
+
+
+AnyDevice: TypeAlias = ModbusDevice | OpcUaDevice

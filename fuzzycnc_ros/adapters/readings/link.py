@@ -1,0 +1,43 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""One connection to a device: what the drivers of the protocols have in common."""
+
+from collections.abc import Sequence
+from typing import Protocol, TypeAlias
+
+from fuzzycnc_ros.adapters.link import LinkError
+
+Reading: TypeAlias = float | str
+"""A value in degC, for the spindle in rad/s, or why there is none."""
+
+
+__all__ = ['Link', 'LinkError', 'Reading']
+
+
+class Link(Protocol):
+    """A connection that is opened once, read many times and closed; the next one is a new link."""
+
+    @property
+    def requests(self) -> int:
+        """Number of requests that a reading takes."""
+
+    async def open(self) -> None:
+        """Connect.
+
+        Raises
+        ------
+        LinkError
+            If that fails for a reason that is worth its own words.
+        """
+
+    async def read(self) -> Sequence[Reading]:
+        """Return a reading of each channel.
+
+        Raises
+        ------
+        LinkError
+            If the connection is of no more use.
+        """
+
+    async def close(self) -> None:
+        """Let go of everything, whatever state the connection is in."""

@@ -1,0 +1,144 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reads devices over the network in a thread of its own, so that the node never waits for one."""
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import AsyncIterator, Callable, Sequence
+from dataclasses import dataclass
+from queue import SimpleQueue
+
+from fuzzycnc_ros.adapters.readings.devices import Device
+from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
+
+BACK_OFF_FIRST, BACK_OFF_MAX = 0.25, 2.0
+"""Pause after the first failed connection, and the longest [s]: it doubles in between.
+
+With a timeout of 2 s a device is read again at most 4 s and its first answer after its return.
+"""
+CATCH_UP = 0.5
+"""Time by which readings may be late and still be made up for [s]; what is later is left out."""
+CLOSE_TIMEOUT = 1.0
+"""Longest wait for a device that shall say goodbye [s]."""
+TEXT_MAX = 300
+"""Longest text that is passed on: a part of it may come from the device."""
+
+
+@dataclass(frozen=True)
+class Polled:
+    """What came of asking a device once.
+
+    Attributes
+    ----------
+    device : int
+        Its place among the devices.
+    stamp : int
+        Machine time at which the answer was complete [ns].
+    readings : sequence of Reading, optional
+        A reading of each channel; None if the device is lost.
+    trouble : str
+        Why it is lost.
+    """
+
+    device: int
+    stamp: int
+    readings: Sequence[Reading] | None
+    trouble: str = ''
+
+
+class Poller:
+    """Ask each device again and again; start anew with a fresh connection after any failure.
+
+    Parameters
+    ----------
+    devices : sequence of Device
+        What to read.
+    connect : callable
+        Makes a link to a device that is not yet open.
+    now : callable
+        Returns machine time [ns]; called in the thread.
+
+    Attributes
+    ----------
+    results : SimpleQueue of Polled
+        What came of it, in order.
+    """
+
+    def __init__(
+        self,
+        devices: Sequence[Device],
+        connect: Callable[[Device], Link],
+        now: Callable[[], int],
+    ) -> None:
+        self.results: SimpleQueue[Polled] = SimpleQueue()
+        self._devices, self._connect, self._now = tuple(devices), connect, now
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._tasks: list[asyncio.Task[None]] = []
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='devices', daemon=True)
+        self._thread.start()
+        self._ready.wait()
+
+    def close(self) -> None:
+        """Let go of all devices and end the thread."""
+        if self._thread.is_alive() and self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # it ends just now
+                self._loop.call_soon_threadsafe(self._cancel)
+            self._thread.join(2.0 * CLOSE_TIMEOUT)
+
+    def _run(self) -> None:
+        asyncio.run(self._serve_all())
+
+    def _cancel(self) -> None:
+        for task in self._tasks:
+            task.cancel()
+
+    async def _serve_all(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        # What a protocol's callback could not make sense of ends its connection, which is
+        # reported; asyncio would write a traceback for each.
+        self._loop.set_exception_handler(lambda loop, context: None)
+        serve = self._serve
+        self._tasks = [asyncio.create_task(serve(i, d)) for i, d in enumerate(self._devices)]
+        self._ready.set()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    async def _serve(self, index: int, device: Device) -> None:
+        """Read one device for ever."""
+        pause = BACK_OFF_FIRST
+        while True:
+            least = 0.0
+            link = self._connect(device)
+            try:
+                await asyncio.wait_for(link.open(), device.timeout)
+                async for readings in _paced(link, device):
+                    self.results.put(Polled(index, self._now(), readings))
+                    pause = BACK_OFF_FIRST
+            except LinkError as error:
+                trouble, least = str(error), error.pause
+            except (asyncio.TimeoutError, TimeoutError):
+                trouble = f'no answer within {device.timeout:g} s'
+            except ConnectionRefusedError:
+                trouble = 'connection refused; is the server running, is the port right?'
+            except OSError as error:
+                trouble = f'connection lost ({error})'
+            except Exception as error:  # whatever a device made a library stumble over
+                trouble = f'answer not understood: {type(error).__name__}: {error}'
+            finally:
+                with contextlib.suppress(Exception):  # it is gone either way
+                    await asyncio.wait_for(link.close(), CLOSE_TIMEOUT)
+            self.results.put(Polled(index, self._now(), None, trouble[:TEXT_MAX]))
+            await asyncio.sleep(max(pause, least))
+            pause = min(2.0 * pause, BACK_OFF_MAX)
+
+
+async def _paced(link: Link, device: Device) -> AsyncIterator[Sequence[Reading]]:
+    """Yield readings, one per period, or as fast as a slower device gives them."""
+    loop = asyncio.get_running_loop()
+    due = loop.time()
+    while True:
+        # Each request has a timeout of its own; this one is for a device that never ends.
+        yield await asyncio.wait_for(link.read(), device.timeout * (link.requests + 1))
+        due = max(due + device.period, loop.time() - CATCH_UP)
+        await asyncio.sleep(max(due - loop.time(), 0.0))

@@ -1,0 +1,65 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What all drivers have in common: their end, their health, and sets of raw readings."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from rclpy.node import Node
+
+from fuzzycnc_ros.ros.messages import RCLPY
+from fuzzycnc_ros.ros.qos import create_publisher
+from fuzzycnc_ros.runtime.codes import Status
+from fuzzycnc_ros.runtime.component import STREAM, Health
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.records import Floats, Temperatures
+
+READINGS = 'sensor_readings'
+
+
+class Source:
+    """A driver; this one brings nothing: readings come on the topic by themselves."""
+
+    def health(self) -> list[Health]:
+        """Report on what the readings come from."""
+        return []
+
+    def close(self) -> None:
+        """Release what the driver holds."""
+
+
+class Readings:
+    """Publish sets of raw readings.
+
+    Parameters
+    ----------
+    node : Node
+        The node; readings go to its own namespace.
+    sensors : sequence of str
+        Names of the sensors.
+    frame_id : str
+        Frame id of the messages.
+    """
+
+    def __init__(self, node: Node, sensors: Sequence[str], frame_id: str) -> None:
+        self._sensor = tuple(sensors)
+        self._frame_id = frame_id
+        self._publisher = create_publisher(node, Temperatures.TYPE, READINGS, STREAM)
+
+    @property
+    def heard(self) -> bool:
+        """Whether the component reads them by now."""
+        return int(self._publisher.get_subscription_count()) > 0
+
+    def publish(self, stamp: int, temperature: Floats) -> None:
+        """Publish one value per sensor [degC], NaN where there is none."""
+        missing = ~np.isfinite(temperature)
+        record = Temperatures(
+            stamp=stamp,
+            frame_id=self._frame_id,
+            sensor=self._sensor,
+            temperature=np.where(missing, np.nan, temperature),
+            status=np.where(missing, int(Status.MISSING), int(Status.OK)).astype(np.uint8),
+            readings=1,
+        )
+        self._publisher.publish(encode(record, RCLPY))

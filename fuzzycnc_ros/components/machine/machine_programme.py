@@ -1,0 +1,85 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the parameters of `simulated_machine` say of jobs, paths, patterns and the sheet."""
+
+from collections.abc import Callable
+
+from fuzzycnc_ros.components.machine.job_programme import JobProgramme, path_jobs, timed_jobs
+from fuzzycnc_ros.components.machine.pattern_programme import PatternProgramme
+from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
+from fuzzycnc_ros.components.machine.simulated_machine_duties import MACHINE_DUTIES
+from fuzzycnc_ros.components.machine.simulated_machine_part import PART_PROGRAM
+from fuzzycnc_ros.core.machine.foam_sheet import FoamSheet
+
+
+def machine_sheet(config: SimulatedMachineConfig) -> FoamSheet:
+    """Return the sheet that lies in the machine at the beginning.
+
+    Raises
+    ------
+    ValueError
+        If its size is not one of X and Y.
+    """
+    if len(config.sheet_size) != 2:
+        raise ValueError(
+            f'sheet_size: expected the lengths along X and Y but found {len(config.sheet_size)} '
+            'numbers'
+        )
+    x, y = config.sheet_size
+    return FoamSheet(config.sheet_thickness, (x, y), friction=config.sheet_friction)
+
+
+def machine_programme(
+    config: SimulatedMachineConfig, go: Callable[[str], None]
+) -> JobProgramme | PatternProgramme:
+    """Return the jobs, paths or patterns that the machine loads by itself.
+
+    Parameters
+    ----------
+    config : SimulatedMachineConfig
+        Parameters of the machine.
+    go : callable
+        Has the axes make a move, given its targets.
+
+    Raises
+    ------
+    ValueError
+        If one is unknown, or they do not fit each other.
+    """
+    jobs = [] if config.jobs else path_jobs(config.paths)
+    if config.jobs:
+        others = (*config.paths, *config.patterns, *config.moves)
+        if others or len(config.duties) != 1:
+            raise ValueError(
+                'jobs: expected one duty and neither paths, patterns nor moves beside them but '
+                f'found {", ".join((*config.duties, *others)) or "no duty"}'
+            )
+        duration = duty_length(config, config.duties[0])
+        jobs = timed_jobs(config.jobs, duration)
+    if not config.patterns:
+        return JobProgramme(
+            jobs,
+            feed=config.path_feed,
+            timeout=config.path_timeout,
+            program=config.part_program or PART_PROGRAM,
+            move_time=config.move_time,
+            go=go,
+        )
+    if config.paths or config.servo_axes:
+        # Tool paths of two writers, and a tool that is read with noise, are not provided for.
+        raise ValueError(
+            'patterns: expected neither paths nor servo_axes on a machine that stitches but found '
+            f'{", ".join((*config.paths, *config.servo_axes))}'
+        )
+    return PatternProgramme(
+        config.patterns,
+        sheet=machine_sheet(config),
+        feed=config.pattern_feed,
+        timeout=config.path_timeout,
+    )
+
+
+def duty_length(config: SimulatedMachineConfig, duty: str) -> float:
+    """Return for how long a duty is run [s]; at least one tick."""
+    whole = MACHINE_DUTIES[duty].duration
+    return max(min(whole, config.duty_duration or whole), config.tick_period)

@@ -1,0 +1,292 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""One tool path on its way to the machine: planned as far as needed, sent part by part."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
+    FeedrateSchedulerConfig,
+    heeds_tolerance,
+    make_limits,
+    make_scheduler,
+)
+from fuzzycnc_ros.components.motion.tool_paths import (
+    ToolPathSegments,
+    curve_tool_path,
+    tool_path_segments,
+)
+from fuzzycnc_ros.core.feedrate.path.curves import trident
+from fuzzycnc_ros.core.feedrate.planner.planned_motion import PlannedSamples
+from fuzzycnc_ros.core.feedrate.planner.planner import Planner, PlannerSettings
+from fuzzycnc_ros.core.feedrate.program import LineSegment
+from fuzzycnc_ros.core.feedrate.reference.nodes import NodePlan, with_nodes
+from fuzzycnc_ros.core.feedrate.reference.reference_path import PathBuilder, ReferencePath
+from fuzzycnc_ros.core.feedrate.schedulers.plain import Scheduler
+from fuzzycnc_ros.runtime.component import Emission
+from fuzzycnc_ros.runtime.records import (
+    FeedSchedule,
+    Floats,
+    Trajectory,
+    nanoseconds,
+)
+
+GROUP = 1024
+"""Segments that are planned at a time."""
+SAME_PLACE = 1e-9
+"""Distance up to which the axes stand where a path starts [m]."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """What all parts of a path have in common."""
+
+    path_id: str
+    epoch: int
+    frame_id: str
+
+
+def streamable(scheduler: Scheduler) -> Scheduler:
+    """Return the scheduler.
+
+    Raises
+    ------
+    ValueError
+        If it needs the whole path, so that no part could leave before the path has ended.
+    """
+    reach = scheduler.reach
+    if not np.isfinite([reach.length_behind, reach.length_ahead]).all():
+        raise ValueError(
+            f'method: expected one that takes a path in parts but found {scheduler!r}, which '
+            'needs all of it; take another one, or give curvature_max'
+        )
+    return scheduler
+
+
+def planner_settings(config: FeedrateSchedulerConfig) -> PlannerSettings:
+    """Return what a configuration means for the planner.
+
+    Raises
+    ------
+    ValueError
+        If its parameters do not fit each other, or its method needs the whole path.
+    """
+    return PlannerSettings(
+        scheduler=streamable(make_scheduler(config)),
+        limits=make_limits(config),
+        override=config.feed_override,
+        period=config.period,
+        window=config.jerk_window or None,
+        settle=config.settle,
+    )
+
+
+def rehearse(config: FeedrateSchedulerConfig) -> None:
+    """Plan a small path and throw it away: all code and tables are there when one is to be run.
+
+    The first plan of a process takes some tenths of a second, the following ones milliseconds;
+    in real time they would make the first part of a path late.
+
+    Raises
+    ------
+    ValueError
+        If the parameters do not fit each other.
+    """
+    path = curve_tool_path(
+        trident(0.01), path_id='rehearsal', feed=config.feed_max, stamp=0, frame_id=''
+    )
+    run = PathRun(
+        Header('rehearsal', 0, ''), tool_path_segments(path), np.zeros(3), config, start=0
+    )
+    run.send(0)
+
+
+class PathRun:
+    """A tool path that is being sent.
+
+    Parameters
+    ----------
+    header : Header
+        What its parts say of it.
+    segments : ToolPathSegments
+        The path.
+    place : ndarray, shape (3,)
+        Where the axes rest [m]; a rapid leads to the path's start.
+    config : FeedrateSchedulerConfig
+        Scheduler, limits and how much is sent how early.
+    start : int
+        Machine time of the first sample [ns].
+
+    Raises
+    ------
+    ValueError
+        If the parameters do not fit each other, or the path cannot be moved along.
+    """
+
+    def __init__(
+        self,
+        header: Header,
+        segments: ToolPathSegments,
+        place: Floats,
+        config: FeedrateSchedulerConfig,
+        start: int,
+    ) -> None:
+        self.header = header
+        self._segments, self._config = segments, config
+        self._columns = list(segments.columns)
+        self._planner = Planner(planner_settings(config), 3)
+        self._builder = PathBuilder(blend=config.blend)
+        self._nodes = NodePlan.of(self._planner.settings.scheduler)
+        self._start = start
+        self._period = nanoseconds(config.period)
+        self._fed = 0  # segments that the builder has
+        self._complete = False
+        self._part = 0
+        self._taken = 0
+        self._place = 0.0  # arc length of the last sample taken
+        self.complete = False
+        """Whether the last part has been sent."""
+        self.at_rest = start
+        """Machine time at which the axes rest if nothing more is sent [ns]."""
+        self._lead_in = 0.0
+        self._blocks = segments.block
+        if np.linalg.norm(np.subtract(segments.start, place)) > SAME_PLACE:
+            x, y, z = place.tolist()
+            line = LineSegment(-1, (x, y, z), segments.start, None, True, False, -1)
+            self._lead_in = line.length
+            self._blocks = np.append(-1, segments.block)
+            self._push(self._builder.push([line], [True]))
+
+    @property
+    def end(self) -> int:
+        """Machine time of the first sample that has not been sent [ns]."""
+        return self._start + self._taken * self._period
+
+    @property
+    def next_send(self) -> int:
+        """Machine time at which the next part is to be sent [ns]."""
+        return self.end - nanoseconds(self._config.lead)
+
+    @property
+    def part(self) -> int:
+        """Number of parts sent so far."""
+        return self._part
+
+    @property
+    def progress(self) -> float:
+        """Part of the segments that have been planned, 0 to 1."""
+        return self._fed / len(self._segments)
+
+    def change(self, config: FeedrateSchedulerConfig) -> None:
+        """Go on with live parameters that changed, from the first sample not sent.
+
+        Raises
+        ------
+        ValueError
+            If they do not fit each other; nothing has changed then.
+        """
+        self._planner.change(planner_settings(config))
+        self._config = config
+
+    def send(self, stamp: int) -> list[Emission]:
+        """Return the next part and the feeds along it.
+
+        Raises
+        ------
+        ValueError
+            If the path cannot be moved along.
+        """
+        count = nanoseconds(self._config.chunk) // self._period
+        self._plan(self._taken + count)
+        low = self._place
+        samples = self._planner.take(count)
+        self.complete = self._planner.exhausted
+        tail = None if self.complete else self._planner.tail()
+        emission = self._trajectory(stamp, samples, tail)
+        schedule = self._schedule(stamp, low)
+        self._part += 1
+        return [emission, schedule]
+
+    def stop(self, stamp: int) -> list[Emission]:
+        """Return a part that brings the axes to rest on the path, as its last one."""
+        low = self._place
+        self.complete = True
+        found = [self._trajectory(stamp, self._planner.tail(), None), self._schedule(stamp, low)]
+        self._part += 1
+        return found
+
+    def _plan(self, samples: int) -> None:
+        """Feed the planner until so many samples can be taken."""
+        wanted = (samples - 1) * self._config.period
+        while not self._complete and self._planner.known < wanted:
+            begin, end = self._fed, min(self._fed + GROUP, len(self._segments))
+            self._push(
+                self._builder.push(self._segments[begin:end], self._segments.exact_stop[begin:end])
+            )
+            self._fed = end
+            if end == len(self._segments):
+                self._push(self._builder.finish())
+                self._planner.finish()
+                self._complete = True
+
+    def _trajectory(
+        self, stamp: int, samples: PlannedSamples, tail: PlannedSamples | None
+    ) -> Emission:
+        """Return a part of the trajectory, and note where its committed samples end."""
+        start, committed = self.end, len(samples.arc_length)
+        self._taken += committed
+        self._place = float(samples.arc_length[-1])
+        parts = [samples] if tail is None else [samples, tail]
+        self.at_rest = self.end + (0 if tail is None else len(tail.arc_length) * self._period)
+        position, velocity = (
+            np.concatenate([getattr(part, name)[:, self._columns] for part in parts]).ravel()
+            for name in ('position', 'velocity')
+        )
+        place = np.concatenate([part.arc_length for part in parts]) - self._lead_in
+        return Emission(
+            'trajectory',
+            Trajectory(
+                stamp=stamp,
+                frame_id=self.header.frame_id,
+                path_id=self.header.path_id,
+                epoch=self.header.epoch,
+                part=self._part,
+                last=tail is None,
+                start=start,
+                period=self._config.period,
+                committed=committed,
+                axis=self._segments.axis,
+                position=position,
+                velocity=velocity,
+                arc_length=place,
+            ),
+        )
+
+    def _schedule(self, stamp: int, low: float) -> Emission:
+        """Return the feeds from an arc length to the end of the newest part."""
+        config = self._config
+        found = self._planner.schedule(low, self._place)
+        tolerance = config.tolerance if heeds_tolerance(config) else np.nan
+        return Emission(
+            'feed_schedule',
+            FeedSchedule(
+                stamp=stamp,
+                frame_id=self.header.frame_id,
+                path_id=self.header.path_id,
+                part=self._part,
+                last=self.complete,
+                method=config.method,
+                tolerance=tolerance,
+                feed_override=config.feed_override,
+                arc_length=found.arc_length - self._lead_in,
+                curvature=found.curvature,
+                feed=found.feed,
+                speed=found.speed,
+                block=self._blocks[found.owner],
+            ),
+        )
+
+    def _push(self, path: ReferencePath | None) -> None:
+        if path is not None:
+            self._planner.push(with_nodes(path, self._nodes))

@@ -1,0 +1,410 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of `feedrate_scheduler`, and the scheduler and the limits that they mean."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import inf
+from types import MappingProxyType
+
+from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedulers.fuzzy_rules import RATIO_SETS
+from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedulers.plain import (
+    ChordErrorFeed,
+    ConstantFeed,
+    ConstantNormalAcceleration,
+    JerkLimitedFeed,
+    LookAheadFeed,
+    Scheduler,
+)
+from fuzzycnc_ros.runtime.records import nanoseconds
+
+AXES = ('X', 'Y', 'Z')
+"""Axes of a tool path; limits of the axes are given in this order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeedrateSchedulerConfig(Config):
+    """Parameters of `feedrate_scheduler`."""
+
+    autostart: bool = param(
+        False, '-', 'Configure and activate at start; otherwise a lifecycle manager does'
+    )
+    method: str = param(
+        'log_fuzzy',
+        '-',
+        'Rule that chooses the feed; look_ahead and jerk_limited need the whole path and serve '
+        'programs only',
+        choices=(
+            'log_fuzzy',
+            'fuzzy',
+            'constant',
+            'normal_acceleration',
+            'chord_error',
+            'look_ahead',
+            'jerk_limited',
+        ),
+        live=True,
+    )
+    tolerance: float = param(
+        1e-5,
+        'm',
+        'Largest contour error wanted; log_fuzzy, normal_acceleration, look_ahead and '
+        'jerk_limited heed it',
+        low=1e-8,
+        high=1e-2,
+        live=True,
+    )
+    feed_override: float = param(
+        1.0,
+        '-',
+        'Factor of the feed; 0 holds on the path, above 1 the tolerance still counts',
+        low=0.0,
+        high=2.0,
+        live=True,
+    )
+    feed_max: float = param(
+        0.2,
+        'm/s',
+        'Feed on straight stretches where the path asks for no less',
+        low=1e-6,
+        high=10.0,
+    )
+    feed_min: float = param(
+        2e-5, 'm/s', 'Feed where the path turns back, and the least elsewhere', low=1e-9, high=1.0
+    )
+    machine_constant: float = param(
+        2.1517e-4,
+        's^2',
+        'Contour error over normal acceleration, as a circle on the machine shows it',
+        low=1e-9,
+        high=1.0,
+    )
+    curvature_max: float = param(
+        5e4,
+        '1/m',
+        'Curvature for which the sets of log_fuzzy are spread; 0 takes the largest of the path, '
+        'for programs only',
+        low=0.0,
+        high=1e9,
+    )
+    blend: float = param(
+        0.0,
+        'm',
+        'Largest distance of the path from a corner that it rounds; 0 stops at every corner',
+        low=0.0,
+        high=1e-2,
+    )
+    path_velocity: float = param(
+        0.25, 'm/s', 'Limit of the speed along the path', low=1e-6, high=100.0, live=True
+    )
+    path_acceleration: float = param(
+        1.5, 'm/s^2', 'Limit of its change along the path', low=1e-6, high=1e4, live=True
+    )
+    path_jerk: float = param(
+        0.0, 'm/s^3', 'Limit of the jerk along the path; 0 is none', low=0.0, high=1e7, live=True
+    )
+    axis_velocity: tuple[float, ...] = param(
+        (0.25, 0.25, 0.25), 'm/s', 'Limits of X, Y and Z', low=1e-6, high=100.0, live=True
+    )
+    axis_acceleration: tuple[float, ...] = param(
+        (4.0, 4.0, 4.0), 'm/s^2', 'Limits of X, Y and Z', low=1e-6, high=1e4, live=True
+    )
+    axis_jerk: tuple[float, ...] = param(
+        (0.0, 0.0, 0.0),
+        'm/s^3',
+        'Limits of X, Y and Z; 0 is none',
+        low=0.0,
+        high=1e7,
+        live=True,
+    )
+    jerk_window: float = param(
+        0.0,
+        's',
+        'Time over which acceleration is averaged where jerk is limited; 0 chooses it',
+        low=0.0,
+        high=1.0,
+    )
+    settle: float = param(
+        0.1,
+        's',
+        'Rest at exact stops, for the axes to arrive: four time constants of their position loop',
+        low=0.0,
+        high=10.0,
+    )
+    period: float = param(
+        1e-3, 's', 'Time between two samples of the trajectory', low=1e-4, high=0.1
+    )
+    chunk: float = param(
+        0.25, 's', 'Motion that each part of the trajectory commits to', low=1e-3, high=10.0
+    )
+    lead: float = param(0.25, 's', 'How long before its start a part is sent', low=1e-3, high=10.0)
+    log_fuzzy_margin: float = param(
+        1.05, '-', 'Method log_fuzzy designs for the tolerance over this', low=1.0, high=10.0
+    )
+    log_fuzzy_guard_length: float = param(
+        60e-6,
+        'm',
+        'Method log_fuzzy takes the largest curvature up to this far on both sides; 0 is none',
+        low=0.0,
+        high=0.1,
+    )
+    log_fuzzy_guard_time: float = param(
+        0.1,
+        's',
+        'But no farther than the feed at the sharpest point goes in this time',
+        low=0.0,
+        high=10.0,
+    )
+    log_fuzzy_approach_time: float = param(
+        0.0,
+        's',
+        'Time over which the machine sees how the speed changes; 0 takes 1.9 root of '
+        'machine_constant',
+        low=0.0,
+        high=1.0,
+    )
+    log_fuzzy_approach_slope: float = param(
+        0.0,
+        '1/s',
+        'Largest fall of the speed along the path, for the axes to catch up before a tight bend; '
+        '0 takes 1 over root of machine_constant',
+        low=0.0,
+        high=1e6,
+    )
+    log_fuzzy_guard_step: float = param(
+        0.5,
+        '-',
+        "Part of the way to its neighbours' curvature that each point also takes",
+        low=0.0,
+        high=1.0,
+    )
+    log_fuzzy_braking: int = param(
+        0,
+        '-',
+        'Sets by which log_fuzzy lowers the feed where the curvature is about to rise',
+        low=0,
+        high=len(RATIO_SETS) - 1,
+    )
+    log_fuzzy_braking_points: int = param(
+        4, '-', 'How many points before and after it then looks at', low=1, high=1000
+    )
+    fuzzy_vvlf: str = param(
+        'MF',
+        '-',
+        'Set that the published rules 25 and 26 mean by VVLF, which is none',
+        choices=RATIO_SETS,
+    )
+    fuzzy_curvature_centres: tuple[float, ...] = param(
+        (0.0, 600.0, 1200.0, 1800.0, 2400.0, 3000.0),
+        '1/m',
+        'Published method: centres of the six sets of the curvature, rising',
+        low=0.0,
+        high=1e9,
+    )
+    fuzzy_variation_centres: tuple[float, ...] = param(
+        (0.0, 0.25, 0.5, 0.75, 1.0),
+        '-',
+        'Published method: centres of the five sets of the curvature ahead, rising',
+        low=0.0,
+        high=1.0,
+    )
+    fuzzy_ratio_centres: tuple[float, ...] = param(
+        (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 1.0),
+        '-',
+        'Published method: centres of the seven sets of the ratio, rising',
+        low=1e-6,
+        high=1.0,
+    )
+    fuzzy_curvature_cap: float = param(
+        3000.0, '1/m', 'Published method: curvature ahead that counts as 1', low=1e-6, high=1e9
+    )
+    fuzzy_normalisation: str = param(
+        'fixed',
+        '-',
+        'Published method: curvature ahead over the cap, or over its range on the path, for '
+        'programs only',
+        choices=('fixed', 'path'),
+    )
+    fuzzy_window: int = param(
+        30, '-', 'Published method: points of the window ahead', low=1, high=100_000
+    )
+    fuzzy_window_length: float = param(
+        0.0, 'm', 'Length of the window ahead instead; 0 counts points', low=0.0, high=1.0
+    )
+    fuzzy_window_both: bool = param(
+        False, '-', 'Published method: whether the window reaches back as far as ahead'
+    )
+    fuzzy_average: int = param(
+        5, '-', 'Published method: points of the moving average', low=1, high=100_000
+    )
+    fuzzy_smoothing: str = param(
+        'average',
+        '-',
+        'Published method: centred average, causal one, or running minimum and then average',
+        choices=('average', 'causal', 'erode'),
+    )
+    chord_error: float = param(
+        1e-6,
+        'm',
+        'Largest chord error of one period, for chord_error, look_ahead and jerk_limited',
+        low=1e-10,
+        high=1e-2,
+    )
+    jerk_limited_erosion: int = param(
+        41, '-', 'Points of the running minima of jerk_limited', low=1, high=100_000
+    )
+    jerk_limited_average: int = param(
+        13, '-', 'Points of each average of jerk_limited', low=1, high=100_000
+    )
+
+    def __post_init__(self) -> None:
+        """Check every field, and that they fit each other.
+
+        Raises
+        ------
+        ValueError
+            If they do not; the message names the parameter.
+        """
+        super().__post_init__()
+        for name in ('axis_velocity', 'axis_acceleration', 'axis_jerk'):
+            found = len(getattr(self, name))
+            if found != len(AXES):
+                raise ValueError(
+                    f'{name}: expected one limit each for {", ".join(AXES)} but found {found}'
+                )
+        if nanoseconds(self.chunk) % nanoseconds(self.period):
+            raise ValueError(
+                f'chunk = {self.chunk} s must be a whole number of periods of {self.period} s'
+            )
+        make_scheduler(self)  # refuses what makes no sense for the method
+
+
+def make_scheduler(config: FeedrateSchedulerConfig) -> Scheduler:
+    """Return the scheduler that a configuration asks for.
+
+    Raises
+    ------
+    ValueError
+        If its parameters do not fit each other.
+    """
+    return _SCHEDULERS[config.method](config)
+
+
+def make_limits(config: FeedrateSchedulerConfig) -> MotionLimits:
+    """Return the limits of the motion, those of the axes in the order X, Y, Z."""
+    return MotionLimits(
+        path_velocity=config.path_velocity,
+        path_acceleration=config.path_acceleration,
+        path_jerk=config.path_jerk or inf,
+        velocity=config.axis_velocity,
+        acceleration=config.axis_acceleration,
+        jerk=tuple(limit or inf for limit in config.axis_jerk) if any(config.axis_jerk) else None,
+    )
+
+
+def heeds_tolerance(config: FeedrateSchedulerConfig) -> bool:
+    """Whether the method knows a contour tolerance."""
+    return config.method not in ('fuzzy', 'constant', 'chord_error')
+
+
+def _log_fuzzy(config: FeedrateSchedulerConfig) -> Scheduler:
+    return LogFuzzyScheduler(
+        feed_max=config.feed_max,
+        feed_min=config.feed_min,
+        tolerance=config.tolerance,
+        machine_constant=config.machine_constant,
+        margin=config.log_fuzzy_margin,
+        approach_time=config.log_fuzzy_approach_time or None,
+        approach_slope=config.log_fuzzy_approach_slope or None,
+        guard_length=config.log_fuzzy_guard_length,
+        guard_time=config.log_fuzzy_guard_time,
+        guard_step=config.log_fuzzy_guard_step,
+        curvature_max=config.curvature_max or None,
+        braking=config.log_fuzzy_braking,
+        braking_points=config.log_fuzzy_braking_points,
+    )
+
+
+def _fuzzy(config: FeedrateSchedulerConfig) -> Scheduler:
+    return FuzzyScheduler(
+        feed_max=config.feed_max,
+        feed_min=config.feed_min,
+        vvlf=config.fuzzy_vvlf,
+        curvature_centres=config.fuzzy_curvature_centres,
+        variation_centres=config.fuzzy_variation_centres,
+        ratio_centres=config.fuzzy_ratio_centres,
+        curvature_cap=config.fuzzy_curvature_cap,
+        normalisation=config.fuzzy_normalisation,
+        window=config.fuzzy_window,
+        window_length=config.fuzzy_window_length or None,
+        window_both=config.fuzzy_window_both,
+        average=config.fuzzy_average,
+        smoothing=config.fuzzy_smoothing,
+    )
+
+
+def _constant(config: FeedrateSchedulerConfig) -> Scheduler:
+    return ConstantFeed(feed_max=config.feed_max, feed_min=config.feed_min)
+
+
+def _normal_acceleration(config: FeedrateSchedulerConfig) -> Scheduler:
+    return ConstantNormalAcceleration(
+        feed_max=config.feed_max,
+        feed_min=config.feed_min,
+        normal_acceleration=_allowed_acceleration(config),
+    )
+
+
+def _chord_error(config: FeedrateSchedulerConfig) -> Scheduler:
+    return ChordErrorFeed(
+        feed_max=config.feed_max,
+        feed_min=config.feed_min,
+        chord_error=config.chord_error,
+        period=config.period,
+    )
+
+
+def _look_ahead(config: FeedrateSchedulerConfig) -> Scheduler:
+    return LookAheadFeed(
+        feed_max=config.feed_max,
+        feed_min=config.feed_min,
+        chord_error=config.chord_error,
+        period=config.period,
+        normal_acceleration=_allowed_acceleration(config),
+        path_acceleration=config.path_acceleration,
+    )
+
+
+def _jerk_limited(config: FeedrateSchedulerConfig) -> Scheduler:
+    return JerkLimitedFeed(
+        feed_max=config.feed_max,
+        feed_min=config.feed_min,
+        chord_error=config.chord_error,
+        period=config.period,
+        acceleration=2.0 * _allowed_acceleration(config),  # half of it goes across the path
+        jerk=config.path_jerk or None,
+        erosion=config.jerk_limited_erosion,
+        average=config.jerk_limited_average,
+    )
+
+
+def _allowed_acceleration(config: FeedrateSchedulerConfig) -> float:
+    """Acceleration across the path that leaves the tolerance as contour error [m/s^2]."""
+    return config.tolerance / config.machine_constant
+
+
+_SCHEDULERS: Mapping[str, Callable[[FeedrateSchedulerConfig], Scheduler]] = MappingProxyType(
+    {
+        'log_fuzzy': _log_fuzzy,
+        'fuzzy': _fuzzy,
+        'constant': _constant,
+        'normal_acceleration': _normal_acceleration,
+        'chord_error': _chord_error,
+        'look_ahead': _look_ahead,
+        'jerk_limited': _jerk_limited,
+    }
+)

@@ -1,0 +1,178 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of `servo_controller`, and the controllers that they mean."""
+
+from dataclasses import dataclass, replace
+
+from fuzzycnc_ros.components.servo.servo_axes import make_plant, parse_axes
+from fuzzycnc_ros.components.servo.servo_plausibility import MotionDoubt
+from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxisConfig
+from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryInputConfig
+from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
+from fuzzycnc_ros.core.servo.controller import AxisController
+from fuzzycnc_ros.core.servo.controllers import DEFAULT, FOR_USE, make_controller
+from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
+from fuzzycnc_ros.core.servo.profile import ProfileLimits
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoControllerConfig(Config):
+    """Parameters of `servo_controller`."""
+
+    autostart: bool = param(
+        False, '-', 'Configure and activate at start; otherwise a lifecycle manager does'
+    )
+    realtime_priority: int = param(
+        0,
+        '-',
+        'Priority of the process in real time (SCHED_FIFO), if it is allowed one; 0 for none',
+        low=0,
+        high=99,
+    )
+    axes: tuple[str, ...] = param(
+        ('X:lathe',), '-', 'Axes with their models, as X:lathe; models: lathe, ballscrew'
+    )
+    reversed_axes: tuple[str, ...] = param(
+        (), '-', 'Axes that a positive duty drives to negative positions'
+    )
+    controller: str = param(
+        DEFAULT,
+        '-',
+        f'Controller of every axis; a ballscrew has {DEFAULT} only',
+        choices=FOR_USE,
+    )
+    period: float = param(1e-3, 's', 'Control period, that of the axis states', low=1e-4, high=0.1)
+    velocity_max: float = param(
+        0.2, 'm/s', 'Largest velocity on the way to a position', low=1e-6, high=10.0, live=True
+    )
+    acceleration_max: float = param(
+        1.5, 'm/s^2', 'Largest acceleration on the way', low=1e-6, high=1000.0, live=True
+    )
+    jerk_max: float = param(
+        30.0, 'm/s^3', 'Largest jerk on the way', low=1e-6, high=1e6, live=True
+    )
+    travel_low: float = param(
+        -0.25, 'm', 'Lowest position that an axis is sent to', low=-100.0, high=100.0
+    )
+    travel_high: float = param(
+        0.25, 'm', 'Highest position that an axis is sent to', low=-100.0, high=100.0
+    )
+    trajectory_velocity_max: float = param(
+        0.25, 'm/s', 'Largest velocity of a trajectory that is followed', low=1e-4, high=10.0
+    )
+    trajectory_acceleration_max: float = param(
+        4.0, 'm/s^2', 'Largest acceleration of such a trajectory', low=1e-3, high=1000.0
+    )
+    duty_max: float = param(1.0, '-', 'Largest magnitude of duty', low=1e-3, high=1.0)
+    command_validity: float = param(
+        0.02, 's', 'Time after which the drives take a command as out of date', low=1e-3, high=1.0
+    )
+    silence_max: float = param(
+        0.02,
+        's',
+        'Time without axis states that is bridged; a longer one is a fault',
+        low=1e-3,
+        high=1.0,
+    )
+    missed_max: int = param(
+        5, '-', 'Readings in a row that may be missing or unusable', low=1, high=1000
+    )
+    friction_max: float = param(
+        0.12, '-', 'Largest friction that is believed, as duty', low=0.0, high=1.0
+    )
+    load_max: float = param(
+        0.12, '-', 'Largest load either way that is believed, as duty', low=0.0, high=1.0
+    )
+
+    def __post_init__(self) -> None:
+        """Check the fields and how they fit together.
+
+        Raises
+        ------
+        ValueError
+            If a field is out of its bounds, an axis is unknown, or there is no travel.
+        """
+        super().__post_init__()
+        axes = parse_axes('axes', self.axes)
+        if not axes:
+            raise ValueError('axes: expected one or more but found none')
+        unknown = [name for name in self.reversed_axes if name not in axes]
+        if unknown:
+            raise ValueError(
+                f'reversed_axes: expected axes among {", ".join(axes)} but found '
+                f'{", ".join(unknown)}'
+            )
+        if not self.travel_low < self.travel_high:
+            raise ValueError(
+                f'travel_high: expected more than travel_low = {self.travel_low} m but found '
+                f'{self.travel_high} m'
+            )
+        if self.silence_max > self.command_validity:
+            raise ValueError(
+                f'silence_max: expected at most command_validity = {self.command_validity} s, for '
+                f'which the drives hold a command, but found {self.silence_max} s'
+            )
+        if self.controller != DEFAULT and 'ballscrew' in axes.values():
+            raise ValueError(
+                f'controller: expected {DEFAULT} for a ballscrew axis but found {self.controller}'
+            )
+
+
+def make_controllers(config: ServoControllerConfig) -> dict[str, AxisController]:
+    """Return one controller per axis.
+
+    Raises
+    ------
+    ValueError
+        If parameters do not fit each other.
+    """
+    found: dict[str, AxisController] = {}
+    for name, model in parse_axes('axes', config.axes).items():
+        direction = -1.0 if name in config.reversed_axes else 1.0
+        if model == 'ballscrew':
+            controller = BallscrewController(
+                BallscrewAxisConfig(
+                    direction=direction, period=config.period, duty_max=config.duty_max
+                )
+            )
+            controller.watch.limits = _believed(config, controller.watch.limits)
+            found[name] = controller
+        else:
+            axis = make_plant(model, direction=direction, period=config.period).linear()
+            limits = _believed(config, FeedbackLimits.of(axis))
+            found[name] = make_controller(
+                config.controller, axis, duty_max=config.duty_max, limits=limits
+            )
+    return found
+
+
+def profile_limits(config: ServoControllerConfig, velocity: float) -> ProfileLimits:
+    """Return the limits of a motion that is at most so fast [m/s]; NaN asks for no less."""
+    top = config.velocity_max
+    return ProfileLimits(
+        velocity=min(velocity, top) if velocity == velocity else top,
+        acceleration=config.acceleration_max,
+        jerk=config.jerk_max,
+    )
+
+
+def trajectory_limits(config: ServoControllerConfig) -> TrajectoryInputConfig:
+    """Return what trajectories have to keep."""
+    return TrajectoryInputConfig(
+        period=config.period,
+        velocity_max=config.trajectory_velocity_max,
+        acceleration_max=config.trajectory_acceleration_max,
+    )
+
+
+def motion_doubt(config: ServoControllerConfig) -> MotionDoubt:
+    """Return what is believed possible of the motion of an axis."""
+    return MotionDoubt(friction=config.friction_max, load=config.load_max)
+
+
+def _believed(config: ServoControllerConfig, limits: FeedbackLimits) -> FeedbackLimits:
+    """Return what to believe of the feedback of an axis with this travel."""
+    travel = config.travel_high - config.travel_low
+    load = max(limits.load, min(config.load_max + config.friction_max, 1.0))
+    return replace(limits, error_max=travel, bad_max=config.missed_max, load=load)

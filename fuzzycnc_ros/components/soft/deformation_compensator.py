@@ -1,0 +1,279 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Component `deformation_compensator`: a pattern in, the tool path that stitches it straight out.
+
+The sheet must be known before the pattern comes: nothing is guessed, and nothing that is loaded
+later sets off a path that was loaded before.  What the model was not trained for is not
+compensated, and said.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fuzzycnc_ros.components.soft.compensated_paths import (
+    Course,
+    compensated_record,
+    stitching_tool_path,
+)
+from fuzzycnc_ros.components.soft.deformation_compensator_config import (
+    DeformationCompensatorConfig,
+)
+from fuzzycnc_ros.components.soft.stitch_patterns import pattern_primitives, sheet_material
+from fuzzycnc_ros.core.deformation import (
+    CompensatedPath,
+    DeformationModel,
+    SheetMaterial,
+    StitchPath,
+    compensate_path,
+    read_model,
+)
+from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, read_offsets
+from fuzzycnc_ros.core.deformation.offset_limits import StepFlag, limit_offsets
+from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.runtime import records
+from fuzzycnc_ros.runtime.component import (
+    LATCHED,
+    Answer,
+    Component,
+    Emission,
+    Health,
+    Input,
+    Level,
+    Output,
+)
+from fuzzycnc_ros.runtime.records import Floats, Material, StitchPattern, ToolPath
+
+__all__ = ['DeformationCompensator', 'DeformationCompensatorConfig']
+
+_LIMITED = (
+    StepFlag.RATE_LIMITED
+    | StepFlag.OFFSET_LIMITED
+    | StepFlag.PROGRESS_LIMITED
+    | StepFlag.CLIPPED
+    | StepFlag.NO_PROGRESS
+)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that offsets come from: its content, text and hash."""
+
+    content: DeformationModel | StitchOffsets
+    text: str
+    hash: str
+
+
+class DeformationCompensator(Component):
+    """Shift the stitches of patterns so that the relaxed sheet shows them where they belong."""
+
+    NAME = 'deformation_compensator'
+    SUMMARY = (
+        'Shifts the stitches of a pattern on soft material, so that the relaxed sheet shows the '
+        'nominal one. Managed lifecycle.'
+    )
+    CONFIG = DeformationCompensatorConfig
+    INPUTS = (
+        Input('material', Material, LATCHED),
+        Input('stitch_pattern', StitchPattern, LATCHED, driving=True),
+    )
+    OUTPUTS = (
+        Output('compensated_path', records.CompensatedPath, LATCHED),
+        Output('tool_path', ToolPath, LATCHED),
+    )
+    MANAGED = True
+    _config: DeformationCompensatorConfig
+
+    def __init__(self, config: DeformationCompensatorConfig | None = None) -> None:
+        super().__init__(config)
+        self._active = False
+        self._model: Source | None = None
+        self._offsets: Source | None = None
+        self._handled = (-1, '')  # stamp and name of the newest pattern that was taken
+        self._level, self._text = Level.OK, 'inactive'
+        self._values: dict[str, str] = {}
+        self._unused = ''  # why learnt offsets were not used
+
+    @property
+    def model_text(self) -> str:
+        """Text of the model file in use."""
+        return '' if self._model is None else self._model.text
+
+    def on_stitch_pattern(self, pattern: StitchPattern) -> Iterator[Emission]:
+        """Compensate a pattern and publish the path, if the component is active."""
+        if not self._active:
+            self._say(Level.WARN, f'{pattern.path_id} dropped: inactive; activate, send it again')
+            return
+        if (pattern.stamp, pattern.path_id) == self._handled:
+            return  # a latched topic says it again
+        self._handled = (pattern.stamp, pattern.path_id)
+        self._values, self._unused = {}, ''
+        try:
+            yield from self._compensate(pattern)
+        except ValueError as error:
+            self._say(Level.ERROR, f'{pattern.path_id or "pattern"} refused: {error}')
+
+    def renewed(self, step: int) -> 'tuple[DeformationCompensator, list[Emission]]':
+        """Go on: nothing rests on times but which pattern was taken last."""
+        self._handled = (-1, '')
+        return self, []
+
+    def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
+        """`activate`, `deactivate`, `use_model` and `use_offsets`, by the text of their files."""
+        if name in ('activate', 'deactivate'):
+            return self._switch(name == 'activate')
+        if name not in ('use_model', 'use_offsets'):
+            return super().on_request(name, arguments, stamp)
+        what = name.removeprefix('use_')
+        text = str(arguments[what])
+        try:
+            source = self._source(what, text) if text else None
+        except ValueError as error:
+            return Answer(False, str(error))
+        if what == 'model':
+            self._model = source
+        else:
+            self._offsets = source
+        said = f'using the {what} {source.hash[:8]}' if source else f'using no {what}'
+        return Answer(True, f'{said}, from the next pattern on')
+
+    def health(self) -> list[Health]:
+        """Report the newest pattern, what was refused of it and limited, and by which model."""
+        model = 'none' if self._model is None else self._model.hash[:8]
+        items = [Health('state', self._level, self._text, {'model': model, **self._values})]
+        if self._unused:
+            items.append(Health('offsets', Level.WARN, f'learnt offsets not used: {self._unused}'))
+        return items
+
+    def _switch(self, active: bool) -> Answer:
+        state = 'active' if active else 'inactive'
+        if self._active is active:
+            return Answer(False, f'already {state}' if active else 'not active')
+        self._active = active
+        self._say(Level.OK, 'waiting for a pattern' if active else 'inactive')
+        self._values, self._unused = {}, ''
+        return Answer(True, state)
+
+    @staticmethod
+    def _source(what: str, text: str) -> Source:
+        content = read_model(text) if what == 'model' else read_offsets(text)
+        return Source(content, text, text_hash(text))
+
+    def _compensate(self, pattern: StitchPattern) -> Iterator[Emission]:
+        """Yield the compensated path of a pattern and its tool path."""
+        material = self._sheet(pattern)
+        numbers, primitives = zip(*pattern_primitives(pattern), strict=True)
+        course = Course(numbers, primitives)
+        path = StitchPath.of_primitives(primitives)
+        material.check(path)
+        learnt = self._learnt(pattern, material, path.points)
+        if learnt is not None:
+            found, source = self._with_offsets(path, material, learnt), self._offsets
+        else:
+            found, source = self._with_model(path, material), self._model
+        self._report(pattern.path_id, found, learnt is not None)
+        if found.refused.any() and self._config.on_refused == 'stop':
+            self._say(Level.ERROR, f'{self._text}; not stitched, as on_refused says')
+            return
+        record = compensated_record(
+            pattern, course, material, found, '' if source is None else source.hash
+        )
+        tool_path = stitching_tool_path(
+            pattern, course, found.commanded, self._config.corner_angle
+        )
+        yield Emission('compensated_path', record)
+        yield Emission('tool_path', tool_path)
+
+    def _sheet(self, pattern: StitchPattern) -> SheetMaterial:
+        """Return the sheet that a pattern is for.
+
+        Raises
+        ------
+        ValueError
+            If it is unknown or malformed, or lies in another frame than the pattern.
+        """
+        record = self._newest.get('material')
+        if not isinstance(record, Material):
+            raise ValueError(
+                'no material: expected the sheet to be known before the pattern; publish '
+                'material, then send the pattern again'
+            )
+        frame = self.frame('workpiece')
+        for name, found in (('material', record.frame_id), ('pattern', pattern.frame_id)):
+            if found != frame:
+                raise ValueError(f'frame_id of {name}: expected {frame} but found {found!r}')
+        try:
+            return sheet_material(record)
+        except ValueError as error:
+            raise ValueError(f'material: {error}') from error
+
+    def _learnt(
+        self, pattern: StitchPattern, material: SheetMaterial, points: Floats
+    ) -> Floats | None:
+        """Return the learnt offsets of a pattern; None if there are none for it."""
+        if self._offsets is None:
+            return None
+        offsets = self._offsets.content
+        assert isinstance(offsets, StitchOffsets)
+        self._unused = offsets.mismatch(pattern.path_id, material.name, points)
+        return None if self._unused else offsets.offset
+
+    def _with_offsets(
+        self, path: StitchPath, material: SheetMaterial, wanted: Floats
+    ) -> CompensatedPath:
+        """Return a path with learnt offsets, within their limits."""
+        plain = CompensatedPath.unchanged(path.points)
+        offset, flag = limit_offsets(
+            path.points,
+            wanted,
+            offset_max=self._config.offset_max,
+            progress_min=self._config.progress_min,
+            size=material.size,
+        )
+        flag = flag | np.where(path.lengths > 0.0, 0, StepFlag.ZERO_LENGTH)
+        return CompensatedPath(path.points, offset, plain.compensation, plain.support, flag)
+
+    def _with_model(self, path: StitchPath, material: SheetMaterial) -> CompensatedPath:
+        """Return a path with the model's offsets; without a model all are 0."""
+        if self._model is None:
+            return CompensatedPath.unchanged(path.points)
+        model, gain = self._model.content, np.array(self._config.gain)
+        assert isinstance(model, DeformationModel)
+
+        def predict(x: Floats) -> Floats:
+            return np.asarray(gain * model.predict(x))
+
+        return compensate_path(
+            path, material, predict, config=self._config, gate=model, support=model.support
+        )
+
+    def _report(self, name: str, path: CompensatedPath, learnt: bool) -> None:
+        """Say what became of a pattern."""
+        steps = len(path.flag)
+        refused = int(path.refused.sum())
+        limited = int((path.flag & int(_LIMITED) != 0).sum())
+        clipped = int((path.flag & int(StepFlag.CLIPPED) != 0).sum())
+        reach = 1e3 * float(np.hypot(*path.offset.T).max())
+        self._values = {
+            'pattern': name,
+            'steps': str(steps),
+            'refused [%]': f'{100.0 * refused / steps:.1f}',
+            'limited [%]': f'{100.0 * limited / steps:.1f}',
+            'cut at the edge [%]': f'{100.0 * clipped / steps:.1f}',
+            'largest offset [mm]': f'{reach:.3f}',
+        }
+        if refused:
+            self._say(
+                Level.WARN,
+                f'{name}: {refused} of {steps} steps are unlike the training and were refused',
+            )
+        elif learnt:
+            self._say(Level.OK, f'{name}: learnt offsets')
+        else:
+            what = 'not compensated: no model' if self._model is None else 'compensated'
+            self._say(Level.OK, f'{name}: {what}')
+
+    def _say(self, level: Level, text: str) -> None:
+        self._level, self._text = level, text

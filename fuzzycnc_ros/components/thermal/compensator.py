@@ -1,0 +1,430 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Component `compensator`: thermal error in, limited and expiring offsets out.
+
+It is the only source of offsets.  What it publishes is minus the error, cut at a size limit,
+moving no faster than a slew limit and valid for a limited time.  When the error is late,
+invalid or out of domain it holds, then ramps to zero; it never steps.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from fuzzycnc_ros.components.thermal.compensator_config import AXES, CompensatorConfig
+from fuzzycnc_ros.core.config import Config
+from fuzzycnc_ros.core.machine.offset_input import EPOCH_STEP
+from fuzzycnc_ros.runtime.codes import (
+    AppliedStatus,
+    CompensationState,
+    Reason,
+)
+from fuzzycnc_ros.runtime.command_sources import REQUEST
+from fuzzycnc_ros.runtime.component import (
+    Answer,
+    Component,
+    Emission,
+    Health,
+    Input,
+    Level,
+    Output,
+)
+from fuzzycnc_ros.runtime.records import (
+    SECOND,
+    Bools,
+    Compensation,
+    CompensationApplied,
+    Floats,
+    MachineState,
+    Names,
+    Record,
+    ThermalError,
+    nanoseconds,
+)
+
+__all__ = ['AXES', 'Compensator', 'CompensatorConfig']
+
+NEGLIGIBLE = 1e-8
+"""Offset in a read-back that is what a controller rounds [m]."""
+
+
+def describe(axes: Names, values: Floats, chosen: Bools | None = None) -> str:
+    """Return offsets [m] as text in micrometres, those that are chosen or not zero."""
+    picked = np.abs(values) > 0.0 if chosen is None else np.asarray(chosen, bool)
+    return ', '.join(
+        f'{axis} {1e6 * value:.2f} um'
+        for axis, value, take in zip(axes, values, picked, strict=True)
+        if take
+    )
+
+
+class Compensator(Component):
+    """Follow the thermal error within limits; hold, ramp and expire without it."""
+
+    NAME = 'compensator'
+    SUMMARY = 'The only source of offsets: clamped, rate-limited, expiring. Managed lifecycle.'
+    CONFIG = CompensatorConfig
+    INPUTS = (
+        Input('machine_state', MachineState, max_age=600.0, sole=True),
+        Input('compensation_applied', CompensationApplied, sole=True),
+        Input('thermal_error', ThermalError, driving=True, sole=True),
+    )
+    OUTPUTS = (Output('compensation', Compensation),)
+    MANAGED = True
+    _config: CompensatorConfig
+
+    def __init__(self, config: CompensatorConfig | None = None) -> None:
+        super().__init__(config)
+        self._check(self._config)
+        self._axes = self._config.axes
+        self._active = False
+        self._state = CompensationState.INACTIVE
+        self._epoch = 0
+        self._followed = False  # whether the machine has followed this epoch
+        self._rival = 0  # epoch of another owner whom the machine follows
+        self._told_at = self._told_epoch = 0
+        self._offset = np.zeros(len(self._axes))
+        self._target = np.zeros(len(self._axes))
+        self._moved_at = 0
+        self._good_at: int | None = None
+        self._bad_since: int | None = None
+        self._wake_at: int | None = None
+        self._at_limit = np.zeros(len(self._axes), bool)
+        self._slewing = np.zeros(len(self._axes), bool)
+        self._why = 'inactive'
+        self._misread = ''
+
+    @staticmethod
+    def _check(config: CompensatorConfig) -> None:
+        unknown = [axis for axis in config.axes if axis not in AXES]
+        if unknown or not config.axes or len(set(config.axes)) != len(config.axes):
+            raise ValueError(
+                f'axes: expected distinct names of {", ".join(AXES)} but found '
+                f'{", ".join(config.axes) or "none"}'
+            )
+        if config.ramp_rate > config.slew_max:
+            raise ValueError(
+                f'ramp_rate = {config.ramp_rate} m/s must not exceed '
+                f'slew_max = {config.slew_max} m/s'
+            )
+        if config.validity < config.period:
+            raise ValueError(
+                f'validity = {config.validity} s must not be shorter than '
+                f'period = {config.period} s, or every offset expires on the machine'
+            )
+
+    def reconfigure(self, config: Config) -> None:
+        """Take new limits; they act from the next update on, within the slew limit."""
+        if not isinstance(config, CompensatorConfig):
+            raise TypeError(f'expected CompensatorConfig but found {type(config).__name__}')
+        self._check(config)
+        super().reconfigure(config)
+
+    @property
+    def next_deadline(self) -> int | None:
+        """When the offsets must move, be renewed or be held without an input."""
+        return self._wake_at
+
+    def on_thermal_error(self, error: ThermalError) -> Iterator[Emission]:
+        """Follow a valid error; hold on an invalid one."""
+        if not self._active:
+            return
+        if self._epoch == 0:
+            self._why = 'no finite read-back (compensation_applied) from the machine yet'
+            return
+        self._why = self._refusal(error)
+        if not self._why:
+            self._target = -self._errors(error)
+            self._good_at = error.stamp
+            self._bad_since = None
+        elif self._bad_since is None:
+            self._bad_since = error.stamp
+        if self._rival:
+            self._yield_to(self._rival)
+            return
+        yield self._update(error.stamp)
+
+    def on_compensation_applied(self, applied: CompensationApplied) -> None:
+        """Join the offsets in force: at first, and whenever the machine does not follow.
+
+        A machine that has let commands expire, refused them or been started anew goes on from
+        where it is, as after a restart of this node.  One that follows a higher epoch has another
+        owner: to that one this one yields, until nobody is followed any more.
+        """
+        self._misread = ''
+        if self._epoch and applied.epoch > self._epoch + EPOCH_STEP:
+            self._misread = (
+                f'epoch: expected at most {self._epoch + EPOCH_STEP} but found {applied.epoch}; '
+                'who publishes compensation_applied?'
+            )
+            return
+        if not self._active:
+            return
+        unheard = self._told_epoch != self._epoch  # nothing was told yet as this owner
+        if self._epoch == 0 or (unheard and applied.epoch < self._epoch):
+            self._take_over(applied)
+        elif applied.stamp <= self._told_at:
+            return  # what was told last cannot be in it yet
+        elif self._epoch > applied.epoch + EPOCH_STEP:
+            # The machine believes no such epoch; whoever told it was not the machine.
+            self._epoch = 0
+            self._take_over(applied)
+        elif applied.status == AppliedStatus.FOLLOWING:
+            self._followed |= applied.epoch == self._epoch
+            if applied.epoch > self._epoch:
+                self._yield_to(applied.epoch)
+        elif self._rival or (
+            (self._followed or applied.status != AppliedStatus.IDLE) and not self._agrees(applied)
+        ):
+            self._take_over(applied)
+
+    def on_deadline(self, stamp: int) -> Iterator[Emission]:
+        """Move, renew, hold or ramp because nothing arrived."""
+        yield self._update(stamp)
+
+    def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
+        """`activate` starts from the read-back; `deactivate` ramps to zero first."""
+        if name == 'activate':
+            return self._activate(stamp)
+        if name == 'deactivate':
+            return self._deactivate(stamp)
+        answer = super().on_request(name, arguments, stamp)
+        if name != REQUEST or not (self._doubt and self._active and self._epoch):
+            return answer
+        self._why = self._doubt
+        if self._bad_since is None:
+            self._bad_since = stamp
+        return replace(answer, emissions=(self._update(stamp),))
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether all offsets are zero and nothing is being followed."""
+        return not self._active and not np.any(self._offset)
+
+    def silence(self, name: str, last: Record) -> str:
+        """Say which offsets stood when the machine was last heard: nobody may own them now."""
+        if not isinstance(last, CompensationApplied):
+            return ''
+        standing = describe(last.axis, last.offset, np.abs(last.offset) > NEGLIGIBLE)
+        if not standing:
+            return ''
+        return (
+            f'{standing} stood then, which nobody may own now; see the machine side '
+            '(simulated_machine or the bridge of the controller)'
+        )
+
+    def health(self) -> list[Health]:
+        """Report the state, its reason and the limits at work."""
+        level = {
+            CompensationState.ACTIVE: Level.OK,
+            CompensationState.INACTIVE: Level.OK,
+            CompensationState.HOLDING: Level.WARN,
+            CompensationState.RAMPING: Level.ERROR,
+            CompensationState.EXPIRED: Level.ERROR,
+        }[self._state]
+        values = {
+            f'offset {axis} [um]': f'{1e6 * offset:.2f}'
+            for axis, offset in zip(self._axes, self._offset, strict=True)
+        }
+        text = self._state.name.lower() + (f': {self._why}' if self._why else '')
+        items = [Health('state', level, text, values)]
+        applied = self._newest.get('compensation_applied')
+        if isinstance(applied, CompensationApplied) and applied.status == AppliedStatus.REFUSED:
+            items.append(
+                Health('read-back', Level.ERROR, f'refused by the machine: {applied.reason}')
+            )
+        if self._misread:
+            items.append(Health('read-back', Level.ERROR, self._misread))
+        for title, flags in (('size limit', self._at_limit), ('slew limit', self._slewing)):
+            if flags.any():
+                named = ', '.join(np.array(self._axes)[flags])
+                items.append(Health(title, Level.WARN, f'{title} active on {named}'))
+        return items
+
+    def _activate(self, stamp: int) -> Answer:
+        if self._active:
+            return Answer(False, 'already active')
+        self._active = True
+        self._good_at = self._bad_since = self._wake_at = None
+        self._moved_at = stamp
+        self._why = 'waiting for the read-back of the machine and a valid thermal error'
+        self._state = CompensationState.EXPIRED
+        applied = self._newest.get('compensation_applied')
+        if isinstance(applied, CompensationApplied):
+            self._take_over(applied)
+        return Answer(True, 'active: offsets follow the thermal error')
+
+    def _deactivate(self, stamp: int) -> Answer:
+        if not self._active:
+            return Answer(False, 'not active')
+        self._active = False
+        self._why = 'deactivated'
+        if self._rival:
+            self._rival = 0
+            self._state = CompensationState.INACTIVE
+            self._offset = np.zeros(len(self._axes))
+            return Answer(True, 'inactive; another owner is followed')
+        emissions = (self._update(stamp),) if self._epoch else ()
+        return Answer(True, 'ramping to zero', emissions)
+
+    def _take_over(self, applied: CompensationApplied) -> None:
+        """Start from what the machine applies, as a new owner: no step at a restart.
+
+        Within an epoch what is told never steps; one that nothing was told in yet may go on.
+        """
+        if not np.all(np.isfinite(applied.offset)):
+            return
+        if self._told_epoch == self._epoch or applied.epoch >= self._epoch:
+            self._epoch = max(self._epoch, applied.epoch) + 1
+            self._moved_at = max(self._moved_at, applied.stamp)
+        self._followed, self._rival = False, 0
+        self._offset = self._in_force(applied)
+        if self._good_at is None:
+            self._target = self._offset.copy()
+            self._bad_since = self._moved_at
+        if self._wake_at is None:
+            self._wake_at = self._moved_at + nanoseconds(self._config.period)
+
+    def _yield_to(self, epoch: int) -> None:
+        """Say nothing while the machine follows another owner."""
+        self._rival = epoch
+        self._wake_at = None
+        self._state = CompensationState.EXPIRED
+        self._why = (
+            f'the machine follows another compensator (epoch {epoch}, this one has '
+            f'{self._epoch}); waiting until it is gone'
+        )
+
+    def _in_force(self, applied: CompensationApplied) -> Floats:
+        """Return the offset of each axis that a read-back tells [m], within the own limits."""
+        in_force = dict(zip(applied.axis, applied.offset, strict=True))
+        offset = np.array([in_force.get(axis, 0.0) for axis in self._axes])
+        return np.asarray(np.clip(offset, -self._config.offset_max, self._config.offset_max))
+
+    def _agrees(self, applied: CompensationApplied) -> bool:
+        """Whether the offsets in force are those that were told last."""
+        return np.array_equal(self._in_force(applied), self._offset)
+
+    @property
+    def _doubt(self) -> str:
+        """Which input comes from several nodes; empty if none does."""
+        return next(iter(self.sources.refusals.values()), '')
+
+    def _refusal(self, error: ThermalError) -> str:
+        """Say why an error must not be followed; empty if it may."""
+        if self._doubt:
+            return self._doubt
+        machine = self.newest('machine_state', error.stamp)
+        if not isinstance(machine, MachineState):
+            return 'no fresh machine_state'
+        if not (machine.offsets_allowed and machine.homed):
+            return 'machine does not allow offsets' if machine.homed else 'machine is not homed'
+        if not error.valid:
+            return f'thermal error invalid: {_reason_text(error.reason)}'
+        if not error.in_domain:
+            return 'temperatures lie outside what the model was trained on'
+        missing = [axis for axis in self._axes if axis not in error.axis]
+        if missing:
+            return f'thermal error lacks axis {", ".join(missing)}'
+        wild = ~(np.abs(error.error) <= self._config.error_max)  # true for NaN
+        if np.any(wild):
+            axis, value = np.array(error.axis)[wild][0], float(error.error[wild][0])
+            return (
+                f'thermal error of {axis}: expected at most {1e6 * self._config.error_max:g} um, '
+                f'what error_max lets a model say, but found {1e6 * value:g} um'
+            )
+        return ''
+
+    def _errors(self, error: ThermalError) -> Floats:
+        """Pick the error of each axis; the first channel speaks for an axis with several."""
+        return np.array([error.error[error.axis.index(axis)] for axis in self._axes])
+
+    def _update(self, stamp: int) -> Emission:
+        """Decide the state at `stamp`, move the offsets and set the next deadline."""
+        config = self._config
+        if self._good_at is not None and self._bad_since is None and self._active:
+            if stamp - self._good_at > nanoseconds(config.stale_after):
+                self._bad_since = self._good_at + nanoseconds(config.stale_after)
+                self._why = 'thermal error is late'
+        self._state = self._decide(stamp)
+        if self._state is CompensationState.ACTIVE:
+            self._move(self._target, config.slew_max, stamp)
+        elif self._state is CompensationState.HOLDING:
+            self._move(self._offset, config.slew_max, stamp)
+        else:
+            self._move(np.zeros(len(self._axes)), config.ramp_rate, stamp)
+            if not self._offset.any():
+                at_zero = CompensationState.EXPIRED if self._active else CompensationState.INACTIVE
+                self._state = at_zero
+        self._wake_at = self._following_deadline(stamp)
+        return Emission('compensation', self._message(stamp))
+
+    def _decide(self, stamp: int) -> CompensationState:
+        if not self._active:
+            return CompensationState.RAMPING
+        if self._bad_since is None:
+            return CompensationState.ACTIVE
+        if not self._offset.any():
+            return CompensationState.EXPIRED
+        if stamp - self._bad_since < nanoseconds(self._config.hold_time):
+            return CompensationState.HOLDING
+        return CompensationState.RAMPING
+
+    def _move(self, target: Floats, rate: float, stamp: int) -> None:
+        """Move toward `target`, within the size limit and no faster than `rate` [m/s].
+
+        Time at rest earns no credit: one update moves by at most one period's worth, so that
+        the machine is never told a step after a pause.
+        """
+        limit = self._config.offset_max
+        wanted = np.clip(target, -limit, limit)
+        self._at_limit = np.abs(target) > limit
+        elapsed = min(max(stamp - self._moved_at, 0) / SECOND, self._config.period)
+        step = rate * elapsed
+        change = np.clip(wanted - self._offset, -step, step)
+        self._slewing = np.abs(wanted - self._offset) > step
+        # Without a limit at work the target itself is taken, free of rounding.
+        self._offset = np.where(self._slewing, self._offset + change, wanted)
+        self._moved_at = max(stamp, self._moved_at)
+
+    def _following_deadline(self, stamp: int) -> int | None:
+        period = nanoseconds(self._config.period)
+        if self._state is CompensationState.INACTIVE:
+            return None
+        if self._state is CompensationState.EXPIRED:
+            # At zero an expired command on the machine changes nothing: rest.
+            return None
+        if self._slewing.any() or self._state is CompensationState.RAMPING:
+            return stamp + period
+        if self._state is CompensationState.HOLDING and self._bad_since is not None:
+            release = self._bad_since + nanoseconds(self._config.hold_time)
+            return max(stamp + 1, min(release, stamp + nanoseconds(self._config.validity / 2)))
+        # Errors may come more slowly than a command expires on the machine.
+        late = (self._good_at or stamp) + nanoseconds(self._config.stale_after) + 1
+        return max(stamp + 1, min(late, stamp + nanoseconds(self._config.validity / 2)))
+
+    def _message(self, stamp: int) -> Compensation:
+        size = len(self._axes)
+        self._told_at, self._told_epoch = stamp, self._epoch
+        return Compensation(
+            stamp=stamp,
+            frame_id=self.frame('machine'),
+            epoch=self._epoch,
+            state=int(self._state),
+            axis=self._axes,
+            offset=self._offset.copy(),
+            slope=np.zeros(size),
+            reference_position=np.zeros(size),
+            at_limit=self._at_limit.copy(),
+            slewing=self._slewing.copy(),
+            valid_until=stamp + nanoseconds(self._config.validity),
+            source=('thermal_error',),
+        )
+
+
+def _reason_text(reason: int) -> str:
+    """Return a reason in words; a newer sender may know more of them."""
+    known = {item.value: item.name.lower().replace('_', ' ') for item in Reason}
+    return known.get(reason, f'reason {reason}')

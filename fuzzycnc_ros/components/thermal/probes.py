@@ -1,0 +1,193 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Probed thermal errors out of the messages of a machine.
+
+A probe counts as what the bare machine would have shown: where compensation was active, what the
+machine applied at that moment is taken off again, and where that is not known to within the
+probe's own noise the probe is refused.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
+from fuzzycnc_ros.core.thermal.run import DISPLACEMENT_MAX
+from fuzzycnc_ros.runtime.records import (
+    SECOND,
+    CompensationApplied,
+    Displacement,
+    Floats,
+    Names,
+    Stamp,
+    nanoseconds,
+)
+
+READ_BACK_AGE_MAX = 60.0
+"""Age [s] beyond which two read-backs do not tell what was applied between them."""
+
+WAITING_MAX = 1000
+"""Probes and read-backs that are kept for a sample that does not come."""
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """Probed error of the bare machine.
+
+    Attributes
+    ----------
+    stamp : int
+        When it was measured, machine time [ns].
+    channel, axis : tuple of str
+        Measuring channel and ISO 841 axis of each value.
+    error : ndarray
+        Thermal error [m]; NaN where nothing usable was measured.
+    deviation : ndarray
+        Standard deviation of each value [m].
+    """
+
+    stamp: Stamp
+    channel: Names
+    axis: Names
+    error: Floats
+    deviation: Floats
+
+    def of_channels(self, channel: Names, axis: Names) -> tuple[Floats, Floats]:
+        """Return error and deviation of a model's channels, NaN where it was not probed.
+
+        A value belongs to the channel of its name; where the names differ, to the only channel of
+        its axis.
+        """
+        error, deviation = np.full((2, len(channel)), np.nan)
+        for name, along, value, spread in zip(
+            self.channel, self.axis, self.error, self.deviation, strict=True
+        ):
+            if name in channel:
+                column = channel.index(name)
+            elif axis.count(along) == 1:
+                column = axis.index(along)
+            else:
+                continue
+            error[column], deviation[column] = value, spread
+        return error, deviation
+
+
+class ProbeSource:
+    """Collect probes and read-backs between two samples.
+
+    Parameters
+    ----------
+    config : ThermalPredictorConfig
+        Least interval and least noise of probes.
+    """
+
+    def __init__(self, config: ThermalPredictorConfig) -> None:
+        self._interval = nanoseconds(config.probe_interval_min)
+        self._noise = config.probe_noise
+        self._waiting: deque[Displacement] = deque(maxlen=WAITING_MAX)
+        self._applied: deque[CompensationApplied] = deque(maxlen=WAITING_MAX)
+        self._used_at: dict[str, Stamp] = {}
+        self.trouble = ''
+        """Why the newest refused probe was refused; empty once another one is usable."""
+
+    def add(self, probe: Displacement) -> None:
+        """Take a measured displacement."""
+        self._waiting.append(probe)
+
+    def add_read_back(self, applied: CompensationApplied) -> None:
+        """Take what the machine applies."""
+        self._applied.append(applied)
+
+    def take(self, stamp: Stamp, since: Stamp) -> tuple[Probe, ...]:
+        """Return the usable probes up to the sample of `stamp`, oldest first.
+
+        Parameters
+        ----------
+        stamp : int
+            Stamp of the sample [ns].
+        since : int
+            Thermal reference [ns]; a displacement from before it is meant against another zero.
+        """
+        usable = [self._probe(item) for item in self._waiting if since < item.stamp <= stamp]
+        self._waiting.clear()
+        while len(self._applied) > 1 and self._applied[1].stamp <= stamp:
+            self._applied.popleft()
+        return tuple(probe for probe in usable if probe is not None)
+
+    def _probe(self, record: Displacement) -> Probe | None:
+        """Return what a record says of the bare machine, None if nothing."""
+        due = [
+            record.stamp - self._used_at.get(name, -self._interval) >= self._interval
+            for name in record.channel
+        ]
+        # A value that may be off by more than any error can be says nothing.
+        vague = record.standard_deviation > DISPLACEMENT_MAX
+        usable = np.isfinite(record.displacement) & np.array(due, dtype=np.bool_) & ~vague
+        if not usable.any():
+            return None
+        error = np.where(usable, record.displacement, np.nan)
+        if record.includes_compensation:
+            try:
+                error = error - self._offsets(record)
+            except ValueError as refusal:
+                self.trouble = f'probe at {record.stamp / SECOND:.3f} s refused: {refusal}'
+                return None
+        usable = np.isfinite(error)
+        if not usable.any():
+            self.trouble = (
+                f'probe at {record.stamp / SECOND:.3f} s refused: expected a read-back of finite '
+                'offsets (compensation_applied) but found none; see the bridge of the machine'
+            )
+            return None
+        if np.nanmax(np.abs(error)) > DISPLACEMENT_MAX:
+            self.trouble = (
+                f'probe at {record.stamp / SECOND:.3f} s refused: expected errors within '
+                f'{1e6 * DISPLACEMENT_MAX:g} um but found {1e6 * np.nanmax(np.abs(error)):g} um; '
+                'are displacements in m?'
+            )
+            return None
+        for name in np.array(record.channel)[usable]:
+            self._used_at[str(name)] = record.stamp
+        self.trouble = ''
+        # A probe of unknown deviation gets the least one.
+        deviation = np.fmax(record.standard_deviation, self._noise)
+        return Probe(record.stamp, record.channel, record.axis, error, deviation)
+
+    def _offsets(self, record: Displacement) -> Floats:
+        """Return what was applied at the time of a probe, per value [m].
+
+        Raises
+        ------
+        ValueError
+            If it is not known to within the noise of a probe.
+        """
+        before = [item for item in self._applied if item.stamp <= record.stamp][-1:]
+        after = [item for item in self._applied if item.stamp >= record.stamp][:1]
+        if not before or not after:
+            raise ValueError(
+                'compensation was active but no read-back (compensation_applied) tells how much '
+                'before and after it; probe with compensation inactive, or publish the read-back'
+            )
+        span = after[0].stamp - before[0].stamp
+        if span > nanoseconds(READ_BACK_AGE_MAX):
+            raise ValueError(
+                f'compensation was active but read-backs are {span / SECOND:g} s apart, more than '
+                f'{READ_BACK_AGE_MAX:g} s; publish compensation_applied more often'
+            )
+        share = (record.stamp - before[0].stamp) / span if span else 0.0
+        offsets = []
+        for axis in record.axis:
+            first, second = _offset_of(before[0], axis), _offset_of(after[0], axis)
+            if abs(second - first) > self._noise:
+                raise ValueError(
+                    f'compensation of {axis} moved by {1e6 * abs(second - first):.1f} um between '
+                    'two read-backs; probe while it is at rest'
+                )
+            offsets.append(first + share * (second - first))
+        return np.array(offsets)
+
+
+def _offset_of(applied: CompensationApplied, axis: str) -> float:
+    """Return the offset of an axis; one that takes no offsets has none."""
+    return float(applied.offset[applied.axis.index(axis)]) if axis in applied.axis else 0.0

@@ -1,0 +1,422 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""One model on its way along the stream: what it has seen since the reference, what it says now.
+
+`thermal_predictor` keeps one of these for the model in use, and another for a model that is to
+take over.  Both see the same samples, so that either can be published at any time.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fuzzycnc_ros.components.thermal.predictor_checkpoint import read_blocks, write_blocks
+from fuzzycnc_ros.components.thermal.probe_correction import ProbeCorrection
+from fuzzycnc_ros.components.thermal.sample_memory import Heard
+from fuzzycnc_ros.components.thermal.substitution import RiseSource
+from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
+from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.core.thermal import ThermalModel
+from fuzzycnc_ros.core.thermal.fade import Fade
+from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatch
+from fuzzycnc_ros.runtime.codes import Reason, Status
+from fuzzycnc_ros.runtime.component import Health, Level
+from fuzzycnc_ros.runtime.records import (
+    SECOND,
+    Floats,
+    Names,
+    PredictorState,
+    SensorSelection,
+    Stamp,
+    Temperatures,
+    ThermalReference,
+    nanoseconds,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a model says of one sample, probes considered; arrays of shape (c,).
+
+    `outside` says why the sample is out of domain; it is empty if it is not.
+    """
+
+    error: Floats
+    deviation: Floats
+    outside: str
+    substituted: Names
+    substitute: Names
+
+
+class ModelHistory:
+    """A model, the history that it rests on, and its prediction for the newest sample.
+
+    Parameters
+    ----------
+    text : str
+        Text of a model file.
+    config : ThermalPredictorConfig
+        Parameters of the predictor; `config` may be set anew at any time.
+
+    Raises
+    ------
+    ModelFileError
+        If it is no model file or damaged.
+    """
+
+    def __init__(self, text: str, config: ThermalPredictorConfig) -> None:
+        self.text, self.config = text, config
+        self.model = ThermalModel.from_json(text)
+        self.hash = text_hash(text)
+        self.label = f'{"/".join(dict.fromkeys(self.model.default))} {self.hash[:12]}'
+        self.correction = ProbeCorrection(self.model, config)
+        self._reference: ThermalReference | None = None
+        self._checkpoint: PredictorState | None = None
+        self._selection: SensorSelection | None = None
+        self._warm: dict[str, float] = {}
+        """Inputs that were warm when the reference was taken, by how much [K]."""
+        self._forget()
+        self.refuse(Reason.NO_REFERENCE, 'waiting for temperatures')
+
+    def _forget(self) -> None:
+        """Drop the history."""
+        self.prediction: Prediction | None = None
+        self.remainder = Fade(np.zeros(len(self.model.channel)))
+        """What is left of a model from which this one has taken over [m]; fades to zero."""
+        self._stream = self.model.start()
+        self._stepped_at: Stamp | None = None
+        self._predicted_at: Stamp | None = None
+        self._unknown_since: Stamp | None = None
+        self._vector: Floats | None = None
+        self._source: RiseSource | None = None
+        self._watch = sensor_watch(self.model, self.config)
+
+    def begin(
+        self,
+        reference: ThermalReference,
+        heard: Iterable[Heard],
+        checkpoint: PredictorState | None,
+    ) -> None:
+        """Start the history at a reference, from the samples since the cold start.
+
+        Parameters
+        ----------
+        reference : ThermalReference
+            What rises are meant against.
+        heard : iterable of Heard
+            Samples at hand, oldest first; a reference set long ago says nothing about those from
+            before its own cold start.
+        checkpoint : PredictorState, optional
+            State of an earlier life, used if it belongs to this model; what belongs to a run,
+            only if the reference is the same.
+        """
+        self._forget()
+        if self._reference is None:
+            self._remember(checkpoint)
+        self._reference, self._checkpoint = reference, checkpoint
+        known = dict(zip(reference.sensor, reference.temperature.tolist(), strict=True))
+        start = [known.get(name, np.nan) for name in self.model.inputs]
+        self._warm = self.model.warmth(start)
+        self.correction.begin()
+        for item in heard:
+            self.take(item)
+
+    def select(self, selection: SensorSelection | None) -> None:
+        """Take the substitutes of another selection."""
+        self._selection, self._source = selection, None
+
+    def take(self, heard: Heard) -> None:
+        """Step the model to a sample; sets `prediction`, or None with `reason` and `detail`."""
+        self.prediction = None
+        error = self._step(heard)
+        if error is None or self._vector is None:
+            self.correction.pause()
+            return
+        stamp = heard.sample.stamp
+        distance = float(self.model.distance(self._vector))
+        error, deviation = self.correction.apply(
+            stamp,
+            error,
+            self.model.standard_deviation(self._vector),
+            distance,
+            heard.probes,
+            self.config.correction_time,
+        )
+        if self.remainder.remaining and self._predicted_at is not None:
+            error = error + self.remainder.advance((stamp - self._predicted_at) / SECOND)
+        self._predicted_at = stamp
+        assert self._source is not None
+        self.prediction = Prediction(
+            error=error,
+            deviation=deviation,
+            outside=self._outside(heard.spindle_speed),
+            substituted=self._source.substituted,
+            substitute=self._source.substitute,
+        )
+
+    def inherit(self, remainder: Fade) -> None:
+        """Take over from another model: publish what is left of it too, less and less."""
+        assert self.prediction is not None
+        shift = remainder.value - self.remainder.value
+        self.prediction = replace(self.prediction, error=self.prediction.error + shift)
+        self.remainder = remainder
+
+    def refuse(self, reason: Reason, detail: str) -> None:
+        """Say why there is no prediction."""
+        self.reason, self.detail = reason, detail
+
+    @property
+    def substitutions(self) -> str:
+        """Which inputs a mate stands in for, in words; empty if none."""
+        if self._source is None or not self._source.substituted:
+            return ''
+        pairs = zip(self._source.substituted, self._source.substitute, strict=True)
+        text = 'substituted: ' + ', '.join(f'{lost} by {mate}' for lost, mate in pairs)
+        if self._source.voted_out:
+            drifting = ', '.join(self._source.voted_out)
+            text += f'; {drifting} drifted away from its mates'
+        return text
+
+    def health(self) -> list[Health]:
+        """Report what of the model, or of its reference, an operator has to know."""
+        items = []
+        if self.model.uncompensated:
+            text = f'{", ".join(self.model.uncompensated)}: no model was better beyond chance'
+            items.append(Health('uncompensated', Level.OK, text))
+        if self.model.losing:
+            items.append(Health('forced', Level.WARN, losses_of(self.model)))
+        if self._warm:
+            sensors = ', '.join(f'{name} {kelvin:+.1f} K' for name, kelvin in self._warm.items())
+            text = f'the machine was warm when the reference was taken: {sensors}'
+            items.append(Health('reference', Level.WARN, text))
+        return items
+
+    def state(self, stamp: Stamp, frame_id: str, remainder: Fade | None = None) -> PredictorState:
+        """Return a checkpoint from which `begin` resumes.
+
+        Parameters
+        ----------
+        stamp : int
+            Stamp of the newest sample [ns].
+        frame_id : str
+            Frame of the machine.
+        remainder : Fade, optional
+            What the published error is apart from this model's, if not its own `remainder`.
+        """
+        assert self._reference is not None
+        assert self._vector is not None
+        blocks = dict(self.correction.blocks)
+        left = self.remainder if remainder is None else remainder
+        if left.remaining:
+            blocks['remainder'] = left.state
+        if self._watch is not None and self._watch.faulty.any():
+            blocks['watch'] = self._watch.state
+        sensors = len(self.model.inputs)
+        recursion = np.concatenate([self._stream.state, self._vector[sensors:]])
+        return PredictorState(
+            stamp=stamp,
+            frame_id=frame_id,
+            model_hash=self.hash,
+            reference_stamp=self._reference.stamp,
+            input=self.model.inputs,
+            last_rise=self._vector[:sensors],
+            state=write_blocks(recursion, blocks),
+        )
+
+    def _step(self, heard: Heard) -> Floats | None:
+        """Step the model; return the error [m], or None and set the reason."""
+        stamp = heard.sample.stamp
+        # Before the sample is read: the checkpoint knows which sensors were voted out.
+        if self._stepped_at is None and self._unknown_since is None:
+            self._take_checkpoint(stamp)
+        vector = self._vector_of(heard)
+        if vector is None:
+            return None
+        self._resume(stamp)
+        interval = nanoseconds(self.model.interval)
+        steps = 1
+        if self._stepped_at is not None:
+            elapsed = stamp - self._stepped_at
+            steps = round(elapsed / interval)
+            if steps == 0 or abs(elapsed - steps * interval) > 0.1 * elapsed:
+                self.refuse(
+                    Reason.NO_MODEL,
+                    f'the model was trained on samples every {self.model.interval:g} s but they '
+                    f'come after {elapsed / SECOND:g} s; set interval of temperature_acquisition',
+                )
+                return None
+            if elapsed > nanoseconds(self.config.gap_max) + interval:
+                self._unknown_since = stamp
+                steps = 1
+        error = self._advance(vector, steps)
+        self._stepped_at = stamp
+        self._vector = vector
+        if not np.isfinite(error).all():
+            self.refuse(
+                Reason.NO_MODEL,
+                f'expected a finite error but {self.label} gives {error}; train the model anew',
+            )
+            return None
+        return error if self._history_is_known(stamp) else None
+
+    def _advance(self, vector: Floats, steps: int) -> Floats:
+        """Step the model, along a straight line over missing samples."""
+        if steps > 1 and self._vector is not None:
+            for number in range(1, steps):
+                self._stream.step(self._vector + (vector - self._vector) * (number / steps))
+        return self._stream.step(vector)
+
+    def _history_is_known(self, stamp: Stamp) -> bool:
+        """Say whether the history that the model rests on is known."""
+        if self._unknown_since is not None:
+            known_for = stamp - self._unknown_since
+            if known_for < nanoseconds(self.config.settle_time):
+                left = self.config.settle_time - known_for / SECOND
+                self.refuse(
+                    Reason.STATE_LOST,
+                    f'history lost; valid again after {left:.0f} s or a new thermal reference',
+                )
+                return False
+            self._unknown_since = None
+        self.refuse(Reason.NONE, '')
+        return True
+
+    def _resume(self, stamp: Stamp) -> None:
+        """Decide at the first sample, without a checkpoint, whether its history is known."""
+        if self._stepped_at is not None or self._unknown_since is not None:
+            return
+        assert self._reference is not None
+        if stamp - self._reference.stamp > nanoseconds(2.0 * self.model.interval):
+            # The machine has been warming up unseen since its reference.
+            self._unknown_since = stamp
+
+    def _remember(self, checkpoint: PredictorState | None) -> None:
+        """Take back what an earlier life has learnt of the machine, whatever its reference."""
+        if checkpoint is None or not self._owns(checkpoint):
+            return
+        try:
+            self.correction.remember(self._parts(checkpoint)[2])
+        except ValueError:
+            self.correction = ProbeCorrection(self.model, self.config)
+
+    def _take_checkpoint(self, stamp: Stamp) -> None:
+        """Go on from the state of an earlier life if it was one of this history."""
+        saved, reference = self._checkpoint, self._reference
+        if saved is None or reference is None or saved.reference_stamp != reference.stamp:
+            return
+        if not self._owns(saved) or saved.stamp >= stamp:
+            return
+        try:
+            recursion, drive, blocks = self._parts(saved)
+            self.correction.resume(saved.stamp, blocks)
+            if 'remainder' in blocks:
+                self.remainder.state = blocks['remainder']
+            if self._watch is not None and 'watch' in blocks:
+                self._watch.state = blocks['watch']
+            newest = np.concatenate([saved.last_rise, drive])
+            if len(saved.last_rise) != len(self.model.inputs) or not np.isfinite(newest).all():
+                raise ValueError(f'last_rise: expected finite rises, but found {newest}')
+            self._stream.state = recursion
+        except ValueError:
+            # A damaged checkpoint is as good as none: the history is lost, which is said aloud.
+            self.correction = ProbeCorrection(self.model, self.config)
+            self.remainder = Fade(np.zeros(len(self.model.channel)))
+            self._watch = sensor_watch(self.model, self.config)
+            self._source = None
+            return
+        self._stepped_at = self._predicted_at = saved.stamp
+        self._vector = newest
+
+    def _owns(self, checkpoint: PredictorState) -> bool:
+        """Whether a checkpoint was written for this model."""
+        return checkpoint.model_hash == self.hash and checkpoint.input == self.model.inputs
+
+    def _parts(self, checkpoint: PredictorState) -> tuple[Floats, Floats, dict[str, Floats]]:
+        """Return the state of the recursion, the newest drivers and the blocks."""
+        size = len(self._stream.state)
+        numbers, blocks = read_blocks(checkpoint.state, size + len(self.model.drivers))
+        return numbers[:size], numbers[size:], blocks
+
+    def _vector_of(self, heard: Heard) -> Floats | None:
+        """Return what the model steps with, or None and set the reason."""
+        rise = self._rise_of(heard.sample)
+        if rise is None:
+            return None
+        if self.model.needs_speed and not np.isfinite(heard.spindle_speed):
+            self.refuse(
+                Reason.SENSOR_LOST,
+                'the model reads the spindle speed but neither machine_state nor spindle_speed '
+                f'has told one for more than gap_max = {self.config.gap_max:g} s',
+            )
+            return None
+        # Whether such a speed is real or not, its heat in the state would outlast it by hours.
+        speed = min(heard.spindle_speed, self._speed_limit)
+        return np.concatenate([rise, self.model.drive(speed)])
+
+    @property
+    def _speed_limit(self) -> float:
+        """Largest spindle speed that is in domain [rad/s]."""
+        return self.config.speed_margin * self.model.speed_max
+
+    def _outside(self, spindle_speed: float) -> str:
+        """Say why the newest sample is out of domain, '' if it is not."""
+        assert self._vector is not None
+        distance = float(self.model.distance(self._vector[: len(self.model.inputs)]))
+        if self._warm and not self.config.warm_reference:
+            return (
+                'rises are meant against a warm reference; set it anew while the machine is cold, '
+                'or accept it with warm_reference'
+            )
+        if not distance <= self.config.domain_margin:
+            return (
+                f'temperatures are {distance:.1f} times as far away as the training data reach; '
+                f'domain_margin = {self.config.domain_margin:g}'
+            )
+        if spindle_speed > self._speed_limit:
+            return (
+                f'spindle speed {spindle_speed:.4g} rad/s is beyond speed_margin = '
+                f'{self.config.speed_margin:g} times the largest trained, '
+                f'{self.model.speed_max:.4g} rad/s; train with it, or see whether it is true'
+            )
+        return ''
+
+    def _rise_of(self, sample: Temperatures) -> Floats | None:
+        """Return the rises of the model's inputs, or None and set the reason."""
+        if self._reference is None:
+            self.refuse(Reason.NO_REFERENCE, 'no thermal reference (topic thermal_reference)')
+            return None
+        if self._source is None or self._source.sensor != sample.sensor:
+            try:
+                self._source = RiseSource(
+                    self.model, sample.sensor, self._reference, self._selection, self._watch
+                )
+            except ValueError as error:
+                self._source = None
+                self.refuse(Reason.NO_MODEL, str(error))
+                return None
+        rise = self._source.rise(sample.temperature, sample.status == Status.OK)
+        if rise is None:
+            lost = ', '.join(self._source.lost)
+            self.refuse(Reason.SENSOR_LOST, f'no good reading of {lost} nor of any mate')
+        return rise
+
+
+def losses_of(model: ThermalModel) -> str:
+    """Return where a model left more than no compensation on held-out samples, and how much."""
+    return ', '.join(
+        f'{channel} worse than without: {1e6 * left:.4g} um of {1e6 * bare:.4g} um'
+        for channel, (left, bare) in model.losing.items()
+    )
+
+
+def sensor_watch(model: ThermalModel, config: ThermalPredictorConfig) -> SensorWatch | None:
+    """Return the watch that a predictor keeps on a model's inputs; none for an old model file."""
+    if model.watch is None:
+        return None
+    return SensorWatch(
+        model.watch,
+        limit=config.mate_limit,
+        tolerance=config.mate_tolerance,
+        persistence=config.mate_persistence,
+    )

@@ -1,0 +1,294 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Component `thermal_predictor`: temperatures in, thermal error per axis out.
+
+What it predicts rests on three things that it never guesses: a model, the temperatures of the
+thermal reference, and the history since then.  Where one is missing it says so and publishes an
+invalid error.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from fuzzycnc_ros.components.thermal.model_swap import ModelSwap, Published
+from fuzzycnc_ros.components.thermal.probes import ProbeSource
+from fuzzycnc_ros.components.thermal.sample_memory import Heard, SampleMemory
+from fuzzycnc_ros.components.thermal.spindle_speed import OWN, STATE, SpeedSources, speed_told
+from fuzzycnc_ros.components.thermal.thermal_history import ModelHistory, losses_of
+from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
+from fuzzycnc_ros.core.config import Config
+from fuzzycnc_ros.core.thermal import ModelMismatchError, ThermalModel
+from fuzzycnc_ros.runtime.codes import Reason
+from fuzzycnc_ros.runtime.component import (
+    LATCHED,
+    Answer,
+    Component,
+    Emission,
+    Health,
+    Input,
+    Level,
+    Output,
+)
+from fuzzycnc_ros.runtime.records import (
+    CompensationApplied,
+    Displacement,
+    MachineState,
+    PredictorState,
+    Record,
+    SensorSelection,
+    SpindleSpeed,
+    Stamp,
+    Temperatures,
+    ThermalError,
+    ThermalReference,
+    nanoseconds,
+)
+
+__all__ = ['ThermalPredictor', 'ThermalPredictorConfig']
+
+NO_MODEL = 'no model; set the parameter model or call train_thermal_model'
+
+
+class ThermalPredictor(Component):
+    """Step the model with each sample; correct it by probes; let a new one take over softly."""
+
+    NAME = 'thermal_predictor'
+    SUMMARY = 'Predicts the thermal error of each axis, with deviation, domain flag, checkpoint.'
+    CONFIG = ThermalPredictorConfig
+    INPUTS = (
+        Input('sensor_selection', SensorSelection, LATCHED),
+        Input('thermal_reference', ThermalReference, LATCHED),
+        # How long the last known speed is held is a parameter, gap_max.
+        Input(STATE, MachineState, quiet=True, sole=True),
+        Input(OWN, SpindleSpeed, quiet=True),
+        Input('compensation_applied', CompensationApplied, quiet=True, sole=True),
+        Input('displacement', Displacement, quiet=True),
+        Input('temperatures', Temperatures, driving=True, sole=True),
+    )
+    OUTPUTS = (
+        Output('thermal_error', ThermalError),
+        Output('predictor_state', PredictorState, LATCHED, persistent=True),
+    )
+    _config: ThermalPredictorConfig
+
+    def __init__(self, config: ThermalPredictorConfig | None = None) -> None:
+        super().__init__(config)
+        self._swap = ModelSwap()
+        self._memory = SampleMemory()
+        self._probes = ProbeSource(self._config)
+        self._probing = self._config.probing != 'none' or self._config.adaptation > 0.0
+        self._reference: ThermalReference | None = None
+        self._checkpoint: PredictorState | None = None
+        self._speeds = SpeedSources()
+        self._told: PredictorState | None = None
+        self._former: ThermalReference | None = None
+        """What the checkpoint of before a step of the clock was meant against."""
+
+    @property
+    def model(self) -> ThermalModel | None:
+        """The model in use."""
+        return self._swap.in_use.model if self._swap.in_use is not None else None
+
+    @property
+    def model_text(self) -> str:
+        """Text of the model file that was asked for last."""
+        return self._swap.wanted.text if self._swap.wanted is not None else ''
+
+    def reconfigure(self, config: Config) -> None:
+        """Take live parameters; they act from the next sample on."""
+        super().reconfigure(config)
+        for history in self._swap.models:
+            history.config = self._config
+
+    def use_model(self, text: str) -> str:
+        """Take a model from the text of its file; return how it comes into use, in words.
+
+        It begins with the samples at hand.  While another model predicts, it takes over when its
+        own history is known, and then within `swap_time`.
+
+        Raises
+        ------
+        ModelFileError
+            If it is no model file or damaged; the model in use stays.
+        ModelMismatchError
+            If another model predicts from the stream and this one cannot, or if this one is worse
+            than no compensation and `force` is false; the model in use stays.
+        """
+        kept = self._swap.keep(text)
+        if kept:
+            return kept
+        history = ModelHistory(text, self._config)
+        if history.model.losing and not self._config.force:
+            raise ModelMismatchError(refusal_of(history.model))
+        in_use, newest = self._swap.in_use, self._memory.newest
+        if newest is not None and in_use is not None and in_use.reason is Reason.NONE:
+            history.model.check_stream(newest.sample.sensor, in_use.model.interval)
+        history.select(self._selection)
+        if self._reference is not None:
+            since = self._memory.since(self._reference.cold_since)
+            history.begin(self._reference, since, self._checkpoint)
+        return self._swap.add(history)
+
+    def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
+        """`use_model`: go on with another model, from the history that is still at hand."""
+        if name != 'use_model':
+            return super().on_request(name, arguments, stamp)
+        try:
+            return Answer(True, self.use_model(str(arguments['model'])))
+        except ValueError as error:
+            return Answer(False, str(error))
+
+    def renewed(self, step: int) -> 'tuple[ThermalPredictor, list[Emission]]':
+        """Begin with the same model; the history goes on once the same reference comes anew."""
+        fresh = self._afresh()
+        if self._selection is not None:
+            fresh._newest['sensor_selection'] = self._selection
+        fresh._checkpoint = self._checkpoint
+        if self._told is not None and self._reference is not None:
+            fresh._former = self._reference
+            fresh._checkpoint = replace(self._told, stamp=max(0, self._told.stamp + step))
+        if self.model_text:
+            fresh.use_model(self.model_text)
+        return fresh, []
+
+    def restore(self, output: str, record: Record) -> None:
+        """Take back the checkpoint of an earlier life."""
+        if isinstance(record, PredictorState):
+            self._checkpoint = record
+
+    def on_sensor_selection(self, selection: SensorSelection) -> None:
+        """Take the substitutes of a new selection."""
+        for history in self._swap.models:
+            history.select(selection)
+
+    def on_thermal_reference(self, reference: ThermalReference) -> None:
+        """Start a new history at a new reference."""
+        known = self._reference
+        if known is not None and known.stamp == reference.stamp:
+            return
+        former, checkpoint = self._former, self._checkpoint
+        if former is not None and checkpoint is not None and _same(former, reference):
+            self._checkpoint = replace(checkpoint, reference_stamp=reference.stamp)
+        self._reference, self._former = reference, None
+        self._swap.begin(reference, self._memory, self._checkpoint)
+
+    def on_machine_state(self, state: MachineState) -> None:
+        """Note the spindle speed that the controller reports."""
+        self._speeds.note(STATE, state.stamp, speed_told(STATE, state))
+
+    def on_spindle_speed(self, speed: SpindleSpeed) -> None:
+        """Note the spindle speed that a source of its own tells."""
+        self._speeds.note(OWN, speed.stamp, speed_told(OWN, speed))
+
+    def on_compensation_applied(self, applied: CompensationApplied) -> None:
+        """Note what probes of this time include."""
+        if self._probing:
+            self._probes.add_read_back(applied)
+
+    def on_displacement(self, probe: Displacement) -> None:
+        """Note a probe; without probing a displacement is for training only."""
+        if self._probing:
+            self._probes.add(probe)
+
+    def on_temperatures(self, sample: Temperatures) -> Iterator[Emission]:
+        """Predict from one sample."""
+        since = self._reference.stamp if self._reference is not None else sample.stamp
+        heard = Heard(sample, self._speed_at(sample.stamp), self._probes.take(sample.stamp, since))
+        self._memory.add(heard, self._config.settle_time)
+        published = self._swap.take(heard)
+        if published is None:
+            yield Emission('thermal_error', self._invalid(sample))
+            return
+        yield Emission('thermal_error', self._valid(sample, published))
+        self._told = self._swap.state(sample.stamp, self.frame('machine'))
+        yield Emission('predictor_state', self._told)
+
+    def health(self) -> list[Health]:
+        """Report what is predicted with, which sensors are substituted, what probes say."""
+        history = self._swap.in_use
+        if history is None:
+            return [Health('prediction', Level.ERROR, NO_MODEL)]
+        if history.reason is not Reason.NONE:
+            items = [Health('prediction', Level.ERROR, history.detail)]
+        else:
+            items = [Health('prediction', Level.OK, f'predicting with {history.label}')]
+        items += history.health()
+        if history.prediction is not None and history.prediction.outside:
+            items.append(Health('domain', Level.WARN, history.prediction.outside))
+        items += self._swap.health()
+        if history.model.needs_speed:
+            items.append(self._speeds.health())
+        if history.substitutions:
+            items.append(Health('substitution', Level.WARN, history.substitutions))
+        items += history.correction.health()
+        if self._probing and self._probes.trouble:
+            items.append(Health('probe', Level.WARN, self._probes.trouble))
+        return items
+
+    @property
+    def _selection(self) -> SensorSelection | None:
+        selection = self._newest.get('sensor_selection')
+        return selection if isinstance(selection, SensorSelection) else None
+
+    def _speed_at(self, stamp: Stamp) -> float:
+        """Return the size of the spindle speed [rad/s], NaN if it has been unknown too long."""
+        told = self._speeds.newest
+        if told is None or stamp - told.stamp > nanoseconds(self._config.gap_max):
+            return np.nan
+        return abs(told.speed)
+
+    def _valid(self, sample: Temperatures, published: Published) -> ThermalError:
+        prediction = published.prediction
+        return ThermalError(
+            stamp=sample.stamp,
+            frame_id=self.frame('workpiece'),
+            axis=published.axis,
+            channel=published.channel,
+            error=prediction.error,
+            standard_deviation=prediction.deviation,
+            valid=True,
+            reason=int(Reason.NONE),
+            in_domain=not prediction.outside,
+            model=published.label,
+            substituted=prediction.substituted,
+            substitute=prediction.substitute,
+        )
+
+    def _invalid(self, sample: Temperatures) -> ThermalError:
+        """Return an error that says it must not be used."""
+        history = self._swap.in_use
+        axis, channel = (history.model.axis, history.model.channel) if history else ((), ())
+        nothing = np.full(len(axis), np.nan)
+        return ThermalError(
+            stamp=sample.stamp,
+            frame_id=self.frame('workpiece'),
+            axis=axis,
+            channel=channel,
+            error=nothing,
+            standard_deviation=nothing.copy(),
+            valid=False,
+            reason=int(history.reason if history else Reason.NO_MODEL),
+            in_domain=False,
+            model=history.label if history else '',
+            substituted=(),
+            substitute=(),
+        )
+
+
+def refusal_of(model: ThermalModel) -> str:
+    """Return why a model that is worse than none is not used, and what to do."""
+    return (
+        f'expected less to be left than without compensation, but found {losses_of(model)}; '
+        f'train with --model auto, which leaves {", ".join(model.losing)} uncompensated, or use '
+        'it all the same with the parameter force (fuzzycnc up --force-model)'
+    )
+
+
+def _same(one: ThermalReference, other: ThermalReference) -> bool:
+    """Whether two references are one, told with stamps of two series."""
+    return one.sensor == other.sensor and np.array_equal(
+        one.temperature, other.temperature, equal_nan=True
+    )

@@ -1,0 +1,36 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""All components by node name, in the order of their turns."""
+
+from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge
+from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge
+from fuzzycnc_ros.components.machine.simulated_body import SimulatedBody
+from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachine
+from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
+from fuzzycnc_ros.components.servo.servo_controller import ServoController
+from fuzzycnc_ros.components.soft.deformation_compensator import DeformationCompensator
+from fuzzycnc_ros.components.thermal.compensator import Compensator
+from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
+from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisition
+from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
+from fuzzycnc_ros.runtime.component import Component
+
+MACHINES = (SimulatedMachine.NAME, LinuxcncBridge.NAME, OpcuaBridge.NAME, SimulatedBody.NAME)
+"""What stands for a machine, the last one beside a bridge; no recording can give it back."""
+
+COMPONENTS: dict[str, type[Component]] = {
+    item.NAME: item
+    for item in (
+        SimulatedMachine,
+        LinuxcncBridge,
+        OpcuaBridge,
+        SimulatedBody,
+        TemperatureAcquisition,
+        SensorSelector,
+        ThermalPredictor,
+        Compensator,
+        DeformationCompensator,
+        FeedrateScheduler,
+        ServoController,
+    )
+}

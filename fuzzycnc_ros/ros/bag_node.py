@@ -1,0 +1,87 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the nodes that play and record bags share: parameters, patterns, the bag, health."""
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Generic, Protocol, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from fuzzycnc_ros.bags.errors import BagError
+from fuzzycnc_ros.core.config import Config
+from fuzzycnc_ros.ros.diagnostics import diagnostic_array
+from fuzzycnc_ros.ros.parameters import ParameterError, declare
+from fuzzycnc_ros.runtime.component import Health
+
+C = TypeVar('C', bound=Config)
+
+
+class Closing(Protocol):
+    """What can be closed."""
+
+    def close(self) -> object:
+        """Close it."""
+
+
+class BagNode(Generic[C]):
+    """Base of the nodes that hold a bag: their parameters, and what they say of themselves.
+
+    Parameters
+    ----------
+    node : Node
+        The node.
+    record : type of Config
+        Its parameters.
+    """
+
+    exit_code = 0
+
+    def __init__(self, node: Node, record: type[C]) -> None:
+        self.node = node
+        (config,) = declare(node, record)
+        assert isinstance(config, record)
+        self._config: C = config
+        self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+
+    def _publish_health(self, health: Sequence[Health]) -> None:
+        """Publish on /diagnostics how the node is."""
+        name, now = self.node.get_fully_qualified_name(), self.node.get_clock().now()
+        self._diagnostics.publish(diagnostic_array(name, '', health, {}, now.to_msg()))
+
+
+def pattern(name: str, text: str) -> re.Pattern[str]:
+    """Return the regular expression that a parameter holds.
+
+    Raises
+    ------
+    ParameterError
+        If it is none.
+    """
+    try:
+        return re.compile(text)
+    except re.error as error:
+        raise ParameterError(
+            f'parameter {name}: {text!r} is no regular expression: {error}'
+        ) from error
+
+
+@contextmanager
+def bag_refused() -> Iterator[None]:
+    """Refuse a bag that cannot be used as a wrong parameter: the node does not start."""
+    try:
+        yield
+    except BagError as error:
+        raise ParameterError(str(error)) from error
+
+
+@contextmanager
+def closed_on_failure(bag: Closing) -> Iterator[None]:
+    """Close a bag if what is built around it fails; a signal must not leave it torn either."""
+    try:
+        yield
+    except BaseException:
+        bag.close()
+        raise

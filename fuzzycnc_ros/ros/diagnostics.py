@@ -1,0 +1,81 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A component's health as `/diagnostics`."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from fuzzycnc_ros.runtime.component import STREAM, Health, Level
+from fuzzycnc_ros.runtime.merge import Merger
+from fuzzycnc_ros.runtime.records import SECOND
+
+LATE_FACTOR = 3.0
+"""An input is late when it is silent for this many of its own intervals: slow is not late."""
+
+
+def input_health(merger: Merger, now: int) -> list[Health]:
+    """Say which stream inputs are late or lose records, and which of all got nonsense.
+
+    Parameters
+    ----------
+    merger : Merger
+        The merge of the component's inputs.
+    now : int
+        Machine time [ns].
+    """
+    items = []
+    for declared in merger.component.INPUTS:
+        count = merger.counts[declared.name]
+        if declared.durability is not STREAM and not count.refusal:
+            continue
+        values = {
+            'received': str(count.received),
+            'dropped': str(count.dropped),
+            'late': str(count.late),
+            'refused': str(count.refused),
+        }
+        if count.refusal:
+            text = f'refused: {count.refusal}'
+            items.append(Health(declared.name, Level.ERROR, text, values))
+            continue
+        if count.newest is None:
+            level = Level.WARN if declared.driving else Level.OK
+            items.append(Health(declared.name, level, 'nothing received yet', values))
+            continue
+        age = (now - count.newest) / SECOND
+        usual = count.interval / SECOND
+        if usual > 0.0 and age > LATE_FACTOR * usual:
+            assert count.last is not None, 'it has a stamp'
+            meaning = merger.component.silence(declared.name, count.last)
+            level = Level.ERROR if meaning else Level.WARN
+            text = f'late: newest is {age:.1f} s old, usual interval {usual:.1f} s'
+            text += f'; {meaning}' if meaning else ''
+            items.append(Health(declared.name, level, text, values))
+        elif count.dropped or count.late:
+            text = f'dropped: {count.dropped} not newer than the last, {count.late} too late'
+            items.append(Health(declared.name, Level.WARN, text, values))
+        else:
+            items.append(Health(declared.name, Level.OK, 'in time', values))
+    return items
+
+
+def diagnostic_array(
+    node: str, hardware: str, health: Iterable[Health], troubles: Mapping[str, str], stamp: Any
+) -> DiagnosticArray:
+    """Return the message of a node's health."""
+    array = DiagnosticArray()
+    array.header.stamp = stamp
+    items = [*health, *(Health(name, Level.ERROR, text) for name, text in troubles.items())]
+    array.status = [
+        DiagnosticStatus(
+            level=bytes([item.level]),
+            name=f'{node.strip("/")}: {item.name}',
+            message=item.message,
+            hardware_id=hardware,
+            values=[KeyValue(key=key, value=value) for key, value in item.values.items()],
+        )
+        for item in items
+    ]
+    return array

@@ -1,0 +1,102 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Start nodes, spin them, end cleanly."""
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions, install_signal_handlers
+
+from fuzzycnc_ros.bags.uninterrupted import uninterrupted
+from fuzzycnc_ros.ros.arguments import initialise
+from fuzzycnc_ros.ros.ending import REFUSED, Wish, interruptible
+from fuzzycnc_ros.ros.environment import prepare_environment
+from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.ros.visible_log import spell_out_logs, tell_error
+
+
+class Served(Protocol):
+    """What `run` needs of the object that serves a node."""
+
+    node: Node
+    exit_code: int
+
+    @property
+    def done(self) -> bool:
+        """Whether the node has nothing left to do and its process may end."""
+
+    def start(self) -> None:
+        """Begin; all nodes of the process exist by now or follow."""
+
+    def stop(self) -> None:
+        """Release what the node holds."""
+
+
+HostFactory = Callable[[], Served]
+
+
+def main(make: HostFactory, arguments: Sequence[str] | None = None) -> None:
+    """Run one node until it is interrupted, asked to end, or done.
+
+    The process ends with 0 on SIGINT, SIGTERM and at the end of a programme, and with 2 and one
+    line on standard error if a parameter or argument is wrong.
+    """
+    sys.exit(run([make], arguments))
+
+
+def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -> int:
+    """Run several nodes in one process; return the exit code."""
+    spell_out_logs()
+    try:
+        prepare_environment()
+    except ValueError as error:
+        tell_error(error)
+        return REFUSED
+    try:
+        with interruptible() as wish:
+            return _spin(makers, arguments, wish)
+    except KeyboardInterrupt:  # before there were nodes, or while they were ended
+        return 0
+
+
+def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: Wish) -> int:
+    """Run nodes until a wish to end is heard or one is done; return the exit code."""
+    hosts: list[Served] = []
+    # The multi-threaded and the events executor stalled or hung in trials on Jazzy.
+    executor: SingleThreadedExecutor | None = None
+    refused = 0
+    try:
+        with uninterrupted():  # what is half made could not be stopped
+            initialise(arguments)
+            executor = SingleThreadedExecutor()
+            for make in makers:
+                host = make()
+                hosts.append(host)
+                executor.add_node(host.node)
+                host.start()
+            # They wake an executor that waits, and end the context.
+            install_signal_handlers(SignalHandlerOptions.ALL)
+        while rclpy.ok() and not any(host.done for host in hosts):
+            executor.spin_once()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass  # the wish is carried out below
+    except RuntimeError:
+        # A signal that arrives while the executor builds its wait set, or a message is made of
+        # what was received, ends up here.
+        if not wish.number:
+            raise
+    except ParameterError as error:
+        tell_error(error)
+        refused = REFUSED
+    finally:
+        for host in reversed(hosts):
+            host.stop()
+        if executor is not None:
+            executor.shutdown()
+        rclpy.try_shutdown()
+    # Only now: what a node holds may fail to be written to its end.
+    return max([refused, *(host.exit_code for host in hosts)])

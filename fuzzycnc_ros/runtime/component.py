@@ -1,0 +1,262 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The declaration of a node's interface and the base of every component.
+
+A component is driven by records and their stamps alone: it asks no clock, never sleeps and
+draws no unseeded random number.  The same object therefore runs inside a node, in the
+in-process graph, in a bag replay and in offline evaluation.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+from typing import Any, ClassVar, TypeVar
+
+from fuzzycnc_ros.core.config import Config
+from fuzzycnc_ros.runtime.command_sources import REQUEST, CommandSources
+from fuzzycnc_ros.runtime.records import Record, nanoseconds
+
+ComponentT = TypeVar('ComponentT', bound='Component')
+
+
+class Durability(Enum):
+    """How a topic is kept; the host maps it to QoS (docs/architecture.md)."""
+
+    STREAM = 'stream'
+    """Reliable, volatile; deep on the publisher's side."""
+    LATCHED = 'latched'
+    """Transient local: a late reader gets the newest message."""
+    HISTORY = 'history'
+    """Transient local, deeper: a late reader gets all that was said, for rare events."""
+
+
+STREAM, LATCHED, HISTORY = Durability.STREAM, Durability.LATCHED, Durability.HISTORY
+
+
+@dataclass(frozen=True)
+class Input:
+    """One input of a component.
+
+    Attributes
+    ----------
+    name : str
+        Topic, a relative noun, and the suffix of the method `on_<name>` that takes it.
+    record : type
+        Record type.
+    durability : Durability
+        How the topic is kept.
+    driving : bool
+        Whether a record makes the component act.  Each component has at most one such input.
+    max_age : float
+        Age [s] beyond which a record no longer counts; infinite for latched facts.
+    quiet : bool
+        Whether a record is only noted for the next driving one: nothing follows from it alone,
+        so that in lock-step it gives no turn.
+    sole : bool
+        Whether a machine depends on it, so that two nodes that publish it at once are both
+        refused; the host tells the component by the request `sources`.
+    """
+
+    name: str
+    record: type[Record]
+    durability: Durability = STREAM
+    driving: bool = False
+    max_age: float = float('inf')
+    quiet: bool = False
+    sole: bool = False
+
+
+@dataclass(frozen=True)
+class Output:
+    """One output of a component; `persistent` asks the host to keep its newest record on disk."""
+
+    name: str
+    record: type[Record]
+    durability: Durability = STREAM
+    persistent: bool = False
+
+
+@dataclass(frozen=True)
+class Emission:
+    """A record that a component publishes."""
+
+    output: str
+    record: Record
+
+
+class Level(IntEnum):
+    """Severity of a health item, as in `diagnostic_msgs/DiagnosticStatus`."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True)
+class Health:
+    """One line of a component's health."""
+
+    name: str
+    level: Level
+    message: str
+    values: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Outcome of a request: whether it was carried out, why, and what it published."""
+
+    success: bool
+    message: str
+    emissions: tuple[Emission, ...] = ()
+
+
+class Component:
+    """Base of all components.
+
+    Subclasses set the class attributes and write `on_<input>` for their driving input.  Such a
+    method may also exist for a side input, to take note of it; only driving inputs, deadlines
+    and requests emit.
+    """
+
+    NAME: ClassVar[str]
+    """Node, module, executable and parameter file."""
+    SUMMARY: ClassVar[str]
+    """One sentence for the tables of the docs."""
+    CONFIG: ClassVar[type[Config]]
+    INPUTS: ClassVar[tuple[Input, ...]] = ()
+    OUTPUTS: ClassVar[tuple[Output, ...]] = ()
+    MANAGED: ClassVar[bool] = False
+    """Whether the node has a managed lifecycle."""
+    MACHINE_SIDE: ClassVar[bool] = False
+    """Whether something moves by what it is told."""
+
+    def __init__(self, config: Config | None = None) -> None:
+        self._config = self.CONFIG() if config is None else config
+        self._newest: dict[str, Record] = {}
+        self.sources = CommandSources(item.name for item in self.INPUTS if item.sole)
+        self.machine = 'machine'
+        """Name of the machine, the first part of every frame id; the host sets it."""
+
+    @property
+    def configuration(self) -> Config:
+        """The configuration in force."""
+        return self._config
+
+    def reconfigure(self, config: Config) -> None:
+        """Take a configuration whose live parameters changed."""
+        self._config = config
+
+    @property
+    def next_deadline(self) -> int | None:
+        """Machine time [ns] at which the component wants to act without an input."""
+        return None
+
+    def receive(self, name: str, record: Record) -> Iterator[Emission]:
+        """Take one record of input `name`; yield what it causes.
+
+        Where several nodes publish what one alone may, nobody knows which of them is right.
+        """
+        if self.sources.refusal(name):
+            return
+        self._newest[name] = record
+        handler = getattr(self, f'on_{name}', None)
+        if handler is not None:
+            yield from handler(record) or ()
+
+    def on_deadline(self, stamp: int) -> Iterable[Emission]:
+        """Act at a deadline that the component asked for; yield what it causes."""
+        return ()
+
+    def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
+        """Carry out a service call or lifecycle transition at machine time `stamp` [ns]."""
+        if name == REQUEST:
+            try:
+                return Answer(True, self.sources.note(arguments))
+            except ValueError as error:
+                return Answer(False, str(error))
+        return Answer(False, f'{self.NAME} knows no request {name}')
+
+    def renewed(self, step: int) -> tuple['Component', list[Emission]]:
+        """Return what goes on after the clock has stepped, and what it says at once.
+
+        Stamps begin a new series then, so what rests on times of the old one is forgotten; the
+        host activates a component anew that was active.
+
+        Parameters
+        ----------
+        step : int
+            By how much the clock went forward [ns]; negative if it went back.
+        """
+        return self._afresh(), []
+
+    def _afresh(self: ComponentT) -> ComponentT:
+        """Return a component of the same machine and parameters that has heard nothing yet."""
+        fresh = type(self)(self._config)
+        fresh.machine, fresh.sources = self.machine, self.sources
+        return fresh
+
+    def restore(self, output: str, record: Record) -> None:
+        """Take back a persistent record that an earlier life of the component published."""
+
+    def silence(self, name: str, last: Record) -> str:
+        """Say what it means that nothing came after `last`; empty if it is nothing but late."""
+        return ''
+
+    def health(self) -> list[Health]:
+        """Report on inputs, sensors and limits; the host adds timing and publishes it."""
+        return []
+
+    @property
+    def model_text(self) -> str:
+        """Text of the model file in use, empty if there is none."""
+        return ''
+
+    def newest(self, name: str, stamp: int) -> Record | None:
+        """Return the newest record of a side input that is not too old at `stamp` [ns]."""
+        record = self._newest.get(name)
+        if record is None:
+            return None
+        age_max = self.input(name).max_age
+        if age_max != float('inf') and stamp - record.stamp > nanoseconds(age_max):
+            return None
+        return record
+
+    @classmethod
+    def input(cls, name: str) -> Input:
+        """Return the declaration of an input."""
+        return next(item for item in cls.INPUTS if item.name == name)
+
+    @classmethod
+    def output(cls, name: str) -> Output:
+        """Return the declaration of an output."""
+        return next(item for item in cls.OUTPUTS if item.name == name)
+
+    def frame(self, part: str) -> str:
+        """Return the frame id of a part of this machine: machine, workpiece or tool."""
+        return f'{self.machine}/{part}'
+
+
+class TickingComponent(Component, ABC):
+    """A component that makes machine time, tick by tick, for all others of its graph."""
+
+    @property
+    @abstractmethod
+    def next_tick(self) -> int | None:
+        """Machine time of the next tick [ns]; None when the programme is over."""
+
+    @property
+    @abstractmethod
+    def total_ticks(self) -> int:
+        """Number of ticks of the whole programme, or an estimate."""
+
+    @property
+    @abstractmethod
+    def ticks_done(self) -> int:
+        """How many of `total_ticks` are over."""
+
+    @abstractmethod
+    def tick(self) -> Iterator[Emission]:
+        """Move on to the next tick and report everything that is measured there."""

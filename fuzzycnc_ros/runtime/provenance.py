@@ -1,0 +1,54 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a node runs with and what was asked of it, written down so that a replay can repeat it."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from fuzzycnc_ros import __version__
+from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.runtime.component import Component
+from fuzzycnc_ros.runtime.host_records import NodeConfiguration, NodeEvent
+
+MESSAGE_SET = 1
+"""Version of the message set; bags carry it, and older ones are upgraded on reading."""
+
+
+REFUSED = 'refused'
+"""Name of the event that a host refused a message; arguments `input` and `stamp` [ns]."""
+
+CLOCK_STEP = 'clock_step'
+"""Name of the event that the clock of a node was set; argument `step` [ns]."""
+
+
+def configuration_record(
+    component: Component, stamp: int, lifecycle_state: str = 'active'
+) -> NodeConfiguration:
+    """Return what a component runs with at machine time `stamp` [ns]."""
+    model = component.model_text
+    return NodeConfiguration(
+        stamp=stamp,
+        frame_id=component.frame('machine'),
+        node=component.NAME,
+        version=__version__,
+        message_set=MESSAGE_SET,
+        lifecycle_state=lifecycle_state,
+        parameters=json.dumps(asdict(component.configuration), sort_keys=True),
+        model=model,
+        model_hash=text_hash(model) if model else '',
+    )
+
+
+def event_record(
+    component: Component, stamp: int, name: str, arguments: Mapping[str, Any]
+) -> NodeEvent:
+    """Return a request that changed a component at machine time `stamp` [ns]."""
+    return NodeEvent(
+        stamp=stamp,
+        frame_id=component.frame('machine'),
+        node=component.NAME,
+        name=name,
+        request=json.dumps(dict(arguments), sort_keys=True),
+    )

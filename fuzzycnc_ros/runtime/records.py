@@ -1,0 +1,396 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What components take and give: one frozen record per message of `fuzzycnc_msgs`.
+
+Field names, order and meaning are those of the `.msg` files, where units and conventions are
+written down; `header` is spread into `stamp` and `frame_id`.  Stamps are whole nanoseconds of
+machine time.  `runtime/convert.py` turns records into messages and back, and a contract test holds
+both sides together.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Stamp: TypeAlias = Annotated[int, 'time']
+"""Machine time [ns]."""
+Floats: TypeAlias = NDArray[np.float64]
+Bytes: TypeAlias = NDArray[np.uint8]
+Bools: TypeAlias = NDArray[np.bool_]
+Counts: TypeAlias = Annotated[NDArray[np.uint64], 'uint64']
+Offsets: TypeAlias = Annotated[NDArray[np.uint32], 'uint32']
+Blocks: TypeAlias = Annotated[NDArray[np.int64], 'int64']
+Names: TypeAlias = tuple[str, ...]
+
+SECOND = 1_000_000_000
+"""One second [ns]."""
+
+
+def nanoseconds(duration: float) -> int:
+    """Return a duration [s] in whole nanoseconds."""
+    return round(duration * SECOND)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Record:
+    """Base of all records that travel on a topic."""
+
+    TYPE: ClassVar[str]
+    """Name of the message type."""
+
+    stamp: Stamp
+    frame_id: str = ''
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Temperatures(Record):
+    """One sample of all temperature sensors."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/Temperatures'
+
+    sensor: Names
+    temperature: Floats
+    status: Bytes
+    readings: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorCluster:
+    """One group of sensors that warm up alike."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/SensorCluster'
+
+    member: Names
+    score: Floats
+    chosen: str
+    substitute: Names
+    gain: Floats
+    correlation: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SensorSelection(Record):
+    """Which few sensors represent a machine's temperature field."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/SensorSelection'
+
+    method: str
+    cluster: tuple[SensorCluster, ...]
+    partition_coefficient: float
+    xie_beni: float
+    dropped: Names
+    calibration: Names
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ThermalReference(Record):
+    """The temperatures against which rises are meant."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ThermalReference'
+
+    cold_since: Stamp
+    set_by: str
+    sensor: Names
+    temperature: Floats
+    samples: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ThermalError(Record):
+    """Predicted thermal error."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ThermalError'
+
+    axis: Names
+    channel: Names
+    error: Floats
+    standard_deviation: Floats
+    valid: bool
+    reason: int
+    in_domain: bool
+    model: str
+    substituted: Names
+    substitute: Names
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PredictorState(Record):
+    """Checkpoint of the thermal predictor."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/PredictorState'
+
+    model_hash: str
+    reference_stamp: Stamp
+    input: Names
+    last_rise: Floats
+    state: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Displacement(Record):
+    """Measured displacement of the tool since the thermal reference."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/Displacement'
+
+    axis: Names
+    channel: Names
+    displacement: Floats
+    standard_deviation: Floats
+    includes_compensation: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Compensation(Record):
+    """Offsets that the machine shall add to its commanded positions."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/Compensation'
+
+    epoch: int
+    state: int
+    axis: Names
+    offset: Floats
+    slope: Floats
+    reference_position: Floats
+    at_limit: Bools
+    slewing: Bools
+    valid_until: Stamp
+    source: Names
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CompensationApplied(Record):
+    """What the machine side really applies."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/CompensationApplied'
+
+    epoch: int
+    status: int
+    reason: str
+    axis: Names
+    offset: Floats
+    at_limit: Bools
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MachineState(Record):
+    """State of the machine as its controller reports it."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/MachineState'
+
+    state: int
+    homed: bool
+    offsets_allowed: bool
+    cold_since: Stamp
+    spindle_speed: float
+    axis: Names
+    position: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SpindleSpeed(Record):
+    """Spindle speed from a source of its own."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/SpindleSpeed'
+
+    speed: float
+    status: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ToolPath(Record):
+    """A path of the tool relative to the workpiece."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ToolPath'
+
+    path_id: str
+    includes_compensation: bool
+    axis: Names
+    start: Floats
+    kind: Bytes
+    junction: Bytes
+    block: Blocks
+    feedrate: Floats
+    offset: Offsets
+    data: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Material(Record):
+    """A sheet of soft material as it lies clamped in the machine."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/Material'
+
+    name: str
+    thickness: float
+    size: Floats
+    young_modulus: float = np.nan
+    poisson_ratio: float = np.nan
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StitchPattern(Record):
+    """A pattern to be stitched."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/StitchPattern'
+
+    path_id: str
+    start: Floats
+    kind: Bytes
+    end: Floats
+    centre: Floats
+    turn: Floats
+    depth: Floats
+    step: Floats
+    feedrate: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CompensatedPath(Record):
+    """The stitches of a pattern and the offsets that were added to them."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/CompensatedPath'
+
+    path_id: str
+    material: str
+    thickness: float
+    model: str
+    nominal: Floats
+    offset: Floats
+    primitive: Offsets
+    kind: Bytes
+    turn: Floats
+    depth: Floats
+    step: Floats
+    compensation: Floats
+    support: Floats
+    flag: Bytes
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StitchedPath(Record):
+    """Where the stitches of a pattern lie once the sheet has relaxed."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/StitchedPath'
+
+    path_id: str
+    time: Floats
+    tool: Floats
+    stitched: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FeedSchedule(Record):
+    """Feed along the stretch of a tool path that one part of the trajectory covers."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/FeedSchedule'
+
+    path_id: str
+    part: int
+    last: bool
+    method: str
+    tolerance: float
+    feed_override: float
+    arc_length: Floats
+    curvature: Floats
+    feed: Floats
+    speed: Floats
+    block: Blocks
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory(Record):
+    """Motion of the axes over the next stretch of time, with a way to rest at its end."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/Trajectory'
+
+    path_id: str
+    epoch: int
+    part: int
+    last: bool
+    start: Stamp
+    period: float
+    committed: int
+    axis: Names
+    position: Floats
+    velocity: Floats
+    arc_length: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrajectoryState(Record):
+    """What the machine side makes of the trajectory that it was given."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/TrajectoryState'
+
+    path_id: str
+    epoch: int
+    part: int
+    status: int
+    reason: str
+    arc_length: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AxisState(Record):
+    """Where the axes of a machine are and where they are told to be."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/AxisState'
+
+    axis: Names
+    reference: Floats
+    position: Floats
+    velocity: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AxisCommand(Record):
+    """What the drives of the axes shall do until the next command."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/AxisCommand'
+
+    epoch: int
+    axis: Names
+    duty: Floats
+    valid_until: Stamp
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PositionCommand(Record):
+    """Where axes shall go, each from where it is and to rest there."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/PositionCommand'
+
+    axis: Names
+    position: Floats
+    velocity: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ServoState(Record):
+    """What the position controllers of the axes do."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ServoState'
+
+    epoch: int
+    status: int
+    reason: str
+    axis: Names
+    reference: Floats
+    error: Floats
+    disturbance: Floats
+    saturated: Bools
+    missed: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ContourError(Record):
+    """Distance of the tool from its path over a stretch of time."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ContourError'
+
+    path_id: str
+    period: float
+    arc_length: Floats
+    error: Floats

@@ -1,0 +1,383 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Control files, and the adapter to a control against a real OPC UA server, without a node."""
+
+import hashlib
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+pytest.importorskip('asyncua')
+
+from equipment.field_servers import Field, Route
+from equipment.opcua_machine import FILE, ControlServer, LineControl, control_file
+from equipment.secured_server import PINNING, SECURITY, secured, user_file
+
+from fuzzycnc_ros.adapters.link import LinkError
+from fuzzycnc_ros.adapters.opcua.control import OpcUaControl
+from fuzzycnc_ros.adapters.opcua.control_file import check_axes, read_control
+from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
+from fuzzycnc_ros.adapters.opcua.offset_lines import LineOrders, Lines
+from fuzzycnc_ros.adapters.threaded import ThreadedController
+from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.runtime.codes import MachineMode
+
+pytestmark = pytest.mark.ros
+
+ORDERS = LineOrders(
+    lines=Lines(
+        offset=np.array([12e-6, -7.0004e-6]),
+        slope=np.array([5e-5, 0.0]),
+        reference_position=np.array([0.1, 0.0]),
+    ),
+    sequence=17,
+    heartbeat=18,
+    validity=10.0,
+)
+
+
+@pytest.fixture(scope='module')
+def field():
+    """An event loop for servers."""
+    opened = Field()
+    yield opened
+    opened.close()
+
+
+@pytest.fixture(scope='module')
+def started(field):
+    """A server for the tests of this file; it takes seconds to start."""
+    return field.add(ControlServer(LineControl()))
+
+
+@pytest.fixture
+def server(field, started):
+    """A control at which nothing has been written."""
+    field.call(started.reset(LineControl()))
+    return started
+
+
+@contextmanager
+def connected(path):
+    """An adapter, closed in the end."""
+    adapter = OpcUaControl(read_control(path), 'tester', read_credentials)
+    try:
+        yield adapter
+    finally:
+        adapter.close()
+
+
+def wait(condition):
+    """Wait for what the program of the control does."""
+    end = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_a_set_arrives_whole_and_is_read_back_in_si_units(server, tmp_path):
+    control = server.control
+    control.spindle_speed, control.running = 3000.0, True
+    control.position = np.array([0.25, 0.0])
+    with connected(control_file(tmp_path, server.port)) as adapter:
+        adapter.claim()
+        wait(lambda: adapter.read().mode is MachineMode.RUNNING)
+        first = adapter.read()
+        adapter.write(ORDERS)
+        wait(lambda: control.acknowledged == 17)
+        wait(lambda: np.abs(control.applied - [19.5e-6, -7e-6]).max() < 1e-8)
+        wait(lambda: abs(adapter.read().applied[0] - 19.5e-6) < 1e-8)
+        status = adapter.read()
+    assert first.mode is MachineMode.RUNNING
+    assert first.ready
+    assert first.spindle_speed == pytest.approx(3000.0 * 2 * np.pi / 60)
+    np.testing.assert_allclose(first.position, [0.25, np.nan])
+    assert (status.sequence, status.acknowledged, status.heartbeat) == (17, 17, 18)
+    assert status.writer == 'tester'
+    assert control.valid_for == pytest.approx(10.0)
+    np.testing.assert_allclose(status.lines.offset, [12e-6, -7e-6], atol=1e-12)
+    np.testing.assert_allclose(status.lines.slope, [5e-5, 0.0], atol=1e-12)
+    np.testing.assert_allclose(status.lines.reference_position, [0.1, 0.0])
+    np.testing.assert_allclose(status.limits.offset_max, 60e-6)
+    assert status.limits.slew_max == pytest.approx(20e-6)
+    np.testing.assert_allclose(status.limits.resolution, [0.0, 1e-9])
+    assert control.owner == 'tester'
+
+
+def test_release_gives_back_what_is_ours_alone(server, field, tmp_path):
+    with connected(control_file(tmp_path, server.port)) as adapter:
+        adapter.claim()
+        adapter.read()
+        adapter.write(ORDERS)
+        field.call(server.put('sequence', 99))
+        adapter.release()
+        assert adapter.read().sequence == 99
+    with connected(control_file(tmp_path, server.port)) as adapter:
+        adapter.claim()
+        adapter.read()
+        adapter.write(ORDERS)
+        adapter.release()
+        status = adapter.read()
+        assert (status.sequence, status.writer) == (0, '')
+
+
+def test_nothing_is_written_over_another_set(server, field, tmp_path):
+    with connected(control_file(tmp_path, server.port)) as adapter:
+        adapter.claim()
+        adapter.read()
+        field.call(server.put('sequence', 99))
+        assert adapter.write(ORDERS).sequence == 99
+        assert not np.any(adapter.read().lines.offset)
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'texts'),
+    [
+        ('"nsu=urn:fuzzycnc:test;s=X.offset"', 'text', ['X.offset', 'a number', 'it is String']),
+        ('"nsu=urn:fuzzycnc:test;s=X.offset"', 'int32', ['Int32 without a scale', 'give scale']),
+        ('"nsu=urn:fuzzycnc:test;s=X.offset"', 'shown', ['X.offset', 'this user can write']),
+        ('"nsu=urn:fuzzycnc:test;s=X.offset"', 'array', ['X.offset', 'it holds an array']),
+        ('ns=2;s=sequence', 'double', ['sequence', 'expected a whole number', 'it is Double']),
+        ('ns=2;s=heartbeat', 'byte', ['heartbeat', '16 bits or more', 'it is Byte']),
+        ('ns=2;s=homed', 'float', ['homed', 'expected a switch', 'it is Float']),
+        ('ns=2;s=owner', 'int32', ['owner', 'expected a text', 'it is Int32']),
+        ('ns=2;s=Z.applied', 'none', ['Z.applied: node ns=2;s=none', 'no such node']),
+    ],
+)
+def test_wrong_variables_are_named(server, tmp_path, old, new, texts):
+    assert old in FILE
+    path = control_file(tmp_path, server.port, FILE.replace(old, f'ns=2;s={new}'))
+    with pytest.raises(LinkError) as error, connected(path):
+        pass
+    for text in texts:
+        assert text in str(error.value)
+
+
+def test_wrong_paths_and_namespaces_are_named_together(server, tmp_path):
+    text = FILE.replace('Mill/2:acknowledged', 'Mill/2:nothing').replace(
+        'urn:fuzzycnc', 'urn:other'
+    )
+    with pytest.raises(LinkError) as error, connected(control_file(tmp_path, server.port, text)):
+        pass
+    assert 'acknowledged: path 0:Objects/2:Mill/2:nothing' in str(error.value)
+    assert 'X.offset: node nsu=urn:other:test;s=X.offset' in str(error.value)
+    assert 'no namespace urn:other:test' in str(error.value)
+
+
+def test_counts_that_do_not_fit_are_named(server, tmp_path):
+    text = FILE.replace('ns=2;s=Z.offset, scale: 0.001', 'ns=2;s=int16, scale: 0.0001')
+    with connected(control_file(tmp_path, server.port, text)) as adapter:
+        adapter.claim()
+        adapter.read()
+        with pytest.raises(LinkError, match='-70004 counts do not fit into Int16'):
+            adapter.write(ORDERS)
+
+
+def test_nobody_there(tmp_path):
+    with pytest.raises(LinkError, match='connection refused; is the server running'):
+        with connected(control_file(tmp_path, 1)):
+            pass
+
+
+@pytest.mark.parametrize('fault', ['refuse', 'cut', 'hang', 'garble'])
+def test_any_fault_of_the_way_ends_the_connection_with_a_reason(server, field, tmp_path, fault):
+    route = field.add(Route(server))
+    with connected(control_file(tmp_path, route.port, timeout=3.0)) as adapter:
+        adapter.read()
+        field.call(route.set(fault))
+        with pytest.raises(LinkError, match=f'opc.tcp://127.0.0.1:{route.port}/: '):
+            adapter.read()
+    field.call(route.set(''))
+
+
+def test_in_a_thread_nothing_waits(server, field, tmp_path):
+    file = read_control(control_file(tmp_path, server.port))
+    adapter = ThreadedController(lambda: OpcUaControl(file, 'tester', read_credentials), 0.02)
+    assert adapter.read() is None
+    with pytest.raises(LinkError, match='has not been read yet'):
+        adapter.limits()
+    wait(lambda: adapter.read() is not None)
+    assert adapter.limits().slew_max == pytest.approx(20e-6)
+    adapter.claim()
+    wait(lambda: adapter.write(ORDERS) is not None and server.control.acknowledged == 17)
+    adapter.release()
+    adapter.close()
+    wait(lambda: server.control.sequence == 0)
+    failing = ThreadedController(
+        lambda: OpcUaControl(read_control(control_file(tmp_path, 1)), '', read_credentials), 0.02
+    )
+
+    def lost():
+        try:
+            failing.read()
+        except LinkError as error:
+            return 'connection refused' in str(error)
+        return False
+
+    wait(lost)
+    failing.close()
+
+
+def edited(tmp_path, old, new):
+    assert old in FILE
+    return control_file(tmp_path, 4840, FILE.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'text'),
+    [
+        ('unit: um', 'unit: ym', 'line 3: unit: expected one of um, mm, m, inch but found'),
+        ('unit: um\n', '', "expected the field 'unit' but it is missing"),
+        ('  heartbeat: ns=2;s=heartbeat\n', '', "hand_shake: expected the variable 'heartbeat'"),
+        ('ns=2;s=sequence', 'ns=2;sequence', 'expected a node id such as ns=2;s=Spindle.T1'),
+        ('    applied: ns=2;s=Z.applied\n', '', "axis Z: expected the variable 'applied'"),
+        ('  Z:', '  Q:', 'expected one of X, Y, Z'),
+        ('    travel: [-200, 300]\n', '', 'travel is missing'),
+        ('[-200, 300]', '[300, -200]', 'expected the two ends of the axis'),
+        ('[-200, 300]', '[300]', 'expected the two ends of the axis'),
+        ('slew: ns=2', 'slow: ns=2', "unknown field 'slow'; did you mean slew?"),
+        ('scale: 0.001', 'scale: 0', 'expected another number than 0'),
+        ('ns=2;s=heartbeat', 'ns=2;s=sequence', 'are the same variable, node ns=2;s=sequence'),
+        ('unit: rpm', 'unit: Hz', 'unit: expected one of rpm, rad/s'),
+        ('opc.tcp:', 'http:', 'expected opc.tcp://HOST:PORT/PATH'),
+        ('hand_shake:', 'handshake:', "expected the field 'hand_shake' but it is missing"),
+        ('timeout: {timeout}', 'timeout: 0', 'timeout: expected a number from 0.05 to 60 s'),
+        ('unit: um', 'security: {{policy: None}}\nunit: um', 'policy: expected one of Basic256'),
+        ('unit: um', 'credentials: nobody.yaml\nunit: um', 'expected a file but nothing is at'),
+        ('unit: um', 'allow_plain_password: yes\nunit: um', 'expected one of true, false but'),
+    ],
+)
+def test_wrong_files_are_refused(tmp_path, old, new, text):
+    with pytest.raises(ParameterError) as error:
+        read_control(edited(tmp_path, old, new))
+    assert text in str(error.value)
+    assert str(tmp_path / 'control.yaml') in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ('unit', 'metres'), [('um', 1e-6), ('mm', 1e-3), ('m', 1.0), ('inch', 0.0254)]
+)
+def test_lengths_are_in_the_unit_of_the_file(tmp_path, unit, metres):
+    file = read_control(edited(tmp_path, 'position_unit: mm', f'position_unit: {unit}'))
+    assert file.travel.low[0] == pytest.approx(-200.0 * metres)
+    assert file.travel.high[0] == pytest.approx(300.0 * metres)
+
+
+def test_file_without_axes_is_refused(tmp_path):
+    start = FILE.index('  X:')
+    path = control_file(tmp_path, 1, FILE[: start - len('axes:\n')])
+    with pytest.raises(ParameterError, match='expected axes'):
+        read_control(path)
+
+
+def test_axes_of_file_and_parameter_are_the_same(tmp_path):
+    file = read_control(control_file(tmp_path, 1))
+    check_axes(file, ('X', 'Z'))
+    with pytest.raises(ParameterError, match='parameter axes: expected X, Z'):
+        check_axes(file, ('X', 'Y', 'Z'))
+
+
+def test_sign_and_unit_of_a_control_that_counts_the_other_way(server, tmp_path):
+    text = FILE.replace(
+        'offset: "nsu=urn:fuzzycnc:test;s=X.offset"',
+        'offset: {{node: ns=2;s=X.offset, scale: -1}}',
+    )
+    with connected(control_file(tmp_path, server.port, text)) as adapter:
+        adapter.claim()
+        adapter.read()
+        status = adapter.write(ORDERS)
+        wait(lambda: server.control.offset[0] == pytest.approx(-12e-6))
+        assert status.lines.offset[0] == pytest.approx(12e-6)
+
+
+def in_a_template(text):
+    return text.replace('{', '{{').replace('}', '}}')
+
+
+@pytest.mark.parametrize('security', ['', PINNING.replace('{', '{mode: Sign, ')])
+def test_a_password_that_everybody_could_read_is_refused_with_the_remedy(tmp_path, security):
+    for name in ('own.der', 'own-key.pem'):
+        (tmp_path / name).touch()
+    user = user_file(tmp_path)
+    text = in_a_template(f'credentials: user.yaml\n{security}\n') + FILE
+    with pytest.raises(ParameterError) as error:
+        read_control(control_file(tmp_path, 4840, text))
+    assert 'line 1: credentials: expected security with mode SignAndEncrypt' in str(error.value)
+    assert 'or say allow_plain_password: true' in str(error.value)
+    allowed = f'allow_plain_password: true\n{text}'
+    assert read_control(control_file(tmp_path, 4840, allowed)).server.credentials == user
+    plain = text.replace('credentials: user.yaml', 'allow_plain_password: false')
+    assert read_control(control_file(tmp_path, 4840, plain)).server.credentials is None
+
+
+def test_a_certificate_is_pinned_in_the_state_directory_or_beside_the_file(tmp_path):
+    for name in ('own.der', 'own-key.pem', 'control.der'):
+        (tmp_path / name).touch()
+    path = control_file(tmp_path, 4840, in_a_template(f'{PINNING}\n') + FILE)
+    beside = read_control(path).server.security
+    assert beside.pinned
+    assert beside.server_certificate == tmp_path / 'opcua-127.0.0.1-4840.pem'
+    state = read_control(path, '/var/lib/mill').server.security
+    assert state.server_certificate == Path('/var/lib/mill/opcua-127.0.0.1-4840.pem')
+    path = control_file(tmp_path, 4840, in_a_template(f'{SECURITY}\n') + FILE)
+    given = read_control(path, '/var/lib/mill').server.security
+    assert not given.pinned
+    assert given.server_certificate == tmp_path / 'control.der'
+
+
+def test_the_first_certificate_of_a_server_is_pinned_and_another_refused(field, tmp_path):
+    """Who takes its place gets no password."""
+    server = field.add(ControlServer(LineControl(), secured(tmp_path)))
+    user_file(tmp_path)
+    text = in_a_template(f'{PINNING}\ncredentials: user.yaml\n') + FILE
+    path = control_file(tmp_path, server.port, text)
+    pin = tmp_path / f'opcua-127.0.0.1-{server.port}.pem'
+    assert not pin.exists()
+    with connected(path) as adapter:
+        assert adapter.read().limits.slew_max == pytest.approx(20e-6)
+    first = pin.read_text()
+    with connected(path):
+        pass
+    assert pin.read_text() == first
+    # Another server takes its place, with a certificate of its own and ears for passwords.
+    asked, other = [], tmp_path / 'other'
+    other.mkdir()
+    field.call(server.stop())
+    server._secure = secured(other, asked.append)
+    field.call(server.start())
+    with pytest.raises(LinkError) as error, connected(path):
+        pass
+    assert f'the server shows another certificate than {pin}' in str(error.value)
+    assert 'delete that file' in str(error.value)
+    assert hashlib.sha256((other / 'control.der').read_bytes()).hexdigest() in str(error.value)
+    assert asked == []
+    pin.unlink()
+    with connected(path):
+        pass
+    assert asked == ['joe']
+    assert pin.read_text() != first
+
+
+@pytest.mark.slow
+def test_secured_server_with_credentials(field, tmp_path):
+    server = field.add(ControlServer(LineControl(), secured(tmp_path)))
+    text = in_a_template(f'{SECURITY}\ncredentials: user.yaml\n') + FILE
+    user = user_file(tmp_path, 'wrong')
+    path = control_file(tmp_path, server.port, text, timeout=5.0)
+    with pytest.raises(LinkError) as error, connected(path):
+        pass
+    assert str(error.value).startswith(f'the server refuses {user} (Bad')
+    assert error.value.pause > 10.0
+    user_file(tmp_path)
+    with connected(path) as adapter:
+        adapter.claim()
+        adapter.read()
+        adapter.write(ORDERS)
+        wait(lambda: server.control.acknowledged == 17)
+    path = control_file(tmp_path, server.port, timeout=5.0)
+    with pytest.raises(LinkError, match='does not offer this connection'), connected(path):
+        pass

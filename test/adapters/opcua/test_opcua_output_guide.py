@@ -1,0 +1,188 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What docs/opcua-output.md shows: the program of the control, and an adapter of one's own."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benches.component_bench import Bench
+from benches.line_control import LineControl
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
+from fuzzycnc_ros.runtime.codes import AppliedStatus
+from fuzzycnc_ros.runtime.records import Compensation, nanoseconds
+
+GUIDE = (Path(__file__).parents[3] / 'docs' / 'opcua-output.md').read_text(encoding='utf-8')
+MICRON = 1e-6
+CYCLE = 0.1
+
+
+def block(language):
+    """Return the only block of the guide in a language."""
+    (found,) = re.findall(rf'```{language}\n(.*?)```', GUIDE, re.S)
+    return found
+
+
+class Program:
+    """The structured text of the guide, turned into Python line by line."""
+
+    KEYWORDS = ('VAR_INPUT', 'VAR_OUTPUT', 'VAR')
+
+    def __init__(self):
+        text = re.sub(r'\(\*.*?\*\)', '', block('iecst'), flags=re.S)
+        text = text.partition('\n')[2].rpartition('END_FUNCTION_BLOCK')[0]
+        declared, body = re.fullmatch(r'(.*END_VAR)(.*)', text, re.S).groups()
+        self.values = {}
+        for names, kind, value in re.findall(
+            r'([\w, ]+?)\s*:\s*(BOOL|INT|LREAL)\s*(?::=\s*([-\w.+]+))?;', declared
+        ):
+            for name in names.split(','):
+                start = {'BOOL': False, 'INT': 0, 'LREAL': 0.0}[kind]
+                self.values[name.strip()] = float(value) if value else start
+        self._code = compile(self._python(body), 'guide', 'exec')
+
+    def _python(self, body):
+        """Statements, IF with END_IF, comparisons and LIMIT are all that it has."""
+        lines, depth = [], 0
+        for line in (part.strip() for part in body.splitlines()):
+            if line == 'END_IF':
+                depth -= 1
+                continue
+            if not line:
+                continue
+            python = re.sub(r'\bAND\b', 'and', line.replace('<>', '!='))
+            if match := re.fullmatch(r'IF (.*) THEN', python):
+                lines.append(f'{"    " * depth}if {match[1]}:')
+                depth += 1
+                continue
+            match = re.fullmatch(r'(\w+) := (.*);', python)
+            assert match, line
+            assert match[1] in self.values, line
+            lines.append(f'{"    " * depth}{match[1]} = {match[2]}')
+        assert depth == 0
+        return '\n'.join(lines)
+
+    def scan(self, **inputs):
+        """Run it once."""
+        assert set(inputs) <= set(self.values)
+        self.values |= inputs
+        exec(
+            self._code, {'LIMIT': lambda low, value, high: max(low, min(value, high))}, self.values
+        )
+
+
+def test_no_variable_of_the_program_hides_a_function_or_another():
+    """Names of structured text have no case."""
+    names = [name.lower() for name in Program().values]
+    assert len(set(names)) == len(names)
+    assert not {'limit', 'and', 'if', 'real', 'int'} & set(names)
+
+
+STEPS = st.tuples(
+    st.sampled_from(['set', 'beat', 'silence', 'off', 'on', 'back', 'move']),
+    st.integers(-100, 100),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(STEPS, max_size=25))
+def test_program_of_the_guide_is_the_one_that_the_tests_run(steps):
+    program, control = Program(), LineControl(1)
+    control.watchdog = program.values['Watchdog']
+    control.limit = MICRON * np.array([program.values['OffsetMax']])
+    control.slew = MICRON * program.values['SlewMax']
+    for step, number in steps:
+        if step == 'set':
+            control.offset = np.array([MICRON * number])
+            control.slope = np.array([1e-6 * number])
+            control.reference_position = np.array([1e-3 * number])
+            control.valid_for = 2.0
+            control.sequence = control.sequence % 5 + 1
+        elif step == 'back':
+            control.sequence = 0
+        elif step in ('off', 'on'):
+            control.on = step == 'on'
+        elif step == 'move':
+            control.position = np.array([1e-2 * number])
+        control.heartbeat += step == 'beat'
+        for _ in range(60 if step == 'silence' else 3):
+            control.scan(CYCLE)
+            program.scan(
+                Enable=control.on,
+                Sequence=control.sequence,
+                Heartbeat=control.heartbeat,
+                K0=control.offset[0] / MICRON,
+                Slope=1e3 * control.slope[0],
+                P0=1e3 * control.reference_position[0],
+                ValidFor=control.valid_for,
+                Position=1e3 * control.position[0],
+                CycleTime=CYCLE,
+            )
+            assert program.values['Applied'] == pytest.approx(
+                control.applied[0] / MICRON, abs=1e-9
+            )
+            assert program.values['Alive'] == control.alive
+            assert program.values['Acknowledged'] == control.acknowledged
+
+
+def test_adapter_of_the_guide_carries_offsets():
+    space = {}
+    exec(block('python'), space)
+    image = dict.fromkeys(
+        ('offset', 'valid_for', 'sequence', 'heartbeat', 'applied', 'acknowledged'), 0.0
+    ) | {'on': True, 'homed': True}
+    control = LineControl(1)
+    adapter = space['ImageControl'](image)
+    bench = Bench(OpcuaBridge(OpcuaBridgeConfig(axes=('X',), slew_max=20e-6)))
+    bridge = bench.component
+    assert bench.request('activate').success
+    time = 100.0
+
+    def run(duration):
+        nonlocal time
+        for _ in range(round(duration / CYCLE)):
+            time += CYCLE
+            orders = bridge.orders
+            status = adapter.read() if orders is None else adapter.write(orders)
+            bench.emitted += bridge.observe(nanoseconds(time), status)
+            if bridge.wants_control:
+                adapter.claim()
+                bridge.take_control()
+            control.offset = MICRON * np.array([image['offset']])
+            for name in ('valid_for', 'sequence', 'heartbeat'):
+                setattr(control, name, image[name])
+            control.scan(CYCLE)
+            image['applied'] = control.applied[0] / MICRON
+            image['acknowledged'] = control.acknowledged
+
+    run(2.0)
+    stamp = nanoseconds(time)
+    bench.push(
+        'compensation',
+        Compensation(
+            stamp=stamp,
+            epoch=1,
+            state=1,
+            axis=('X',),
+            offset=np.array([12e-6]),
+            slope=np.zeros(1),
+            reference_position=np.zeros(1),
+            at_limit=np.zeros(1, bool),
+            slewing=np.zeros(1, bool),
+            valid_until=stamp + nanoseconds(60.0),
+            source=('test',),
+        ),
+    )
+    bench.emitted += bench.merger.advance(stamp)
+    run(3.0)
+    assert image['applied'] == pytest.approx(12.0, abs=0.02)
+    last = bench.records('compensation_applied')[-1]
+    assert last.status == AppliedStatus.FOLLOWING
+    assert last.offset[0] == pytest.approx(12e-6, abs=2e-8)
+    adapter.release()
+    assert image['sequence'] == 0
+    adapter.close()

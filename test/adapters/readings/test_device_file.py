@@ -1,0 +1,253 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The file of devices: what it means, and what is said where it is wrong."""
+
+import math
+import re
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip('rclpy')
+
+from fuzzycnc_ros.adapters.modbus.registers import REGISTERS_MAX, blocks, value_of
+from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
+from fuzzycnc_ros.adapters.readings.device_file import read_devices
+from fuzzycnc_ros.adapters.readings.devices import FORMATS, Register
+from fuzzycnc_ros.ros.parameters import ParameterError
+
+pytestmark = pytest.mark.ros
+
+MODBUS = """\
+devices:
+  - name: rtd
+    protocol: modbus_tcp
+    host: 10.0.0.5
+    scale: 0.1
+    open_circuit: [0x7FFF, 0x8000]
+    sensors:
+      T1: 0
+      T2: {register: 1, table: input, scale: 0.01}
+      T3: {register: 10, type: float32, word_order: little, scale: 1, open_circuit: -9999}
+    spindle_speed: {register: 40, type: uint16, max: 6000}
+"""
+OPC_UA = """\
+devices:
+  - name: control
+    protocol: opc_ua
+    url: opc.tcp://10.0.0.7:4840/
+    period: 0.5
+    sensors:
+      T1: ns=2;s=Spindle.T1
+      T2: {path: "0:Objects/2:Spindle/2:T2"}
+      T3: {node: "nsu=urn:mill;i=7", offset: -273.15}
+"""
+
+
+@pytest.fixture
+def read(tmp_path):
+    def of(text):
+        path = tmp_path / 'devices.yaml'
+        path.write_text(text)
+        return read_devices(path)
+
+    return of
+
+
+def test_modbus_fields(read):
+    (device,) = read(MODBUS)
+    assert device.sensors == ('T1', 'T2', 'T3')
+    assert (device.port, device.unit, device.period, device.timeout) == (502, 1, 1.0, 2.0)
+    one, two, three, spindle = device.channels
+    assert (one.table, one.register, one.type, one.scale) == ('holding', 0, 'int16', 0.1)
+    assert (two.table, two.scale, two.open_circuit) == ('input', 0.01, (0x7FFF, 0x8000))
+    assert (three.scale, three.open_circuit, three.word_order) == (1.0, (-9999,), 'little')
+    # The spindle speed inherits nothing: what scales temperatures does not scale speeds.
+    assert spindle.scale == pytest.approx(2.0 * math.pi / 60.0)
+    assert spindle.open_circuit == ()
+    assert spindle.largest == pytest.approx(200.0 * math.pi)
+    assert one.largest == math.inf
+
+
+def test_opc_ua_fields(read):
+    (device,) = read(OPC_UA)
+    assert [channel.place for channel in device.channels] == [
+        'node ns=2;s=Spindle.T1',
+        'path 0:Objects/2:Spindle/2:T2',
+        'node nsu=urn:mill;i=7',
+    ]
+    assert device.channels[2].offset == -273.15
+    assert device.security is None
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'line', 'text'),
+    [
+        ('T1: 0', 'T1: 40001.5', 8, 'register: expected a whole number'),
+        ('T1: 0', 'T1: 70000', 8, 'what manuals call 40001 is register 0 of the table holding'),
+        ('T1: 0', 'T1: 010', 8, '010 would be octal in YAML'),
+        ('T1: 0', 'T1: first', 8, "register: expected a number but found 'first'"),
+        ('T1: 0', 'T1: {table: input}', 8, "expected the field 'register'"),
+        ('T1: 0', 'T1: [0]', 8, 'expected fields with values'),
+        ('T1: 0', 'T2: 0', 9, "'T2' stands here again after line 8"),
+        (
+            'table: input',
+            'table: coil',
+            9,
+            "table: expected one of holding, input but found 'coil'",
+        ),
+        ('table: input', 'tabel: input', 9, "unknown field 'tabel'; did you mean table?"),
+        ('scale: 0.01', 'scale: .nan', 9, 'scale: expected a number from -1e+09 to 1e+09'),
+        ('scale: 0.01', 'scale: 0', 9, 'scale: expected another number than 0'),
+        ('type: float32', 'type: float', 10, 'type: expected one of int16, uint16'),
+        ('10, type: float32', '65535, type: float32', 10, 'does not fit behind 65535'),
+        ('0x8000]', '0x18000]', 6, 'expected raw values of a int16'),
+        ('0x8000]', '3276.7]', 6, 'expected raw values of a int16'),
+        ('max: 6000', 'max: -1', 11, 'max: expected a number from 0 to 1e+06'),
+        ('scale: 0.01', 'max: 90', 9, "unknown field 'max'"),
+        ('host: 10.0.0.5', 'host: "10.0.0.5/"', 4, 'host: expected a name or address'),
+        ('host: 10.0.0.5', 'port: 502', 2, "device rtd: expected the field 'host'"),
+        ('modbus_tcp', 'modbus', 3, 'expected one of modbus_tcp, opc_ua'),
+        ('scale: 0.1', 'period: 0', 5, 'period: expected a number from 0.005 to 3600 s'),
+        ('6000}', '6000, unit: Hz}', 11, 'unit: expected one of rpm, rad/s'),
+        ('devices:\n', 'device:\n', 1, "expected the field 'devices'"),
+        ('devices:\n', 'x: 1\ndevices:\n', 1, "unknown field 'x'"),
+    ],
+)
+def test_wrong_modbus_files_are_refused(read, old, new, line, text):
+    assert old in MODBUS
+    with pytest.raises(ParameterError, match=re.escape(text)) as caught:
+        read(MODBUS.replace(old, new, 1))
+    assert f'devices.yaml: line {line}: ' in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'line', 'text'),
+    [
+        ('opc.tcp://10.0.0.7:4840/', 'http://10.0.0.7:4840/', 4, 'url: expected opc.tcp://'),
+        ('10.0.0.7:4840', '10.0.0.7', 4, 'usual port 4840'),
+        ('10.0.0.7:4840', '10.0.0.7:99999', 4, 'usual port 4840'),
+        ('10.0.0.7', 'joe:secret@10.0.0.7', 4, 'put them into the file credentials'),
+        ('ns=2;s=Spindle.T1', 'Spindle.T1', 7, 'expected a node id such as ns=2;s=Spindle.T1'),
+        ('0:Objects/2:Spindle/2:T2', 'Objects/Spindle', 8, 'expected steps from the root'),
+        ('{path:', '{node: i=5, path:', 8, 'expected either node'),
+        ('period: 0.5', 'security: {policy: Basic256}', 5, 'policy: expected one of Basic256Sha'),
+        (
+            'period: 0.5',
+            'security: {policy: Basic256Sha256, certificate: a.der, private_key: b}',
+            5,
+            'certificate: expected a file but nothing is at',
+        ),
+        ('period: 0.5', 'credentials: user.yaml', 5, 'credentials: expected a file but nothing'),
+        ('period: 0.5', 'credentials: devices.yaml', 5, 'or say allow_plain_password: true'),
+    ],
+)
+def test_wrong_opc_ua_files_are_refused(read, old, new, line, text):
+    assert old in OPC_UA
+    with pytest.raises(ParameterError, match=re.escape(text)) as caught:
+        read(OPC_UA.replace(old, new, 1))
+    assert f'devices.yaml: line {line}: ' in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    'text', ['', 'x', '[1, 2', 'devices: []', '- 1', '\x00', 'devices: {a: 1}']
+)
+def test_what_is_no_device_file_is_refused(read, text):
+    with pytest.raises(ParameterError, match=r'devices\.yaml'):
+        read(text)
+
+
+def test_names_are_unique_over_all_devices(read):
+    other = MODBUS.partition('\n')[2]
+    with pytest.raises(ParameterError, match='sensor T1 is already read from device rtd'):
+        read(MODBUS + other.replace('name: rtd', 'name: two'))
+    renamed = re.sub(r'T(\d)', r'U\1', other)
+    with pytest.raises(ParameterError, match='another device is called rtd too'):
+        read(MODBUS + re.sub('    spindle_speed.*', '', renamed))
+    with pytest.raises(ParameterError, match='the spindle_speed is already read from device rtd'):
+        read(MODBUS + renamed.replace('name: rtd', 'name: two'))
+
+
+def test_credentials(tmp_path):
+    path = tmp_path / 'user.yaml'
+    path.write_text('username: joe\npassword: 0123\n')
+    path.chmod(0o644)
+    with pytest.raises(ParameterError, match=f'run chmod 600 {path}'):
+        read_credentials(path)
+    path.chmod(0o600)
+    assert read_credentials(path) == ('joe', '0123')
+    path.write_text('username: joe\n')
+    with pytest.raises(ParameterError, match="expected the field 'password'"):
+        read_credentials(path)
+
+
+def test_every_example_of_the_docs_is_a_device_file(root, read, tmp_path):
+    page = (root / 'docs' / 'temperature-drivers.md').read_text()
+    examples = re.findall(r'^```yaml\n(devices:\n.*?)^```', page, re.M | re.S)
+    assert len(examples) >= 2
+    for name in ('own.der', 'own-key.pem', 'control.der', 'control-user.yaml'):
+        (tmp_path / name).touch()
+    for example in examples:
+        assert read(example)
+
+
+def registers(*places):
+    return [Register(name=f'T{p}', table='input', register=p, type=t) for p, t in places]
+
+
+def test_registers_that_touch_are_read_together():
+    items = registers((3, 'int32'), (0, 'int16'), (1, 'float32'), (7, 'int16'))
+    found = blocks(items)
+    assert [(b.register, b.count, b.channels) for b in found] == [(0, 5, (1, 2, 0)), (7, 1, (3,))]
+
+
+@given(st.lists(st.tuples(st.integers(0, 65532), st.sampled_from(sorted(FORMATS))), min_size=1))
+def test_requests_cover_every_value_and_are_no_longer_than_allowed(places):
+    items = registers(*places)
+    found = blocks(items)
+    assert sorted(i for block in found for i in block.channels) == list(range(len(items)))
+    for block in found:
+        assert block.count <= REGISTERS_MAX
+        for index in block.channels:
+            end = items[index].register + items[index].count
+            assert block.register <= items[index].register
+            assert end <= block.register + block.count
+
+
+@given(
+    st.sampled_from(sorted(FORMATS)),
+    st.sampled_from(['big', 'little']),
+    st.sampled_from(['big', 'little']),
+    st.integers(-(2**63), 2**63 - 1),
+)
+def test_registers_and_values_fit_each_other(kind, word_order, byte_order, seed):
+    item = Register(
+        name='T',
+        table='input',
+        register=0,
+        type=kind,
+        word_order=word_order,
+        byte_order=byte_order,
+    )
+    size = 2 * item.count
+    bits = (seed % 2 ** (8 * size)).to_bytes(size, 'big')
+    (raw,) = struct.unpack(f'>{FORMATS[kind]}', bits)
+    words = [bits[place : place + 2] for place in range(0, size, 2)]
+    if word_order == 'little':
+        words.reverse()
+    found = value_of(item, [int.from_bytes(word, byte_order) for word in words])
+    if np.isfinite(raw):
+        assert found == float(raw)
+    else:
+        assert found.startswith('reads ')
+
+
+def test_open_circuit_codes_may_be_signed_or_not():
+    item = Register(name='T', table='input', register=0, type='int16', open_circuit=(0x8000,))
+    assert value_of(item, [0x8000]) == 'open circuit (raw value -32768)'
+    assert value_of(item, [0x8001]) == -32767.0
+    item = Register(name='T', table='input', register=0, type='uint16', open_circuit=(-1,))
+    assert value_of(item, [0xFFFF]) == 'open circuit (raw value 65535)'

@@ -1,0 +1,300 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Connections to devices: what is asked, hostile and secured servers, nothing left behind."""
+
+import asyncio
+import random
+import struct
+import time
+
+import pytest
+
+pytest.importorskip('rclpy')
+pytest.importorskip('asyncua')
+pytest.importorskip('pymodbus')
+
+from asyncua import ua
+from equipment.field_servers import LOCAL, Field, HostileServer, ModbusServer, OpcUaServer, Route
+from equipment.secured_server import PINNING, SECURITY, secured, user_file
+
+from fuzzycnc_ros.adapters.opcua import readings_link as opc_ua
+from fuzzycnc_ros.adapters.opcua import session as opcua_session
+from fuzzycnc_ros.adapters.readings import polling
+from fuzzycnc_ros.adapters.readings.device_file import read_devices
+from fuzzycnc_ros.adapters.readings.device_source import connect
+from fuzzycnc_ros.adapters.readings.polling import TEXT_MAX, Poller
+from fuzzycnc_ros.ros.parameters import ParameterError
+
+pytestmark = pytest.mark.ros
+
+TIMEOUT = 60.0
+MODBUS = """
+devices:
+  - name: rtd
+    protocol: modbus_tcp
+    host: {host}
+    port: {port}
+    period: 0.02
+    timeout: 0.3
+    sensors: {sensors}
+"""
+OPC_UA = """
+devices:
+  - name: control
+    protocol: opc_ua
+    url: opc.tcp://{host}:{port}/
+    period: 0.02
+    timeout: {timeout}
+    {more}
+    sensors: {sensors}
+"""
+
+
+@pytest.fixture
+def field():
+    made = Field()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def poll(tmp_path):
+    """Poll the devices of a file; return what came as it comes."""
+    pollers = []
+
+    def begin(template, server, sensors, timeout=3.0, more=''):
+        path = tmp_path / 'devices.yaml'
+        path.write_text(
+            template.format(
+                host=LOCAL, port=server.port, sensors=sensors, timeout=timeout, more=more
+            )
+        )
+        pollers.append(Poller(read_devices(path), connect, time.monotonic_ns))
+        return pollers[-1]
+
+    yield begin
+    for poller in pollers:
+        poller.close()
+        assert not poller._thread.is_alive()
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    """A lost device is asked again at once."""
+    monkeypatch.setattr(polling, 'BACK_OFF_FIRST', 0.05)
+
+
+def wait(poller, wanted):
+    """Wait for a result that fulfils a condition; return it."""
+    deadline = time.monotonic() + TIMEOUT
+    polled = None
+    while time.monotonic() < deadline:
+        polled = poller.results.get(timeout=TIMEOUT)
+        if wanted(polled):
+            return polled
+    raise AssertionError(f'the last result was {polled}')
+
+
+def good(polled):
+    return polled.readings is not None
+
+
+def lost(polled):
+    return polled.readings is None
+
+
+def test_a_wrong_register_costs_only_itself(field, poll):
+    server = field.add(ModbusServer({0: 10, 198: 11, 199: 12}))
+    poller = poll(
+        MODBUS, server, '{T1: 0, T2: 198, T3: 199, T4: 200, T5: {register: 199, type: int32}}'
+    )
+    polled = wait(poller, lambda item: good(item) and item.readings[2] == 12.0)
+    one, two, three, four, five = polled.readings
+    assert (one, two, three) == (10.0, 11.0, 12.0)
+    assert four.startswith('register 200 of the table holding: the device has no such register')
+    assert 'compare register, table and type with its manual; addresses count from 0' in four
+    assert five.startswith('register 199 to 200 of the table holding')
+
+
+def test_many_registers_take_several_requests(field, poll):
+    server = field.add(ModbusServer({k: k for k in range(200)}))
+    sensors = '{' + ', '.join(f'T{k}: {k}' for k in range(200)) + '}'
+    polled = wait(poll(MODBUS, server, sensors), good)
+    assert list(polled.readings) == [float(k) for k in range(200)]
+
+
+def frame(transaction, unit, body):
+    """Return a Modbus TCP frame."""
+    return struct.pack('>HHHB', transaction, 0, len(body) + 1, unit) + body
+
+
+def of(request, body, unit=1):
+    return frame(struct.unpack('>H', request[:2])[0], unit, body)
+
+
+NOISE = random.Random(0).randbytes(5000)
+HOSTILE = {
+    'noise': lambda request: NOISE,
+    'endless frame': lambda request: request[:4] + b'\xff\xff\x01' + NOISE,
+    'empty frame': lambda request: request[:4] + b'\x00\x00\x01',
+    'too few registers': lambda request: of(request, b'\x03\x02\x00\x07'),
+    'too many registers': lambda request: of(request, b'\x03\xfa' + bytes(250)),
+    'odd count': lambda request: of(request, b'\x03\x03\x00\x07\x01'),
+    'count beyond the frame': lambda request: of(request, b'\x03\xff\x00\x07'),
+    'another function': lambda request: of(request, b'\x04\x04\x00\x07\x00\x08'),
+    'coils': lambda request: of(request, b'\x01\x01\x05'),
+    'another unit': lambda request: of(request, b'\x03\x04\x00\x07\x00\x08', unit=9),
+    'another transaction': lambda request: frame(999, 1, b'\x03\x04\x00\x07\x00\x08'),
+    'unknown function': lambda request: of(request, b'\x63\x04\x00\x07\x00\x08'),
+    'exception without code': lambda request: of(request, b'\x83'),
+    'two answers': lambda request: 2 * of(request, b'\x03\x02\x00\x07'),
+}
+
+
+def is_lost_again_and_again(poller, server):
+    """It goes on trying, whatever it is told."""
+    asked = 0
+    while asked < 2:
+        asked = server.asked
+        polled = poller.results.get(timeout=TIMEOUT)
+        assert lost(polled), polled
+        assert 0 < len(polled.trouble) <= TEXT_MAX
+
+
+@pytest.mark.parametrize('answer', HOSTILE.values(), ids=HOSTILE)
+@pytest.mark.usefixtures('impatient')
+def test_hostile_modbus_servers_are_lost_devices(field, poll, answer):
+    server = field.add(HostileServer(answer))
+    poller = poll(MODBUS, server, '{T1: 0, T2: 1}')
+    is_lost_again_and_again(poller, server)
+
+
+@pytest.mark.parametrize('code', [1, 2, 3, 4, 6, 11, 77])
+def test_every_exception_code_is_put_into_words(field, poll, code):
+    server = field.add(HostileServer(lambda request: of(request, bytes([0x83, code]))))
+    polled = wait(poll(MODBUS, server, '{T1: 7}'), good)
+    assert polled.readings[0].startswith('register 7 of the table holding: the ')
+
+
+ACKNOWLEDGE = b'ACKF' + struct.pack('<IIIIII', 28, 0, 65535, 65535, 0, 0)
+
+
+@pytest.mark.parametrize(
+    'answer',
+    [
+        lambda request: NOISE,
+        lambda request: b'ACKF' + struct.pack('<I', 0xFFFFFFFF) + NOISE,
+        lambda request: b'ACKF' + struct.pack('<I', 0),
+        lambda request: b'ERRF' + struct.pack('<III', 16, 0x80010000, 0xFFFFFFFF),
+        lambda request: ACKNOWLEDGE,
+        lambda request: ACKNOWLEDGE if request[:3] == b'HEL' else b'OPNF' + NOISE,
+        lambda request: ACKNOWLEDGE if request[:3] == b'HEL' else b'MSGC\x20\x00\x00\x00' + NOISE,
+    ],
+    ids=['noise', 'endless', 'empty', 'error', 'acknowledge', 'channel', 'chunks'],
+)
+@pytest.mark.usefixtures('impatient')
+def test_hostile_opc_ua_servers_are_lost_devices(field, poll, answer):
+    server = field.add(HostileServer(answer))
+    poller = poll(OPC_UA, server, '{T1: ns=2;s=T1}', timeout=0.3)
+    is_lost_again_and_again(poller, server)
+
+
+def test_opc_ua_nodes_are_found_in_all_ways_and_missing_ones_named(field, poll):
+    values = {'T1': 20.5, 'T2': 7, 'T3': ua.Variant(2**63, ua.VariantType.UInt64)}
+    server = field.add(OpcUaServer(values))
+    sensors = (
+        '{A: ns=2;s=T1, B: "nsu=urn:fuzzycnc:test;s=T2", C: {path: "0:Objects/2:Mill/2:T1", '
+        'scale: 2, offset: 1}, D: ns=2;s=T9, E: {path: "0:Objects/2:Mill/2:T9"}, '
+        'F: nsu=urn:other;s=T1, G: {node: ns=2;s=T2, open_circuit: 7}}'
+    )
+    route = field.add(Route(server))
+    poller = poll(OPC_UA, route, sensors)
+    readings = wait(poller, good).readings
+    assert list(readings[:3]) == [20.5, 7.0, 42.0]
+    assert readings[3].startswith('node ns=2;s=T9: the server has no such node (BadNodeIdUnknown)')
+    assert 'path 0:Objects/2:Mill/2:T9: the server has no such node (BadNoMatch)' in readings[4]
+    assert 'nsu=urn:other;s=T1: the server has no such node (no namespace urn:oth' in readings[5]
+    assert readings[6] == 'open circuit (raw value 7)'
+
+    async def grow():
+        mill = await server.server.nodes.objects.get_child(f'{server.index}:Mill')
+        await mill.add_variable(ua.NodeId('T9', server.index), f'{server.index}:T9', 33.0)
+
+    # Some servers fill their address space after the start.
+    field.call(grow())
+    wait(poller, lambda item: good(item) and list(item.readings[3:5]) == [33.0, 33.0])
+
+    # A fresh client each time, and nothing of the old ones stays behind.
+    def tasks():
+        return asyncio.run_coroutine_threadsafe(count(), poller._loop).result(TIMEOUT)
+
+    async def count():
+        return len(asyncio.all_tasks())
+
+    before, connections = tasks(), route.connections
+    for _ in range(4):
+        for fault in ('cut', ''):
+            field.call(route.set(fault))
+            wait(poller, lost if fault else good)
+    assert route.connections >= connections + 4
+    assert tasks() <= before
+
+
+def test_a_value_beyond_all_sizes_is_told(field, poll):
+    server = field.add(OpcUaServer({'T1': 20.5, 'T2': 7.0}))
+    poller = poll(OPC_UA, server, '{T1: ns=2;s=T1, T2: ns=2;s=T2}')
+    wait(poller, good)
+    server.values['T2'] = 'long' * (1 << 19)
+    assert 'one of the nodes holds a long text or list' in wait(poller, lost).trouble
+    server.values['T2'] = [8.0]
+    assert wait(poller, good).readings[0] == 20.5
+
+
+def test_wrong_node_id_is_refused_before_any_connection(tmp_path):
+    path = tmp_path / 'devices.yaml'
+    path.write_text(
+        OPC_UA.format(host=LOCAL, port=1, sensors='{T1: ns=2;g=12-34}', timeout=1.0, more='')
+    )
+    (device,) = read_devices(path)
+    with pytest.raises(ParameterError, match="sensor T1: expected a node id but found 'ns=2;g=12"):
+        opc_ua.check(device)
+
+
+def test_the_first_certificate_of_a_server_is_pinned_and_another_refused(field, poll, tmp_path):
+    server = field.add(OpcUaServer({'T1': 20.5}, secured(tmp_path)))
+    user_file(tmp_path)
+    more = f'credentials: user.yaml\n    {PINNING}'
+    poller = poll(OPC_UA, server, '{T1: ns=2;s=T1}', more=more)
+    assert wait(poller, good).readings == [20.5]
+    pin = tmp_path / f'opcua-127.0.0.1-{server.port}.pem'
+    assert pin.exists()
+    asked, other = [], tmp_path / 'other'
+    other.mkdir()
+    field.call(server.stop())
+    server._secure = secured(other, asked.append)
+    field.call(server.start())
+    changed = f'the server shows another certificate than {pin}; if it was given a new one'
+    assert wait(poller, lambda found: changed in found.trouble).readings is None
+    assert asked == []
+    # The new one is accepted without a restart.
+    pin.unlink()
+    assert wait(poller, good).readings == [20.5]
+
+
+@pytest.mark.slow
+def test_secured_server_with_credentials(field, poll, tmp_path, monkeypatch):
+    monkeypatch.setattr(opcua_session, 'REFUSED_PAUSE', 0.1)
+    server = field.add(OpcUaServer({'T1': 20.5}, secured(tmp_path)))
+    user = user_file(tmp_path, 'wrong')
+    more = f'credentials: user.yaml\n    {SECURITY}'
+    poller = poll(OPC_UA, server, '{T1: ns=2;s=T1}', more=more)
+    trouble = wait(poller, lost).trouble
+    assert trouble.startswith(f'the server refuses {user} (Bad')
+    assert 'wrong' not in trouble
+    # The right password is taken without a restart.
+    user_file(tmp_path)
+    assert wait(poller, good).readings == [20.5]
+    user.unlink()
+    # Without security the same server refuses the connection.
+    plain = poll(OPC_UA, server, '{T1: ns=2;s=T1}')
+    assert 'the server does not offer this connection' in wait(plain, lost).trouble
