@@ -51,7 +51,7 @@ setup(
             'py.typed',
             'machine_file/built_in/*.yaml',
             'ros/*.xml',
-            'report/templates/*',
+            'studies/page/templates/*',
         ]
     },
     data_files=[

@@ -36,7 +36,8 @@ from fuzzycnc_ros.runtime.records import (
     Temperatures,
     ThermalReference,
 )
-from fuzzycnc_ros.scenario import PublishedBag, record_calibration
+from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
 RATE, DURATION = 10, 3600
 REPEATS = 5

@@ -143,7 +143,7 @@ def measure(listener: Listener, seconds: float) -> tuple[np.ndarray, np.ndarray]
 
 def main() -> None:
     """Measure once and print a table."""
-    from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation
+    from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation
     from fuzzycnc_ros.ros.environment import prepare_environment
 
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0

@@ -28,10 +28,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from equipment.linuxcnc_trace import Judged, Recorder, cut_of, judge
 from linuxcnc_feedrate_programs import Variant, program_of
 
-from fuzzycnc_ros.cli.linuxcnc_recorder import recording
+from fuzzycnc_ros.adapters.linuxcnc.recorder import recording
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES
-from fuzzycnc_ros.report.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table
 
 FEEDS = {
     'butterfly': (1500.0, 3000.0, 6000.0, 12000.0),
@@ -238,7 +238,12 @@ def plot(stand: Stand, target: Path) -> None:
     """Draw time against contour error and against deviation, all runs of each path."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    from fuzzycnc_ros.report.drawing import CLUSTER_COLOURS, add_legend, panel_grid, plot_style
+    from fuzzycnc_ros.studies.page.drawing import (
+        CLUSTER_COLOURS,
+        add_legend,
+        panel_grid,
+        plot_style,
+    )
 
     kinds = sorted({series(one) for one in stand.asked.values()})
     with plot_style():

@@ -47,8 +47,8 @@ from fuzzycnc_ros.core.feedrate.schedulers.refinement import (
 )
 from fuzzycnc_ros.core.machine.contouring import simulate_contouring
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
-from fuzzycnc_ros.scenario.pareto_path import CURVES, POINTS, curve_path
-from fuzzycnc_ros.scenario.program_drive import drive_paths
+from fuzzycnc_ros.studies.pareto.pareto_path import CURVES, POINTS, curve_path
+from fuzzycnc_ros.studies.programs.program_drive import drive_paths
 
 TIME, KEPT = 'time at equal error, over the law', 'error over tolerance, as asked'
 """Headings of the figures [-]."""

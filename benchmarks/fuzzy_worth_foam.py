@@ -19,8 +19,8 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.deformation import CompensatedPath, TSFuzzyNetwork, compensate_path
 from fuzzycnc_ros.core.deformation.training import equal_rows
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
-from fuzzycnc_ros.scenario.foam_comparison import TrackCase
-from fuzzycnc_ros.scenario.foam_training import (
+from fuzzycnc_ros.studies.soft.foam_comparison import TrackCase
+from fuzzycnc_ros.studies.soft.foam_training import (
     Predictor,
     Rival,
     baselines,

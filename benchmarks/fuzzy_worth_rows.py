@@ -10,7 +10,7 @@ from math import inf, isfinite, isnan, nan
 from statistics import median
 from typing import Any
 
-from fuzzycnc_ros.report.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table
 
 FUZZY, LAW, PLAIN, NOTHING = 'fuzzy', 'plain law', 'baseline', 'nothing'
 """What stands in the place of the rules: they themselves, the law that takes their place with

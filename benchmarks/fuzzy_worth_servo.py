@@ -52,7 +52,7 @@ from fuzzycnc_ros.core.servo import (
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning
 from fuzzycnc_ros.core.servo.surface import FixedSurface
 from fuzzycnc_ros.core.servo.tuning import BOUNDS, production
-from fuzzycnc_ros.scenario.servo_cases import ServoCase, drive_many
+from fuzzycnc_ros.studies.servo.servo_cases import ServoCase, drive_many
 
 SETTLED, LEFT = 'settled to 2 um [s]', 'error after 3 s [um]'
 RMS, LARGEST = 'rms error [um]', 'largest error [um]'

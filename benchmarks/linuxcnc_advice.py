@@ -23,17 +23,17 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
-from fuzzycnc_ros.cli.linuxcnc_recorder import PERIOD, Recorder, recording
+from fuzzycnc_ros.adapters.linuxcnc.recorder import PERIOD, Recorder, recording
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.motion.program_request import program_settings
 from fuzzycnc_ros.core.feedrate.job.controller_program import PathMode, program_moves, simulate
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 from fuzzycnc_ros.core.feedrate.program import Program, read_program
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
-from fuzzycnc_ros.report.table import Column, Table
-from fuzzycnc_ros.scenario.advice import Adviser, advised_program
-from fuzzycnc_ros.scenario.advice_mode import program_with_mode
-from fuzzycnc_ros.scenario.program_judge import Judged, ProgramPath
+from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.programs.advice import Adviser, advised_program
+from fuzzycnc_ros.studies.programs.advice_mode import program_with_mode
+from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
 
 LIMITS = ControllerLimits(velocity=(0.4,) * 3, acceleration=(2.0,) * 3, path_velocity=0.5)
 MACHINE = ContouringConfig()

@@ -14,7 +14,8 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from fuzzycnc_ros.core.thermal import train_model  # noqa: E402
-from fuzzycnc_ros.scenario import PublishedBag, record_calibration, run_shift  # noqa: E402
+from fuzzycnc_ros.studies.published_bag import PublishedBag  # noqa: E402
+from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift  # noqa: E402
 
 HOUR = 3600.0
 GOLDEN = {

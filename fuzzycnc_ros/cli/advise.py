@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings
     from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
     from fuzzycnc_ros.core.feedrate.program import Program
-    from fuzzycnc_ros.report.advice import AdviceFigures
-    from fuzzycnc_ros.scenario.advice import Advice
-    from fuzzycnc_ros.scenario.program_judge import Judged, ProgramPath
+    from fuzzycnc_ros.studies.programs.advice import Advice
+    from fuzzycnc_ros.studies.programs.advice_page import AdviceFigures
+    from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
 
 SLACK = 3.0
 """LinuxCNC may take that many times the simulated time, and `WAIT` [s] more."""
@@ -103,8 +103,12 @@ def advise(
         fuzzycnc advise part.ngc --machine-file mill.yaml --tolerance 20um
         fuzzycnc advise part.ngc --tolerance 20um --corners split --out best.ngc --report page.html
     """
-    from fuzzycnc_ros.report.advice import advice_document, advice_table, settings_lines
-    from fuzzycnc_ros.scenario.advice import CORNERS, Adviser, advised_program
+    from fuzzycnc_ros.studies.programs.advice import CORNERS, Adviser, advised_program
+    from fuzzycnc_ros.studies.programs.advice_page import (
+        advice_document,
+        advice_table,
+        settings_lines,
+    )
 
     known = read_machine(machine)
     if tolerance is not None:
@@ -218,8 +222,8 @@ def _measured(
     units: str,
 ) -> 'list[Judged]':
     """Run every remedy on LinuxCNC."""
-    from fuzzycnc_ros.cli.linuxcnc_recorder import PERIOD, recording
-    from fuzzycnc_ros.scenario.advice import advised_program
+    from fuzzycnc_ros.adapters.linuxcnc.recorder import PERIOD, recording
+    from fuzzycnc_ros.studies.programs.advice import advised_program
 
     limits = _limits(machine)
     found = []
@@ -236,8 +240,8 @@ def _measured(
 
 
 def _figures(name: str, advice: 'Advice', measured: 'list[Judged] | None') -> 'AdviceFigures':
-    from fuzzycnc_ros.report.advice import AdviceFigures, AdviceRow
-    from fuzzycnc_ros.scenario.advice import best_of
+    from fuzzycnc_ros.studies.programs.advice import best_of
+    from fuzzycnc_ros.studies.programs.advice_page import AdviceFigures, AdviceRow
 
     rows = [
         AdviceRow(
@@ -267,8 +271,8 @@ def _notes(given: 'Program', path: 'ProgramPath') -> list[str]:
 def _write_report(
     report: Path, figures: 'AdviceFigures', machine: SchedulingMachine, notes: list[str]
 ) -> None:
-    from fuzzycnc_ros.report.advice import advice_page
-    from fuzzycnc_ros.report.sections import render_page
+    from fuzzycnc_ros.studies.page.sections import render_page
+    from fuzzycnc_ros.studies.programs.advice_page import advice_page
 
     loop = machine.contouring
     facts = {

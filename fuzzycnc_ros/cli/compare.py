@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.cli.workers import Progress
     from fuzzycnc_ros.core.thermal import ThermalRun
     from fuzzycnc_ros.core.thermal.comparison import Comparison, HeldOut, Split
-    from fuzzycnc_ros.scenario.grinder_comparison import GrinderComparison, Trial
+    from fuzzycnc_ros.studies.grinder.grinder_comparison import GrinderComparison, Trial
 
 MACHINES = ('grinder',)
 """Simulated machines that a comparison may be made on."""
@@ -194,8 +194,8 @@ def compare(
     bad = (*read.bad, *failed)
     say_bad(bad)
     if report is not None:
-        from fuzzycnc_ros.report.comparison_page import comparison_page
-        from fuzzycnc_ros.report.sections import render_page
+        from fuzzycnc_ros.studies.page.sections import render_page
+        from fuzzycnc_ros.studies.thermal.comparison_page import comparison_page
 
         facts = {
             'Runs': ', '.join(run.name for run in runs),
@@ -205,8 +205,8 @@ def compare(
         }
         write_text(report, render_page(comparison_page(comparison, facts)))
         say(f'{report}: the report; open it in a browser')
-    from fuzzycnc_ros.report.comparison import comparison_document
-    from fuzzycnc_ros.report.many_runs import overall_document
+    from fuzzycnc_ros.studies.thermal.comparison import comparison_document
+    from fuzzycnc_ros.studies.thermal.many_runs import overall_document
 
     write_json(
         json_file,
@@ -294,8 +294,8 @@ def judge_trial(
     trial: 'Trial', progress: 'Progress', *, models: tuple[str, ...], seed: int
 ) -> 'GrinderComparison':
     """Judge some models in one trial on the simulated grinder."""
-    from fuzzycnc_ros.scenario.grinder_comparison import compare_on_grinder
-    from fuzzycnc_ros.scenario.grinder_rivals import RIVALS
+    from fuzzycnc_ros.studies.grinder.grinder_comparison import compare_on_grinder
+    from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS
 
     return compare_on_grinder(
         seed=seed,
@@ -327,8 +327,8 @@ def _compared(
 
 def _show(comparison: 'Comparison') -> list[str]:
     """Print all tables; return the lines that close the comparison."""
-    from fuzzycnc_ros.report import comparison as shown
-    from fuzzycnc_ros.report.many_runs import overall_table, runs_table
+    from fuzzycnc_ros.studies.thermal import comparison as shown
+    from fuzzycnc_ros.studies.thermal.many_runs import overall_table, runs_table
 
     held_out = comparison.held_out
     if len(held_out) <= SHOWN_EACH:
@@ -361,9 +361,9 @@ def _compare_on_grinder(
     models: list[str], jobs: int, seed: int, report: Path | None, json_file: Path | None
 ) -> None:
     from fuzzycnc_ros.cli.workers import in_workers
-    from fuzzycnc_ros.scenario.grinder_comparison import GrinderComparison, grinder_trials
-    from fuzzycnc_ros.scenario.grinder_page import grinder_page, grinder_remarks
-    from fuzzycnc_ros.scenario.grinder_rivals import RIVALS
+    from fuzzycnc_ros.studies.grinder.grinder_comparison import GrinderComparison, grinder_trials
+    from fuzzycnc_ros.studies.grinder.grinder_page import grinder_page, grinder_remarks
+    from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS
 
     names = names_of('--models', models, [rival.name for rival in RIVALS])
     trials = grinder_trials(seed)
@@ -381,7 +381,7 @@ def _compare_on_grinder(
         for line in (*grinder_remarks(result), ''):
             say(line)
     if report is not None:
-        from fuzzycnc_ros.report.sections import render_page
+        from fuzzycnc_ros.studies.page.sections import render_page
 
         write_text(report, render_page(grinder_page(comparison)))
         say(f'{report}: the report; open it in a browser')

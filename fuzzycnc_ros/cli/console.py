@@ -21,8 +21,8 @@ from fuzzycnc_ros.core.visible import visible
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from fuzzycnc_ros.report import Column, Table
-    from fuzzycnc_ros.report.remark import Remark
+    from fuzzycnc_ros.studies.page.remark import Remark
+    from fuzzycnc_ros.studies.page.table import Column, Table
 
 JsonFile = Annotated[
     Optional[Path],  # noqa: UP045  typer 0.9 reads this form on every Python

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from fuzzycnc_ros.core.thermal import ThermalRun
     from fuzzycnc_ros.core.thermal.comparison import Split
-    from fuzzycnc_ros.report.sensor_curve import HeldOutCurve
+    from fuzzycnc_ros.studies.thermal.sensor_curve import HeldOutCurve
 
 STEPS = 1000
 """Steps of the bar."""
@@ -61,7 +61,7 @@ def curve(
     from fuzzycnc_ros.core.thermal.comparison import splits
     from fuzzycnc_ros.core.thermal.training import at_interval
     from fuzzycnc_ros.core.thermal.training_runs import check_training_runs
-    from fuzzycnc_ros.report.sensor_curve import (
+    from fuzzycnc_ros.studies.thermal.sensor_curve import (
         SensorCurves,
         sensor_curve_document,
         sensor_curve_page,
@@ -98,7 +98,7 @@ def curve(
     for line in lines:
         say(line)
     if report is not None:
-        from fuzzycnc_ros.report.sections import render_page
+        from fuzzycnc_ros.studies.page.sections import render_page
 
         facts = {
             'Runs': ', '.join(run.name for run in runs),
@@ -118,7 +118,7 @@ def _curves(
 ) -> 'tuple[HeldOutCurve, ...]':
     """Judge every number of sensors on everything that is held out."""
     from fuzzycnc_ros.core.thermal import ThermalDataError, sensor_count_curve
-    from fuzzycnc_ros.report.sensor_curve import HeldOutCurve
+    from fuzzycnc_ros.studies.thermal.sensor_curve import HeldOutCurve
 
     curves = []
     with progress_bar('judging') as tell:

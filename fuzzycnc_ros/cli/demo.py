@@ -102,7 +102,7 @@ def _checked_program(path: Path) -> str:
     ValueError
         If there is none or it cannot be cut; the message says why.
     """
-    from fuzzycnc_ros.scenario.whole_shift import check_program
+    from fuzzycnc_ros.studies.shift.whole_shift import check_program
 
     with program_lines(path) as file:
         text = file.read_text(encoding='utf-8', errors='replace')

@@ -69,8 +69,10 @@ def _run(out: Path, seed: int, progress: Steps) -> tuple[ContourResult, Any]:
     from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-    from fuzzycnc_ros.report import contouring_page, contouring_table, render_page
-    from fuzzycnc_ros.scenario import SETTLE, ContouringLog, run_contouring
+    from fuzzycnc_ros.studies.contour.contouring import SETTLE, run_contouring
+    from fuzzycnc_ros.studies.contour.contouring_log import ContouringLog
+    from fuzzycnc_ros.studies.contour.contouring_page import contouring_page, contouring_table
+    from fuzzycnc_ros.studies.page.sections import render_page
 
     own_domain()
     scheduler = FeedrateSchedulerConfig(tolerance=TOLERANCE, settle=SETTLE)

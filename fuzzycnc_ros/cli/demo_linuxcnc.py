@@ -16,11 +16,11 @@ import typer
 from rich.console import Console
 
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
+from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation, exclusive
 from fuzzycnc_ros.cli.console import complain, show
 from fuzzycnc_ros.cli.demo_steps import RUN_TIMEOUT, Steps, print_files, progress_of
 from fuzzycnc_ros.cli.free_domain import own_domain
 from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses, NodeSpec
-from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation, exclusive
 from fuzzycnc_ros.cli.recording_loss import LACKING, loss
 
 MACHINE = 'mill'
@@ -100,9 +100,12 @@ def linuxcnc_demo(console: Console, out: Path, seed: int, rate: float = RATE) ->
 def _run(out: Path, seed: int, rate: float, progress: Steps) -> tuple[ClosedLoopResult, Any]:
     from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
     from fuzzycnc_ros.core.thermal import train_model
-    from fuzzycnc_ros.report import render_html, summary_document, summary_table
-    from fuzzycnc_ros.scenario import compensation_runs, record_calibration, shift_report
-    from fuzzycnc_ros.scenario.closed_loop import ClosedLoopLog
+    from fuzzycnc_ros.studies.linuxcnc_duty import ClosedLoopLog
+    from fuzzycnc_ros.studies.shift.shift_log import compensation_runs
+    from fuzzycnc_ros.studies.shift.shift_report import shift_report
+    from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
+    from fuzzycnc_ros.studies.thermal.report_page import render_html
+    from fuzzycnc_ros.studies.thermal.summary import summary_document, summary_table
 
     own_domain()
     with _linuxcnc(rate) as controller:
@@ -178,7 +181,7 @@ def _run_live(
     from fuzzycnc_ros.cli.operator import Operator
     from fuzzycnc_ros.components.machine.simulated_machine_duties import MACHINE_DUTIES
     from fuzzycnc_ros.runtime.records import Temperatures
-    from fuzzycnc_ros.scenario.closed_loop import duty_program
+    from fuzzycnc_ros.studies.linuxcnc_duty import duty_program
 
     program = controller.write_program('duty', duty_program(MACHINE_DUTIES[DUTY], rate))
     common = {'use_sim_time': True}

@@ -69,10 +69,10 @@ def pattern_demo(console: Console, out: Path, seed: int) -> None:
 def _run(out: Path, seed: int, progress: Steps) -> tuple[PatternResult, Any]:
     from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
-    from fuzzycnc_ros.report import render_page
-    from fuzzycnc_ros.report.pattern import PUBLISHED_OF, pattern_page, pattern_table
-    from fuzzycnc_ros.scenario.pattern import run_patterns
-    from fuzzycnc_ros.scenario.pattern_log import PatternLog
+    from fuzzycnc_ros.studies.page.sections import render_page
+    from fuzzycnc_ros.studies.soft.pattern import run_patterns
+    from fuzzycnc_ros.studies.soft.pattern_log import PatternLog
+    from fuzzycnc_ros.studies.soft.pattern_page import PUBLISHED_OF, pattern_page, pattern_table
 
     own_domain()
     with progress.step('trained a T-S fuzzy neural network on 265 samples'):
@@ -133,7 +133,7 @@ def _run_live(
     out: Path, folder: str, model: str, seed: int, progress: Steps
 ) -> tuple[dict[str, Any], float]:
     """Run the graph; return how the machine says it went, and the time."""
-    from fuzzycnc_ros.scenario.pattern import STITCH_BLEND
+    from fuzzycnc_ros.studies.soft.pattern import STITCH_BLEND
 
     specs = [
         NodeSpec('deformation_compensator', {'lockstep': True, 'autostart': True, 'model': model}),

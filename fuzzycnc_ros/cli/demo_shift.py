@@ -99,12 +99,12 @@ def _run(
     out: Path, seed: int, program: str, progress: Steps
 ) -> tuple[ShiftResult, tuple[Any, ...]]:
     from fuzzycnc_ros.core.thermal import load_model
-    from fuzzycnc_ros.report import render_page
-    from fuzzycnc_ros.report.pattern import pattern_table
-    from fuzzycnc_ros.report.shift_page import job_table, shift_page
-    from fuzzycnc_ros.scenario.pattern_log import PatternLog
-    from fuzzycnc_ros.scenario.whole_shift import ShiftSettings, judged_shift
-    from fuzzycnc_ros.scenario.whole_shift_log import ShiftLogs
+    from fuzzycnc_ros.studies.page.sections import render_page
+    from fuzzycnc_ros.studies.shift.whole_shift import ShiftSettings, judged_shift
+    from fuzzycnc_ros.studies.shift.whole_shift_log import ShiftLogs
+    from fuzzycnc_ros.studies.shift.whole_shift_page import job_table, shift_page
+    from fuzzycnc_ros.studies.soft.pattern_log import PatternLog
+    from fuzzycnc_ros.studies.soft.pattern_page import pattern_table
 
     own_domain()
     settings = ShiftSettings(program=program, seed=seed)
@@ -150,8 +150,8 @@ def _run(
 def _models(seed: int) -> tuple[str, str]:
     """Return the texts of a thermal model of calibration runs and of a foam model of samples."""
     from fuzzycnc_ros.core.thermal import train_model
-    from fuzzycnc_ros.scenario import record_calibration
-    from fuzzycnc_ros.scenario.whole_shift import TICK
+    from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
+    from fuzzycnc_ros.studies.shift.whole_shift import TICK
 
     period = {'simulated_machine': {'tick_period': TICK}}
     runs = record_calibration(seed=seed, parameters=period).runs
@@ -169,7 +169,7 @@ class _Live:
 
 def _run_both(out: Path, settings: Any, thermal: str, foam: str, progress: Steps) -> _Live:
     """Run both machines over DDS, and beside the mill, which takes longest, what needs no DDS."""
-    from fuzzycnc_ros.scenario.whole_shift import run_whole_shift
+    from fuzzycnc_ros.studies.shift.whole_shift import run_whole_shift
 
     started = time.monotonic()
 
@@ -230,7 +230,7 @@ def _outcome(graph: GraphProcesses) -> dict[str, Any]:
 
 def mill_specs(model: Path, settings: Any) -> list[NodeSpec]:
     """Return the nodes of the mill in the order of their turns, the machine last."""
-    from fuzzycnc_ros.scenario.whole_shift import AXES, SCHEDULER
+    from fuzzycnc_ros.studies.shift.whole_shift import AXES, SCHEDULER
 
     turn = {'lockstep': True}
     managed = {**turn, 'autostart': True}
@@ -252,8 +252,8 @@ def _lists(values: dict[str, Any]) -> dict[str, Any]:
 
 def _run_alone(out: Path, settings: Any, thermal: str, foam: str, bar: Any) -> None:
     """Run both machines in this process, into bags of their own."""
-    from fuzzycnc_ros.scenario import PublishedBag
-    from fuzzycnc_ros.scenario.whole_shift import run_whole_shift
+    from fuzzycnc_ros.studies.published_bag import PublishedBag
+    from fuzzycnc_ros.studies.shift.whole_shift import run_whole_shift
 
     with PublishedBag(out / 'alone' / LIVE[MILL], machine=MILL) as bag:
         run_whole_shift(thermal, settings, sink=bag, progress=bar.update)
@@ -284,7 +284,7 @@ def _result(before: Any, after: Any, patterns: Any, seed: int) -> ShiftResult:
     """Return the figures of a shift; what the live run adds is still empty."""
     import numpy as np
 
-    from fuzzycnc_ros.scenario.whole_shift import TOLERANCE
+    from fuzzycnc_ros.studies.shift.whole_shift import TOLERANCE
 
     figures = {
         name: {

@@ -62,8 +62,9 @@ def _run(out: Path, seed: int, progress: Steps, started: float) -> tuple[Thermal
     from fuzzycnc_ros.cli.latency import measure_latency
     from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
     from fuzzycnc_ros.core.thermal import load_model
-    from fuzzycnc_ros.report import summary_document, summary_table
-    from fuzzycnc_ros.scenario import ShiftLog, compensation_runs, record_calibration
+    from fuzzycnc_ros.studies.shift.shift_log import ShiftLog, compensation_runs
+    from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
+    from fuzzycnc_ros.studies.thermal.summary import summary_document, summary_table
 
     own_domain()
     with progress.step(f'recorded calibration runs {", ".join(CALIBRATION)}') as bar:
@@ -152,8 +153,9 @@ def _write_report(
     result: ThermalResult,
     notes: list[str],
 ) -> None:
-    from fuzzycnc_ros.report import Latency, render_html
-    from fuzzycnc_ros.scenario import shift_report
+    from fuzzycnc_ros.studies.shift.shift_report import shift_report
+    from fuzzycnc_ros.studies.thermal.report_data import Latency
+    from fuzzycnc_ros.studies.thermal.report_page import render_html
 
     data = shift_report(
         runs,

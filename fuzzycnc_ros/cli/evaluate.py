@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 
     from fuzzycnc_ros.cli.workers import Progress
     from fuzzycnc_ros.core.thermal import Evaluation, ThermalModel, ThermalRun
-    from fuzzycnc_ros.report import CompensationRun
-    from fuzzycnc_ros.report.remark import Remark
-    from fuzzycnc_ros.scenario.probed_evaluation import ProbedEvaluation
+    from fuzzycnc_ros.studies.page.remark import Remark
+    from fuzzycnc_ros.studies.thermal.probed_evaluation import ProbedEvaluation
+    from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
 
 
 class Judged(NamedTuple):
@@ -168,7 +168,7 @@ def judge_bag(
     result = judge(trained, run, start=start, stop=end, recorded=recorded)
     probed = None
     if probe_every is not None:
-        from fuzzycnc_ros.scenario.probed_evaluation import evaluate_probed
+        from fuzzycnc_ros.studies.thermal.probed_evaluation import evaluate_probed
 
         probed = evaluate_probed(trained, run, result, probe_every)
     return Judged(result, bridged, _page(trained, run, result) if page else None, probed)
@@ -177,8 +177,8 @@ def judge_bag(
 def _show(judged: 'list[Evaluation]', model: 'ThermalModel') -> None:
     """Print one run with all candidates, or a table of all runs and one of all candidates."""
     from fuzzycnc_ros.cli.train import refused_names
-    from fuzzycnc_ros.report.comparison import LEFT, residual_table
-    from fuzzycnc_ros.report.many_runs import overall_table, runs_table
+    from fuzzycnc_ros.studies.thermal.comparison import LEFT, residual_table
+    from fuzzycnc_ros.studies.thermal.many_runs import overall_table, runs_table
 
     refused = refused_names(model)
     if len(judged) > 1:
@@ -193,7 +193,7 @@ def _show(judged: 'list[Evaluation]', model: 'ThermalModel') -> None:
 
 def _remarks(result: 'Evaluation', model: 'ThermalModel') -> 'list[Remark]':
     """Return what a reader of the figures has to know."""
-    from fuzzycnc_ros.report.judged import remarks_on, training_remark
+    from fuzzycnc_ros.studies.thermal.judged import remarks_on, training_remark
 
     window, *others = remarks_on(result)
     trained_on = training_remark(result.run, result.trained_on, result.recognised, model.runs)
@@ -202,7 +202,7 @@ def _remarks(result: 'Evaluation', model: 'ThermalModel') -> 'list[Remark]':
 
 def _show_probed(probed: 'Sequence[ProbedEvaluation]') -> None:
     """Print what probing leaves, if it was asked for."""
-    from fuzzycnc_ros.report.probed import probed_lines, probed_table
+    from fuzzycnc_ros.studies.thermal.probed import probed_lines, probed_table
 
     if not probed:
         return
@@ -218,10 +218,10 @@ def _document(
     """Return all figures."""
     from fuzzycnc_ros.core.text_hash import text_hash
     from fuzzycnc_ros.core.thermal.evaluation import pooled_rms
-    from fuzzycnc_ros.report.comparison import judged_document, residual_document
-    from fuzzycnc_ros.report.judged import worse_than_none
-    from fuzzycnc_ros.report.many_runs import overall_document
-    from fuzzycnc_ros.report.probed import probed_document
+    from fuzzycnc_ros.studies.thermal.comparison import judged_document, residual_document
+    from fuzzycnc_ros.studies.thermal.judged import worse_than_none
+    from fuzzycnc_ros.studies.thermal.many_runs import overall_document
+    from fuzzycnc_ros.studies.thermal.probed import probed_document
 
     judged = [item.evaluation for item in found.results]
     probed = [item.probed for item in found.results if item.probed is not None]
@@ -251,7 +251,7 @@ def _document(
 def _page(model: 'ThermalModel', run: 'ThermalRun', result: 'Evaluation') -> 'CompensationRun':
     """Return the judged part of a run with the predictions of all candidates, for plots."""
     from fuzzycnc_ros.core.thermal.training import at_interval
-    from fuzzycnc_ros.report import CompensationRun
+    from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
 
     even = at_interval(run, model.interval)
     inside = even.inside(float(result.time[0]), float(result.time[-1]))
@@ -287,9 +287,9 @@ def _write_report(
     text: str,
     probed: 'Sequence[ProbedEvaluation]',
 ) -> None:
-    from fuzzycnc_ros.report import render_html
-    from fuzzycnc_ros.report.probed import probed_section
-    from fuzzycnc_ros.scenario import shift_report
+    from fuzzycnc_ros.studies.shift.shift_report import shift_report
+    from fuzzycnc_ros.studies.thermal.probed import probed_section
+    from fuzzycnc_ros.studies.thermal.report_page import render_html
 
     data = shift_report(
         pages,

@@ -126,7 +126,7 @@ def campaign(
     from fuzzycnc_ros.core.thermal import load_model, train_model
     from fuzzycnc_ros.faults.campaign import chosen
     from fuzzycnc_ros.faults.scenario import Kind
-    from fuzzycnc_ros.scenario import record_calibration
+    from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
     stages = chosen(names)
     file = folder / 'model.json'

@@ -58,8 +58,8 @@ def demo(
         fuzzycnc foam demo
         fuzzycnc foam demo --seed 3 --json figures.json --report foam.html
     """
-    from fuzzycnc_ros.report import foam as shown
-    from fuzzycnc_ros.scenario.foam_comparison import SIZE, compare_foam
+    from fuzzycnc_ros.studies.soft import foam_page as shown
+    from fuzzycnc_ros.studies.soft.foam_comparison import SIZE, compare_foam
 
     check_at_least('--seed', seed, 0)
     check_at_least('--runs', runs, 1)
@@ -77,7 +77,7 @@ def demo(
     for line in shown.comparison_remarks(found):
         say(line)
     if report is not None:
-        from fuzzycnc_ros.report.sections import render_page
+        from fuzzycnc_ros.studies.page.sections import render_page
 
         facts = {
             'Sheets': f'simulated foam, {1e3 * SIZE[0]:g} x {1e3 * SIZE[1]:g} mm, clamped all '
@@ -179,8 +179,8 @@ def _train(
     """Judge and train, and write what came of it."""
     from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
     from fuzzycnc_ros.core.text_hash import text_hash
-    from fuzzycnc_ros.report import foam as shown
-    from fuzzycnc_ros.scenario import foam_training as judged
+    from fuzzycnc_ros.studies.soft import foam_page as shown
+    from fuzzycnc_ros.studies.soft import foam_training as judged
 
     used, other = settings['consequent'], 'sts' if settings['consequent'] == 'nts' else 'nts'
     names = {'nts': 'hidden layer (NTS)', 'sts': 'linear rules (STS)'}
@@ -211,7 +211,7 @@ def _train(
     write_text(out, text)
     say(f'{out}: written, hash {text_hash(text)[:16]}')
     if report is not None:
-        from fuzzycnc_ros.report.sections import render_page
+        from fuzzycnc_ros.studies.page.sections import render_page
 
         facts = {
             'Consequents': names[used],

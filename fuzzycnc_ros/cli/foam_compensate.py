@@ -35,7 +35,7 @@ if TYPE_CHECKING:
         SheetMaterial,
         StitchPath,
     )
-    from fuzzycnc_ros.report import Table
+    from fuzzycnc_ros.studies.page.table import Table
 
 COLUMNS = ('x_mm', 'y_mm')
 """Columns of a list of points; `kind` (1 arc, 2 line) and `turn` (1 left, -1 right) may follow."""
@@ -326,7 +326,7 @@ def _reasons(flag: int) -> tuple[str, ...]:
 
 def _flags_table(flags: Sequence[LineFlags]) -> Table:
     """Return the lines with refused or limited steps."""
-    from fuzzycnc_ros.report import Column, Table
+    from fuzzycnc_ros.studies.page.table import Column, Table
 
     columns = (
         Column('Line'), Column('steps'), Column('not compensated'), Column('limited'),

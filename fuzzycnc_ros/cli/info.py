@@ -83,7 +83,7 @@ def _count(reader: 'BagReader', tell: Tell) -> Counter[str]:
 
 def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
     """Print what is in a bag and return it as a document."""
-    from fuzzycnc_ros.report import Column, Table
+    from fuzzycnc_ros.studies.page.table import Column, Table
 
     duration = 1e-9 * (reader.stop - reader.start)
     say(f'{reader.path}: {read.total()} messages in {duration:.3f} s')

@@ -112,7 +112,7 @@ def show_machine(file: File, json_file: JsonFile = None) -> None:
     from fuzzycnc_ros.machine_file.feeds import scheduler_parameters
     from fuzzycnc_ros.machine_file.listing import machine_values
     from fuzzycnc_ros.machine_file.reader import read_machine_file
-    from fuzzycnc_ros.report.table import Column, Table
+    from fuzzycnc_ros.studies.page.table import Column, Table
 
     check_folder(json_file)
     machine = read_machine_file(file)
@@ -145,7 +145,7 @@ def check(file: File, json_file: JsonFile = None) -> None:
     """
     from fuzzycnc_ros.machine_file.doubts import machine_doubts
     from fuzzycnc_ros.machine_file.reader import read_machine_file
-    from fuzzycnc_ros.report.remark import Remark
+    from fuzzycnc_ros.studies.page.remark import Remark
 
     check_folder(json_file)
     machine = read_machine_file(file)

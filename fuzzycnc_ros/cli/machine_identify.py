@@ -181,7 +181,7 @@ def _axis(
     from fuzzycnc_ros.core.identify.axis_fit import fit_axis
     from fuzzycnc_ros.core.identify.frequency import frequency_response
     from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
-    from fuzzycnc_ros.report.identification import (
+    from fuzzycnc_ros.studies.servo.identification_tables import (
         axis_fit_document,
         axis_fit_remarks,
         axis_fit_table,
@@ -215,7 +215,11 @@ def _loops(
     from fuzzycnc_ros.cli.identify_recording import read_columns
     from fuzzycnc_ros.core.identify.loop_fit import fit_loop
     from fuzzycnc_ros.core.machine.machine_data import MachineData
-    from fuzzycnc_ros.report.identification import loop_document, loop_remarks, loop_table
+    from fuzzycnc_ros.studies.servo.identification_tables import (
+        loop_document,
+        loop_remarks,
+        loop_table,
+    )
 
     axes = [axis for axis in AXES if f'commanded_{axis}' in wanted or f'actual_{axis}' in wanted]
     for axis in axes:

@@ -52,7 +52,7 @@ def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
     check_ros('operate')
     from fuzzycnc_ros.cli.operator import Operator
     from fuzzycnc_ros.cli.supervision_monitor import Monitor
-    from fuzzycnc_ros.report import Column, Table
+    from fuzzycnc_ros.studies.page.table import Column, Table
 
     machine = machine_name(machine)
     monitor = Monitor([machine])
@@ -141,7 +141,7 @@ def set_values(
     """
     check_ros('operate')
     from fuzzycnc_ros.registry import COMPONENTS
-    from fuzzycnc_ros.scenario.thermal_shift import checked
+    from fuzzycnc_ros.studies.shift.thermal_shift import checked
 
     given = node_parameters('set', values)
     checked(given)

@@ -24,7 +24,7 @@ from fuzzycnc_ros.cli.scheduling_machine import Machine, read_machine
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.scheduling_machine import SchedulingMachine
-    from fuzzycnc_ros.scenario.pareto_path import ParetoPath
+    from fuzzycnc_ros.studies.pareto.pareto_path import ParetoPath
 
 ERROR_MIN, ERROR_MAX = 1e-6, 1e-3
 """Errors that may be compared [m]."""
@@ -75,8 +75,8 @@ def pareto(
         fuzzycnc pareto trident --errors 0.02mm --json figures.json --report pareto.html
         fuzzycnc pareto part.ngc --run 3 --methods fuzzy,log_fuzzy
     """
-    from fuzzycnc_ros.report.pareto import pareto_document, pareto_lines, pareto_table
-    from fuzzycnc_ros.scenario.pareto import KNOBS, pareto_of
+    from fuzzycnc_ros.studies.pareto.pareto import KNOBS, pareto_of
+    from fuzzycnc_ros.studies.pareto.pareto_page import pareto_document, pareto_lines, pareto_table
 
     compared = _errors(errors)
     names = names_of('--methods', methods, tuple(KNOBS))
@@ -99,8 +99,8 @@ def pareto(
     for line in lines:
         say(line)
     if report is not None:
-        from fuzzycnc_ros.report.pareto import pareto_page
-        from fuzzycnc_ros.report.sections import render_page
+        from fuzzycnc_ros.studies.page.sections import render_page
+        from fuzzycnc_ros.studies.pareto.pareto_page import pareto_page
 
         page = pareto_page(found, table, _facts(chosen, machine, known), lines)
         write_text(report, render_page(page))
@@ -125,7 +125,12 @@ def _errors(texts: list[str]) -> tuple[float, ...]:
 def _path(path: str, run: int | None) -> 'ParetoPath':
     """Return the path that is meant."""
     from fuzzycnc_ros.core.feedrate.program import read_program
-    from fuzzycnc_ros.scenario.pareto_path import CURVES, curve_path, program_path, table_path
+    from fuzzycnc_ros.studies.pareto.pareto_path import (
+        CURVES,
+        curve_path,
+        program_path,
+        table_path,
+    )
 
     file = Path(path)
     table = file.suffix.lower() == '.csv'

@@ -135,7 +135,7 @@ def position(
         fuzzycnc position --machine-file tuned.yaml --axis X --to 100mm --load 10%
     """
     from fuzzycnc_ros.core.servo import position as moved
-    from fuzzycnc_ros.report import positioning as shown
+    from fuzzycnc_ros.studies.servo import positioning_page as shown
 
     known = _known(machine_file, axis)
     axis, data = known.name, known.data
@@ -187,7 +187,7 @@ def position(
         say(line)
     given = {name: value for name, (_, value) in knobs.items()}
     if report is not None:
-        from fuzzycnc_ros.report.sections import render_page
+        from fuzzycnc_ros.studies.page.sections import render_page
 
         facts = {
             'Axis': axis,

@@ -42,7 +42,7 @@ def replay(
         fuzzycnc replay shift --hash
     """
     from fuzzycnc_ros.bags.replay import replay as recompute
-    from fuzzycnc_ros.report import Column, Table
+    from fuzzycnc_ros.studies.page.table import Column, Table
 
     check_folder(json_file)
     if hashes:
@@ -92,7 +92,7 @@ def replay(
 
 def _show_hashes(bag: Path, json_file: Path | None) -> None:
     from fuzzycnc_ros.bags.canonical import combined_hash, topic_hashes
-    from fuzzycnc_ros.report import Column, Table
+    from fuzzycnc_ros.studies.page.table import Column, Table
 
     found = topic_hashes(bag)
     columns = (Column('Topic', numeric=False), Column('SHA-256', numeric=False))

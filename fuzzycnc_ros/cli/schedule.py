@@ -38,9 +38,9 @@ from fuzzycnc_ros.cli.unkept import say_unkept
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings
     from fuzzycnc_ros.core.feedrate.program import Block, Program, ProgramReader
-    from fuzzycnc_ros.report.schedule import ScheduleFigures
-    from fuzzycnc_ros.report.schedule_trace import PathTrace
-    from fuzzycnc_ros.scenario.program_judge import Judged
+    from fuzzycnc_ros.studies.programs.program_judge import Judged
+    from fuzzycnc_ros.studies.programs.schedule_tables import ScheduleFigures
+    from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
 
 NOTES = 8
 """Notes that are printed; the report and the figures have all."""
@@ -151,8 +151,12 @@ def schedule(
     """
     from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramScheduler
     from fuzzycnc_ros.core.feedrate.program import ProgramReader
-    from fuzzycnc_ros.report.schedule import ScheduleFigures, schedule_document, schedule_table
-    from fuzzycnc_ros.report.schedule_trace import PathTrace
+    from fuzzycnc_ros.studies.programs.schedule_tables import (
+        ScheduleFigures,
+        schedule_document,
+        schedule_table,
+    )
+    from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
 
     known = _settled(read_machine(machine), tolerance, method, blend, feed, override)
     settings = _settings(known, feed, feed_step)
@@ -282,7 +286,7 @@ def _driven(
     words: Words, settings: 'ProgramSettings', machine: SchedulingMachine
 ) -> 'tuple[Judged | None, Judged | None]':
     """Drive the first lines as they were and as they are on the simulated controller."""
-    from fuzzycnc_ros.scenario.program_controller import drive_words
+    from fuzzycnc_ros.studies.programs.program_controller import drive_words
 
     return drive_words(words.begun, settings, machine.contouring)
 
@@ -317,10 +321,10 @@ def _write_report(
     machine: SchedulingMachine,
 ) -> None:
     """Drive a stretch of the program with every method, and write the page."""
-    from fuzzycnc_ros.report.schedule import speed
-    from fuzzycnc_ros.report.sections import render_page
-    from fuzzycnc_ros.scenario.program_drive import compare_methods
-    from fuzzycnc_ros.scenario.program_page import schedule_page
+    from fuzzycnc_ros.studies.page.sections import render_page
+    from fuzzycnc_ros.studies.programs.program_drive import compare_methods
+    from fuzzycnc_ros.studies.programs.program_page import schedule_page
+    from fuzzycnc_ros.studies.programs.schedule_tables import speed
 
     config = machine.scheduler
     with progress_bar('driving') as tell:

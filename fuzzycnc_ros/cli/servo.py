@@ -100,9 +100,9 @@ def compare(
         check_folder(json_file)
         compare_machine_axis(machine_file, axis, seed, json_file)
         return
-    from fuzzycnc_ros.report import positioning_compare as shown
-    from fuzzycnc_ros.report.positioning_model import LABELS
-    from fuzzycnc_ros.scenario.servo_cases import compare_controllers
+    from fuzzycnc_ros.studies.servo import positioning_compare as shown
+    from fuzzycnc_ros.studies.servo.positioning_model import LABELS
+    from fuzzycnc_ros.studies.servo.servo_cases import compare_controllers
 
     names = names_of('--controllers', controllers, tuple(LABELS))
     check_at_least('--moves', moves, 0)
@@ -120,7 +120,7 @@ def compare(
     for line in lines:
         say(line)
     if report is not None:
-        from fuzzycnc_ros.report.sections import render_page
+        from fuzzycnc_ros.studies.page.sections import render_page
 
         facts = {
             'Axis': 'lathe, simulated: 286 mm/s at full duty, grating of 0.625 um, noise 0.1 um',
@@ -195,7 +195,7 @@ def tune(
     from fuzzycnc_ros.cli.servo_settings import write_settings
     from fuzzycnc_ros.core.servo.tuning import BOUNDS, production
     from fuzzycnc_ros.core.servo.tuning import tune as searched
-    from fuzzycnc_ros.report.positioning_rules import tuning_table
+    from fuzzycnc_ros.studies.servo.positioning_rules import tuning_table
 
     check_axis(axis)
     if axis != AXES[0]:
@@ -265,7 +265,7 @@ def stability(
     """
     from fuzzycnc_ros.cli.servo_settings import read_settings
     from fuzzycnc_ros.core.servo import stability_report
-    from fuzzycnc_ros.report.positioning_rules import (
+    from fuzzycnc_ros.studies.servo.positioning_rules import (
         stability_document,
         stability_page,
         stability_table,
@@ -287,7 +287,7 @@ def stability(
     table = stability_table(found, f'{controller} on the {axis} axis')
     show(table)
     if report is not None:
-        from fuzzycnc_ros.report.sections import render_page
+        from fuzzycnc_ros.studies.page.sections import render_page
 
         fine = sorted({*(0.05 * k for k in range(2, 51)), *factors})
         course = stability_report(chosen, gains=fine).spectral_radius

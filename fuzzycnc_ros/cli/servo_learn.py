@@ -80,7 +80,7 @@ def learn(
     from fuzzycnc_ros.cli.servo_settings import write_settings
     from fuzzycnc_ros.core.servo import learn_rules
     from fuzzycnc_ros.core.servo.rule_table import CENTRES, CENTRES_WITH_ZERO, SETS, SETS_WITH_ZERO
-    from fuzzycnc_ros.report.positioning_rules import rules_document, rules_table
+    from fuzzycnc_ros.studies.servo.positioning_rules import rules_document, rules_table
 
     check_axis(axis)
     if method not in ('lsq', 'wm'):

@@ -68,7 +68,7 @@ def tune_machine_axis(
     from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS
     from fuzzycnc_ros.core.servo.axis_tuning import AxisTuning, axis_cases
     from fuzzycnc_ros.machine_file.writer import machine_text
-    from fuzzycnc_ros.report.axis_tuning import (
+    from fuzzycnc_ros.studies.servo.axis_tuning_tables import (
         axis_tuning_document,
         axis_tuning_remarks,
         axis_tuning_table,
@@ -99,7 +99,7 @@ def compare_machine_axis(file: str, axis: str, seed: int, json_file: Path | None
     """Put all controllers on the same cases of an axis, with its settings or untuned."""
     from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS
     from fuzzycnc_ros.core.servo.axis_tuning import AxisTuning, axis_cases, judged_controller
-    from fuzzycnc_ros.report.axis_tuning import (
+    from fuzzycnc_ros.studies.servo.axis_tuning_tables import (
         axis_tuning_document,
         axis_tuning_remarks,
         axis_tuning_table,

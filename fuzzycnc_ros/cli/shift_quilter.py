@@ -43,8 +43,8 @@ def first_piece(out: Path, foam: str, seed: int) -> str:
 def pattern_alone(path: Path, model: str, seed: int) -> None:
     """Stitch the pattern in this process, into a bag; without a model it is not compensated."""
     from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
-    from fuzzycnc_ros.scenario import PublishedBag
-    from fuzzycnc_ros.scenario.pattern import TRACK, run_patterns
+    from fuzzycnc_ros.studies.published_bag import PublishedBag
+    from fuzzycnc_ros.studies.soft.pattern import TRACK, run_patterns
 
     with PublishedBag(path, machine=QUILT) as bag:
         run_patterns(
@@ -58,7 +58,7 @@ def pattern_alone(path: Path, model: str, seed: int) -> None:
 
 def quilt_specs(model: Path, seed: int) -> list[NodeSpec]:
     """Return the nodes of the quilter in the order of their turns, the machine last."""
-    from fuzzycnc_ros.scenario.pattern import STITCH_BLEND, TRACK
+    from fuzzycnc_ros.studies.soft.pattern import STITCH_BLEND, TRACK
 
     managed = {'lockstep': True, 'autostart': True}
     return [

@@ -24,8 +24,9 @@ from fuzzycnc_ros.cli.console import (
 from fuzzycnc_ros.cli.options import node_parameters
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.report import CompensationRun, Table
-    from fuzzycnc_ros.scenario import Calibration
+    from fuzzycnc_ros.studies.page.table import Table
+    from fuzzycnc_ros.studies.shift.thermal_shift import Calibration
+    from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
 
 Figures = dict[str, dict[str, dict[str, dict[str, Optional[float]]]]]  # noqa: UP045
 """run -> candidate -> channel -> figure [um]."""
@@ -97,7 +98,7 @@ def simulate(
         fuzzycnc simulate --duties T2 --fault T18:drift:3600 --report t2.html
         fuzzycnc simulate --out shift --param compensator.offset_max=20e-6
     """
-    from fuzzycnc_ros.report import summary_document, summary_table
+    from fuzzycnc_ros.studies.thermal.summary import summary_document, summary_table
 
     check_at_least('--seed', seed, 0)
     check_at_least('--seeds', seeds, 1)
@@ -165,7 +166,8 @@ class _Shift:
     def run(self, out: Path | None) -> None:
         """Carry it out; record it if `out` is given."""
         from fuzzycnc_ros.core.thermal import load_model, train_model
-        from fuzzycnc_ros.scenario import PublishedBag, record_calibration
+        from fuzzycnc_ros.studies.published_bag import PublishedBag
+        from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
         if self._model_file is not None:
             self._text = load_model(self._model_file).to_json()
@@ -192,7 +194,7 @@ class _Shift:
             self._compensate(bag)
 
     def _compensate(self, sink: Any) -> None:
-        from fuzzycnc_ros.scenario import run_shift
+        from fuzzycnc_ros.studies.shift.thermal_shift import run_shift
 
         self.runs = run_shift(
             self._text,
@@ -220,8 +222,8 @@ class _Shift:
     def write_report(self, path: Path) -> None:
         """Write the page with plots."""
         from fuzzycnc_ros.core.thermal import load_model
-        from fuzzycnc_ros.report import render_html
-        from fuzzycnc_ros.scenario import shift_report
+        from fuzzycnc_ros.studies.shift.shift_report import shift_report
+        from fuzzycnc_ros.studies.thermal.report_page import render_html
 
         facts = {'Machine': f'simulated mill, noise seed {self._seed}'}
         if self._faults:
@@ -259,8 +261,8 @@ def median_figures(documents: list[Figures]) -> Figures:
 
 
 def _median_table(documents: list[Figures], runs: tuple['CompensationRun', ...]) -> 'Table':
-    from fuzzycnc_ros.report import Column, Table, candidate_label
-    from fuzzycnc_ros.report.summary import micrometres
+    from fuzzycnc_ros.studies.page.table import Column, Table
+    from fuzzycnc_ros.studies.thermal.summary import candidate_label, micrometres
 
     medians = median_figures(documents)
     columns, names = [Column('Model', numeric=False)], list(next(iter(medians.values())))

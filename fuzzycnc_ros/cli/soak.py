@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from fuzzycnc_ros.cli.workers import Progress
-    from fuzzycnc_ros.report import Table
     from fuzzycnc_ros.scenario.soak import SoakRun
     from fuzzycnc_ros.scenario.soak_process import Growth
+    from fuzzycnc_ros.studies.page.table import Table
 
 HOURS_MAX = 1e5
 """Most hours: more than eleven years."""
@@ -127,7 +127,7 @@ def _soak_here(text: str, ticks: int, seed: int, repeat: int, tell: Tell) -> 'li
 def _model_text(model: Path | None, seed: int, tell: Tell) -> str:
     """Return the model of a file, or train one as `fuzzycnc simulate` does."""
     from fuzzycnc_ros.core.thermal import load_model, train_model
-    from fuzzycnc_ros.scenario import record_calibration
+    from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
     if model is not None:
         return load_model(model).to_json()
@@ -140,7 +140,7 @@ def _model_text(model: Path | None, seed: int, tell: Tell) -> str:
 
 def _table(title: str, growths: 'Sequence[Growth]') -> 'Table':
     """Return how each figure changed."""
-    from fuzzycnc_ros.report import Column, Table
+    from fuzzycnc_ros.studies.page.table import Column, Table
 
     columns = (
         Column('Figure', numeric=False),

@@ -44,7 +44,7 @@ from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, STANDARD
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun
-    from fuzzycnc_ros.report import Table
+    from fuzzycnc_ros.studies.page.table import Table
 
 
 def train(
@@ -103,7 +103,7 @@ def train(
     """
     from fuzzycnc_ros.bags.runs import read_run
     from fuzzycnc_ros.core.thermal import train_model
-    from fuzzycnc_ros.report.judged import choice_remarks
+    from fuzzycnc_ros.studies.thermal.judged import choice_remarks
 
     if not force:
         check_new(out, remedy='add --force')
@@ -182,7 +182,7 @@ def hole_words(run: 'ThermalRun') -> str:
 
 def candidate_table(model: 'ThermalModel') -> 'Table':
     """Return the candidates' residuals on what they were not fitted to."""
-    from fuzzycnc_ros.report.comparison import residual_table
+    from fuzzycnc_ros.studies.thermal.comparison import residual_table
 
     return residual_table(
         'Residual on held-out samples',
@@ -201,7 +201,7 @@ def refused_names(model: 'ThermalModel') -> frozenset[str]:
 
 def problem_lines(model: 'ThermalModel') -> list[str]:
     """Return what is wrong with candidates, a line each."""
-    from fuzzycnc_ros.report.comparison import refusal_line
+    from fuzzycnc_ros.studies.thermal.comparison import refusal_line
 
     flagged = [
         refusal_line(name, '; '.join(item.problems), in_table=True)
@@ -216,7 +216,7 @@ def problem_lines(model: 'ThermalModel') -> list[str]:
 
 def default_text(model: 'ThermalModel') -> str:
     """Return which candidate each channel uses."""
-    from fuzzycnc_ros.report.comparison import by_channel
+    from fuzzycnc_ros.studies.thermal.comparison import by_channel
 
     return by_channel(dict(zip(model.channel, model.default, strict=True)))
 
@@ -229,7 +229,7 @@ def speed_text(model: 'ThermalModel') -> str:
 
 
 def _document(model: 'ThermalModel', path: Path, digest: str) -> dict[str, Any]:
-    from fuzzycnc_ros.report.comparison import residual_document
+    from fuzzycnc_ros.studies.thermal.comparison import residual_document
 
     held_out = residual_document(
         model.channel,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from fuzzycnc_ros.faults.campaign import chosen
 from fuzzycnc_ros.faults.scenario import Kind
 from fuzzycnc_ros.faults.verdict import Verdict
-from fuzzycnc_ros.report import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table
 
 _FIGURES = {
     Kind.OFFSETS: ('Thermal compensation', 'largest offset', 'its largest step'),

@@ -15,7 +15,7 @@ import pytest
 from fuzzycnc_ros.core.feedrate import LogFuzzyScheduler
 from fuzzycnc_ros.core.machine import LatheAxis
 from fuzzycnc_ros.core.servo import VariableUniverseController, VariableUniverseParams
-from fuzzycnc_ros.scenario.pareto_path import CURVES, curve_path
+from fuzzycnc_ros.studies.pareto.pareto_path import CURVES, curve_path
 
 BENCHMARKS = Path(__file__).parents[2] / 'benchmarks'
 NAMES = ('fuzzy_worth', *(f'fuzzy_worth_{part}' for part in ('rows', 'feedrate', 'servo', 'foam')))

@@ -13,7 +13,7 @@ from fuzzycnc_ros.core.feedrate.job.split_program import check_same_path
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 from fuzzycnc_ros.core.feedrate.program import read_program, strip_feeds
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
-from fuzzycnc_ros.scenario.program_judge import ProgramPath
+from fuzzycnc_ros.studies.programs.program_judge import ProgramPath
 
 PART = """(part)
 G21 G90 G17 G64 P0.02
@@ -40,7 +40,7 @@ def part(fuzzycnc):
 @pytest.fixture(autouse=True)
 def one_acceleration(monkeypatch):
     """Refine with one acceleration only, which takes a third of the time."""
-    monkeypatch.setattr('fuzzycnc_ros.scenario.advice.REFINED', (0.5,))
+    monkeypatch.setattr('fuzzycnc_ros.studies.programs.advice.REFINED', (0.5,))
 
 
 def advised(fuzzycnc, part, *options, code=0):

@@ -17,7 +17,7 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_text,
 )
-from fuzzycnc_ros.report import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table
 
 GROUPS = [f'T{run} {axis}' for run in (2, 3) for axis in 'YZ']
 TABLE = Table(

@@ -27,8 +27,8 @@ from fuzzycnc_ros.runtime.records import (
     AxisState,
     ServoState,
 )
-from fuzzycnc_ros.scenario.positioning import run_positioning
-from fuzzycnc_ros.scenario.published_bag import PublishedBag
+from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.servo.positioning import run_positioning
 
 MILLISECOND = 10**6
 

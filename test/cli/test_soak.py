@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.thermal import train_model
-from fuzzycnc_ros.scenario import record_calibration
 from fuzzycnc_ros.scenario.soak import HELD, SoakRun
+from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
 
 @pytest.fixture

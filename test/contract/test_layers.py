@@ -21,12 +21,11 @@ RINGS = {
     'runtime': {'core'},
     'components': {'runtime', 'core'},
     'machine_file': {'bags', 'core'},
-    'report': {'core'},
     'bags': {'registry', 'components', 'runtime', 'core'},
     'ros': {'machine_file', 'bags', 'registry', 'components', 'runtime', 'core'},
     'adapters': {'ros', 'bags', 'components', 'runtime', 'core'},
     'registry': {'adapters', 'components', 'runtime'},
-    'scenario': {'report', 'machine_file', 'bags', 'registry', 'components', 'runtime', 'core'},
+    'studies': {'machine_file', 'bags', 'registry', 'components', 'runtime', 'core'},
     'nodes': {
         'adapters',
         'ros',
@@ -37,15 +36,12 @@ RINGS = {
         'runtime',
         'core',
     },
-    'faults': {'ros', 'nodes', 'registry', 'report', 'bags', 'components', 'runtime', 'core'},
     'cli': {
-        'faults',
         'nodes',
         'adapters',
         'ros',
         'registry',
-        'scenario',
-        'report',
+        'studies',
         'machine_file',
         'bags',
         'components',
@@ -74,8 +70,7 @@ WITHOUT_ROS = (
     'registry',
     'bags',
     'machine_file',
-    'report',
-    'scenario',
+    'studies',
 )
 PURE = ('core', 'runtime', 'components')
 LOADED_ON_USE = {

@@ -20,7 +20,7 @@ from fuzzycnc_ros.cli.servo_records import read_csv
 from fuzzycnc_ros.core.deformation import SheetMaterial, read_model
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
 from fuzzycnc_ros.core.machine.foam_tracks import FoamTrack
-from fuzzycnc_ros.scenario.pareto_path import table_path
+from fuzzycnc_ros.studies.pareto.pareto_path import table_path
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

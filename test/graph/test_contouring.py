@@ -16,7 +16,9 @@ from fuzzycnc_ros.runtime.records import (
     ContourError,
     TrajectoryState,
 )
-from fuzzycnc_ros.scenario import ContouringLog, PublishedBag, run_contouring
+from fuzzycnc_ros.studies.contour.contouring import run_contouring
+from fuzzycnc_ros.studies.contour.contouring_log import ContouringLog
+from fuzzycnc_ros.studies.published_bag import PublishedBag
 
 pytestmark = pytest.mark.ros
 

@@ -32,9 +32,9 @@ from fuzzycnc_ros.runtime.records import (
     StitchPattern,
     TrajectoryState,
 )
-from fuzzycnc_ros.scenario import PublishedBag
-from fuzzycnc_ros.scenario.pattern import STITCH_BLEND, run_patterns
-from fuzzycnc_ros.scenario.pattern_log import PatternLog
+from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.soft.pattern import STITCH_BLEND, run_patterns
+from fuzzycnc_ros.studies.soft.pattern_log import PatternLog
 
 pytestmark = pytest.mark.ros
 

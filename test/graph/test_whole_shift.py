@@ -9,8 +9,9 @@ from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.cli.demo_shift import mill_specs
 from fuzzycnc_ros.core.thermal import train_model
 from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.scenario import PublishedBag, record_calibration
-from fuzzycnc_ros.scenario.whole_shift import TICK, ShiftSettings, run_whole_shift
+from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
+from fuzzycnc_ros.studies.shift.whole_shift import TICK, ShiftSettings, run_whole_shift
 
 pytestmark = pytest.mark.ros
 

@@ -4,9 +4,9 @@
 
 import pytest
 
-from fuzzycnc_ros.report.model import UNCOMPENSATED
-from fuzzycnc_ros.scenario.grinder_comparison import compare_on_grinder, grinder_trials
-from fuzzycnc_ros.scenario.grinder_rivals import RIVALS
+from fuzzycnc_ros.studies.grinder.grinder_comparison import compare_on_grinder, grinder_trials
+from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS
+from fuzzycnc_ros.studies.thermal.report_data import UNCOMPENSATED
 
 pytestmark = pytest.mark.paper
 

@@ -13,8 +13,8 @@ from rich.console import Console
 
 from fuzzycnc_ros.cli.demo_linuxcnc import linuxcnc_demo
 from fuzzycnc_ros.runtime.codes import AppliedStatus, MachineMode
-from fuzzycnc_ros.scenario.closed_loop import ClosedLoopLog
-from fuzzycnc_ros.scenario.shift_log import ShiftLog
+from fuzzycnc_ros.studies.linuxcnc_duty import ClosedLoopLog
+from fuzzycnc_ros.studies.shift.shift_log import ShiftLog
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.qualify]
 

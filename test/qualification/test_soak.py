@@ -5,8 +5,8 @@
 import pytest
 
 from fuzzycnc_ros.core.thermal import train_model
-from fuzzycnc_ros.scenario import record_calibration
 from fuzzycnc_ros.scenario.soak import TICKS_MIN
+from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
 NODES = (
     'temperature_acquisition',

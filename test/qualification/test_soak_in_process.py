@@ -13,7 +13,6 @@ import pytest
 from fuzzycnc_ros.components.thermal.compensator import Compensator
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.core.thermal import train_model
-from fuzzycnc_ros.scenario import record_calibration
 from fuzzycnc_ros.scenario.soak import (
     CYCLE,
     HELD,
@@ -25,6 +24,7 @@ from fuzzycnc_ros.scenario.soak import (
     soak_duties,
 )
 from fuzzycnc_ros.scenario.soak_process import GROWTH_MAX, growths, held_by
+from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
 pytestmark = pytest.mark.qualify
 

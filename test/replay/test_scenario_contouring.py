@@ -12,9 +12,9 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSch
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
-from fuzzycnc_ros.scenario.contouring import SETTLE, ContouringError, run_contouring
-from fuzzycnc_ros.scenario.contouring_log import ContouringLog
-from fuzzycnc_ros.scenario.published_bag import PublishedBag
+from fuzzycnc_ros.studies.contour.contouring import SETTLE, ContouringError, run_contouring
+from fuzzycnc_ros.studies.contour.contouring_log import ContouringLog
+from fuzzycnc_ros.studies.published_bag import PublishedBag
 
 TOLERANCE = 1e-4
 SCHEDULER = FeedrateSchedulerConfig(tolerance=TOLERANCE, settle=SETTLE)

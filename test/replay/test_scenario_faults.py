@@ -41,7 +41,7 @@ from fuzzycnc_ros.core.thermal import load_model, train_model
 from fuzzycnc_ros.runtime.codes import CompensationState, Reason
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.records import Displacement, MachineState
-from fuzzycnc_ros.scenario import run_shift
+from fuzzycnc_ros.studies.shift.thermal_shift import run_shift
 
 
 @pytest.mark.slow

@@ -24,9 +24,9 @@ from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, write_offse
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack, true_compensation
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
-from fuzzycnc_ros.scenario.pattern import TRACK, PatternError, run_patterns
-from fuzzycnc_ros.scenario.pattern_log import PatternLog
-from fuzzycnc_ros.scenario.published_bag import PublishedBag
+from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.soft.pattern import TRACK, PatternError, run_patterns
+from fuzzycnc_ros.studies.soft.pattern_log import PatternLog
 
 SHEET = FoamSheet(15e-3, (0.15, 0.1))
 EXACT = SimulatedMachineConfig(sheet_seed=-1, path_timeout=2.0)

@@ -22,9 +22,9 @@ from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis
 from fuzzycnc_ros.core.servo import point_to_point, position
 from fuzzycnc_ros.runtime.codes import ServoStatus, TrajectoryStatus
 from fuzzycnc_ros.runtime.graph import InProcessGraph
-from fuzzycnc_ros.scenario.positioning import PositioningError, run_positioning
-from fuzzycnc_ros.scenario.positioning_log import PositioningLog
-from fuzzycnc_ros.scenario.published_bag import PublishedBag
+from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.servo.positioning import PositioningError, run_positioning
+from fuzzycnc_ros.studies.servo.positioning_log import PositioningLog
 
 MOVES = ('X:-0.05', 'X:0.01')
 

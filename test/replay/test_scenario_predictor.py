@@ -18,7 +18,8 @@ from fuzzycnc_ros.components.thermal.thermal_predictor import (
 )
 from fuzzycnc_ros.core.thermal import train_model
 from fuzzycnc_ros.runtime.graph import InProcessGraph
-from fuzzycnc_ros.scenario import PublishedBag, record_calibration, run_shift
+from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift
 
 CANDIDATES = ('stable_grey', 'lag_ridge')
 """Candidates that train in a moment."""

@@ -13,14 +13,10 @@ from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.core.thermal import ThermalDataError, load_model, train_model
 from fuzzycnc_ros.runtime.codes import CompensationState
-from fuzzycnc_ros.scenario import (
-    PublishedBag,
-    ShiftLog,
-    compensation_runs,
-    record_calibration,
-    run_shift,
-    shift_report,
-)
+from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.shift.shift_log import ShiftLog, compensation_runs
+from fuzzycnc_ros.studies.shift.shift_report import shift_report
+from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift
 
 OFFSET_MAX = 50e-6
 

@@ -9,9 +9,9 @@ from kept import kept
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.components.machine.simulated_machine_part import PART_PROGRAM
 from fuzzycnc_ros.core.thermal import load_model, train_model
-from fuzzycnc_ros.report.shift_page import job_table
-from fuzzycnc_ros.scenario import PublishedBag, record_calibration
-from fuzzycnc_ros.scenario.whole_shift import (
+from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
+from fuzzycnc_ros.studies.shift.whole_shift import (
     TICK,
     TOLERANCE,
     ShiftSettings,
@@ -20,7 +20,8 @@ from fuzzycnc_ros.scenario.whole_shift import (
     judged_shift,
     run_whole_shift,
 )
-from fuzzycnc_ros.scenario.whole_shift_log import ShiftLogs
+from fuzzycnc_ros.studies.shift.whole_shift_log import ShiftLogs
+from fuzzycnc_ros.studies.shift.whole_shift_page import job_table
 
 SETTINGS = ShiftSettings(
     jobs=('1200:path:trident', '1800:move:X:0.01,Z:-0.005', '2400:path:infinity'), duration=3000.0

@@ -9,7 +9,7 @@ import numpy as np
 from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack
 from fuzzycnc_ros.runtime.codes import PrimitiveKind
 from fuzzycnc_ros.runtime.records import CompensatedPath, Material, StitchedPath
-from fuzzycnc_ros.scenario.published_bag import PublishedBag
+from fuzzycnc_ros.studies.published_bag import PublishedBag
 
 SECOND = 10**9
 SIZE = (0.15, 0.1)

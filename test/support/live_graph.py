@@ -51,7 +51,7 @@ from fuzzycnc_ros.ros.qos import subscription_qos
 from fuzzycnc_ros.ros.run import run
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import decode, encode
-from fuzzycnc_ros.scenario.thermal_shift import record_calibration, run_shift
+from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift
 
 ROOT = Path(__file__).parents[2]
 DOMAINS = 100

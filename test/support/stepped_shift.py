@@ -25,7 +25,7 @@ from fuzzycnc_ros.core.thermal import load_model, train_model
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.runtime.records import Record
-from fuzzycnc_ros.scenario import Calibration, record_calibration
+from fuzzycnc_ros.studies.shift.thermal_shift import Calibration, record_calibration
 
 CANDIDATES = ('stable_grey', 'lag_ridge')
 """Candidates that train in a moment."""

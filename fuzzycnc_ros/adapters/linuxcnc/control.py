@@ -19,7 +19,7 @@ import numpy as np
 
 from fuzzycnc_ros.adapters.controller import Controller
 from fuzzycnc_ros.adapters.link import LinkError
-from fuzzycnc_ros.adapters.linuxcnc import hal_process as linuxcnc_hal
+from fuzzycnc_ros.adapters.linuxcnc import hal_process
 from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_status import (
     ControllerLimits,
     ControllerOutput,
@@ -66,7 +66,7 @@ class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits])
         self._pending = b''
         self._tick: Any = None
         self._tick_at = time.monotonic()
-        command = [interpreter, '-I', str(Path(linuxcnc_hal.__file__)), ','.join(axes)]
+        command = [interpreter, '-I', str(Path(hal_process.__file__)), ','.join(axes)]
         try:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL

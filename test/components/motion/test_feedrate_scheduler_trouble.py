@@ -362,7 +362,7 @@ def test_recorded_run_is_replayed_byte_for_byte(tmp_path):
     for name in ('mcap', 'zstandard', 'rosbags', 'yaml'):
         pytest.importorskip(name, reason=f"{name} is missing: pip install 'fuzzycnc_ros[bags]'")
     from fuzzycnc_ros.bags.replay import replay
-    from fuzzycnc_ros.scenario.published_bag import PublishedBag
+    from fuzzycnc_ros.studies.published_bag import PublishedBag
 
     rig = Rig()
     rig.run(path_of(SMALL, 'first'))

@@ -13,7 +13,7 @@ from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
 from fuzzycnc_ros.core.servo.controllers import FOR_USE
 from fuzzycnc_ros.runtime.codes import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.records import SECOND, AxisCommand, AxisState, MachineState
-from fuzzycnc_ros.scenario.positioning import PositioningError, run_positioning
+from fuzzycnc_ros.studies.servo.positioning import PositioningError, run_positioning
 
 
 def test_axis_states_that_are_missing_are_bridged_and_counted():

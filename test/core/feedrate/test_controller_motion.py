@@ -20,7 +20,7 @@ from fuzzycnc_ros.core.feedrate.motion.controller_moves import merged
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 from fuzzycnc_ros.core.feedrate.program import read_program
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
-from fuzzycnc_ros.scenario.program_judge import ProgramPath
+from fuzzycnc_ros.studies.programs.program_judge import ProgramPath
 
 LIMITS = ControllerLimits(velocity=(0.4,) * 3, acceleration=(2.0,) * 3, path_velocity=0.5)
 PERIOD = LIMITS.period

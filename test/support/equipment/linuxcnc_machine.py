@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from fuzzycnc_ros.adapters.linuxcnc import simulation as linuxcnc_simulation
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
-from fuzzycnc_ros.cli import linuxcnc_simulation
-from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation as LinuxcncMachine
+from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation as LinuxcncMachine
 
 __all__ = ['LinuxcncMachine', 'exclusive']
 

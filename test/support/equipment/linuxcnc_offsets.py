@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from processes import start
 
-from fuzzycnc_ros.cli.linuxcnc_simulation import LinuxcncSimulation
+from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation
 from fuzzycnc_ros.core.arrays import Array
 
 PERIOD = 1e-3

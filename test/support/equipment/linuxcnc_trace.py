@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fuzzycnc_ros.cli.linuxcnc_recorder import PERIOD, Recorder
+from fuzzycnc_ros.adapters.linuxcnc.recorder import PERIOD, Recorder
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringAxes, ContouringConfig

@@ -1,0 +1,167 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a real LinuxCNC commands to its joints in every servo period, recorded by HAL's sampler."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
+from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation, exclusive
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.ros.ending import child_set_up
+
+PERIOD = 1e-3
+"""Servo period [s]."""
+MILLIMETRE = 1e-3
+TRAVEL = 2000.0
+"""Travel of the axes either way while programs are recorded [mm]."""
+_SHARE = 0.8
+"""Of velocity and acceleration that external offsets leave, see `OFFSET_AV_RATIO`."""
+_DEPTH = 16000  # samples that HAL keeps while nobody reads them
+_DRAIN = 60.0  # their reader will not take the last ones any more [s]
+_QUIT = 20.0
+
+
+class Recorder:
+    """Records the commanded positions of X, Y and Z.
+
+    Parameters
+    ----------
+    machine : LinuxcncSimulation
+        Switched on and homed.
+    folder : Path
+        Where part programs and records go.
+    """
+
+    def __init__(self, machine: LinuxcncSimulation, folder: Path) -> None:
+        self._machine, self._folder = machine, folder
+        self._runs = 0
+        self.halcmd('loadrt', 'sampler', f'depth={_DEPTH}', 'cfg=fff')
+        self.halcmd('setp', 'sampler.0.enable', '0')
+        self.halcmd('addf', 'sampler.0', 'servo-thread')
+        for joint in range(3):
+            self.halcmd('net', f'J{joint}', f'sampler.0.pin.{joint}')
+
+    def limit(self, velocity: Sequence[float], acceleration: Sequence[float]) -> None:
+        """Set the limits that X, Y and Z have while programs run [m/s, m/s^2]."""
+        for joint, axis in enumerate('xyz'):
+            for name in (axis, str(joint)):
+                for quantity, value in (
+                    ('max_velocity', velocity[joint] / MILLIMETRE / _SHARE),
+                    ('max_acceleration', acceleration[joint] / MILLIMETRE / _SHARE),
+                    ('min_limit', -TRAVEL),
+                    ('max_limit', TRAVEL),
+                ):
+                    self.halcmd('setp', f'ini.{name}.{quantity}', f'{value:.9f}')
+
+    def origin(self, timeout: float = 60.0) -> None:
+        """Move the axes to where they stood when homed.
+
+        Raises
+        ------
+        LinuxcncError
+            If that takes longer [s].
+        """
+        path = self._folder / 'origin.ngc'
+        path.write_text('G92.1\nG54 G90 G21\nG53 G0 X0 Y0 Z0\nG4 P0.5\nM2\n')
+        self._machine.run(str(path))
+        self._wait(timeout)
+
+    def _wait(self, timeout: float) -> None:
+        end = time.monotonic() + timeout
+        while self._machine.state()['running']:
+            if time.monotonic() > end:
+                raise LinuxcncError(f'the program still runs after {timeout:g} s')
+            time.sleep(0.05)
+
+    def run(self, program: str, timeout: float) -> Array:
+        """Run a part program from its first line to its end.
+
+        Parameters
+        ----------
+        program : str
+            The program.
+        timeout : float
+            Time that it may take [s].
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Commanded positions, `PERIOD` apart, from before its start to after its end [m].
+
+        Raises
+        ------
+        LinuxcncError
+            If it takes longer, LinuxCNC refuses it, or samples were lost.
+        """
+        self._runs += 1
+        path = self._folder / f'program{self._runs}.ngc'
+        path.write_text(program)
+        record = self._folder / f'samples{self._runs}.txt'
+        reader = subprocess.Popen(
+            ['halsampler', '-t', str(record)], preexec_fn=child_set_up(), stderr=subprocess.DEVNULL
+        )
+        try:
+            self.halcmd('setp', 'sampler.0.enable', '1')
+            self._machine.run(str(path))
+            self._wait(timeout)
+            self.halcmd('setp', 'sampler.0.enable', '0')
+            end = time.monotonic() + _DRAIN
+            while self._machine.halcmd('getp', 'sampler.0.curr-depth') != '0':
+                if time.monotonic() > end:
+                    raise LinuxcncError('nobody reads the samples')
+                time.sleep(0.01)
+        finally:
+            reader.send_signal(signal.SIGINT)
+            reader.wait(_QUIT)
+        lines = record.read_text().splitlines()
+        record.unlink()
+        # a reader that did not begin with sample 1 reports an overrun before its first one
+        rows = [line.split() for line in lines if line.strip() != 'overrun']
+        table = np.array(rows, dtype=np.float64)
+        if len(table) < 2 or not np.all(np.diff(table[:, 0]) == 1.0):
+            raise LinuxcncError('samples are missing: they were read too late')
+        return np.asarray(MILLIMETRE * table[:, 1:])
+
+    def halcmd(self, *words: str) -> None:
+        """Do something to the HAL.
+
+        Raises
+        ------
+        LinuxcncError
+            If it does not work.
+        """
+        said = self._machine.halcmd(*words).splitlines()
+        # as root it tells whom it becomes
+        wrong = [line for line in said if not line.startswith('Running with fallback_uid')]
+        if wrong:
+            raise LinuxcncError(f'halcmd {" ".join(words)}: {wrong}')
+
+
+@contextlib.contextmanager
+def recording() -> Iterator[Recorder]:
+    """Start a LinuxCNC that is ready for programs, and end it.
+
+    Raises
+    ------
+    LinuxcncError
+        If it is not installed, or another one runs.
+    """
+    with exclusive(), contextlib.ExitStack() as ending:
+        folder = Path(tempfile.mkdtemp(prefix='fuzzycnc-linuxcnc-'))
+        ending.callback(shutil.rmtree, folder, ignore_errors=True)
+        machine = LinuxcncSimulation(folder)
+        ending.callback(machine.end)
+        machine.start()
+        machine.ready()
+        yield Recorder(machine, folder)

@@ -1,0 +1,3 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Paths on the simulated machine, and how far from them it was."""

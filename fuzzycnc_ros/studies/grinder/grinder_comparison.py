@@ -1,0 +1,331 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every thermal model on the simulated grinder, judged on runs it has not seen."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf, isfinite
+from typing import Any
+
+import numpy as np
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.machine import GRINDER_AXES, record_flux_case, record_grinder
+from fuzzycnc_ros.core.thermal import ThermalRun
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.refinement import Progress
+from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS, Rival
+from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.thermal.comparison import MARK, best_of
+from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
+
+NOISES = (0.0, 0.02, 0.05, 0.10)
+"""Noise of the rises in the flux cases, as a fraction of each rise [-]."""
+
+TRAINING_NOISE = 0.02
+"""Noise of the rises in the training of `noisy_flux` [-]; enough to make a recursion run away."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Runs to train on and runs to judge on.
+
+    Parameters
+    ----------
+    name : str
+        Short name, as the JSON document has it.
+    title : str
+        What is tried, for people.
+    train : tuple of ThermalRun
+        Training runs.
+    judged : mapping of str to ThermalRun
+        Runs to judge on, by the heading of their columns.
+    """
+
+    name: str
+    title: str
+    train: tuple[ThermalRun, ...]
+    judged: Mapping[str, ThermalRun]
+
+
+@dataclass(frozen=True)
+class Score:
+    """What is left of the thermal error: root mean square and largest absolute value [m]."""
+
+    rms: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """Scores of one trial.
+
+    Parameters
+    ----------
+    name, title : str
+        Those of the trial.
+    trained_on : tuple of str
+        Names of the training runs.
+    sensors : int
+        Number of sensors.
+    scores : mapping of str to mapping of str to Score
+        Model -> column, such as 'E2 Y' -> score; infinite where a prediction diverged.
+    problems : mapping of str to tuple of str
+        What a model's own checks found wrong, or why it could not be fitted at all; models
+        without problems are left out.
+    """
+
+    name: str
+    title: str
+    trained_on: tuple[str, ...]
+    sensors: int
+    scores: Mapping[str, Mapping[str, Score]]
+    problems: Mapping[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class GrinderComparison:
+    """Scores of all trials.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of noise and models.
+    trials : tuple of TrialResult
+        The trials.
+    """
+
+    seed: int
+    trials: tuple[TrialResult, ...]
+
+    def score(self, trial: str, model: str, column: str) -> Score:
+        """Return one score, such as `score('two_runs', 'hybrid_network', 'E2 Y')`.
+
+        Raises
+        ------
+        KeyError
+            If there is none of that name.
+        """
+        return {result.name: result for result in self.trials}[trial].scores[model][column]
+
+    def document(self) -> dict[str, Any]:
+        """Return all figures for a JSON file, lengths in micrometres.
+
+        Returns
+        -------
+        dict
+            `seed`, and `trials` by name with `title`, `trained_on`, `sensors`, `models` (model
+            -> column -> `rms_um` and `max_um`; None where it diverged) and `problems`.
+        """
+        return {
+            'seed': self.seed,
+            'trials': {
+                result.name: {
+                    'title': result.title,
+                    'trained_on': list(result.trained_on),
+                    'sensors': result.sensors,
+                    'models': {
+                        model: {
+                            column: {
+                                'rms_um': _json_micrometres(score.rms),
+                                'max_um': _json_micrometres(score.largest),
+                            }
+                            for column, score in columns.items()
+                        }
+                        for model, columns in result.scores.items()
+                    },
+                    'problems': {model: list(text) for model, text in result.problems.items()},
+                }
+                for result in self.trials
+            },
+        }
+
+    def tables(self) -> tuple[Table, ...]:
+        """Return one table per trial: rms and largest residual [um] of every model.
+
+        A model with problems is marked and never the best of a column.
+        """
+        return tuple(_table(result) for result in self.trials)
+
+
+def grinder_trials(seed: int = 0) -> tuple[Trial, ...]:
+    """Return what the models are tried on (method sheet 003, section 8).
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the noise.
+
+    Returns
+    -------
+    tuple of Trial
+        Trained on experiment 1, with all sensors and with those on the machine; trained on 1
+        and 3; trained on regular flux, clean and with noise, and judged on random flux under
+        growing noise; trained on a constant flux and judged on one about twice as large.
+    """
+    every, machine = record_grinder(seed=seed), record_grinder(seed=seed, sensors=28)
+    unseen = {'E2': every['E2']}
+    return (
+        Trial('one_run', 'trained on E1, all 38 sensors', (every['E1'],), every),
+        Trial(
+            'one_run_machine_sensors',
+            'trained on E1, the 28 sensors on the machine',
+            (machine['E1'],),
+            machine,
+        ),
+        Trial(
+            'two_runs', 'trained on E1 and E3, all 38 sensors', (every['E1'], every['E3']), unseen
+        ),
+        _flux_trial('varying_flux', 'regular', 0.0, 'random', seed),
+        _flux_trial('noisy_flux', 'regular', TRAINING_NOISE, 'random', seed),
+        _flux_trial('constant_flux', 'constant1', 0.0, 'constant2', seed),
+    )
+
+
+def compare_on_grinder(
+    *,
+    seed: int = 0,
+    rivals: Sequence[Rival] = RIVALS,
+    trials: Sequence[Trial] | None = None,
+    progress: Progress | None = None,
+) -> GrinderComparison:
+    """Train every model in every trial and judge it beside the uncompensated grinder.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of noise and models.
+    rivals : sequence of Rival
+        Models to compare.
+    trials : sequence of Trial, optional
+        What they are tried on; `grinder_trials(seed)` if left out.
+    progress : callable, optional
+        Told trial, model, fits done and fits in all before each fit and at the end; an
+        exception that it raises ends the comparison and comes through.
+
+    Returns
+    -------
+    GrinderComparison
+        All scores.
+
+    Notes
+    -----
+    Rises are those over a run's first reading and residuals those against the noisy
+    displacement, as the sheet has them.
+
+    The matrices are small.  With one thread in the numerical library (`OMP_NUM_THREADS=1`) all
+    models took 25 s of a core; with two on a busy machine of two cores they took 398 s.
+    """
+    chosen = grinder_trials(seed) if trials is None else tuple(trials)
+    total = len(chosen) * len(rivals)
+    results = []
+    for number, trial in enumerate(chosen):
+        scores = {UNCOMPENSATED: _scores(trial, _uncompensated)}
+        problems: dict[str, tuple[str, ...]] = {}
+        for place, rival in enumerate(rivals):
+            if progress is not None:
+                progress(trial.name, rival.name, number * len(rivals) + place, total)
+            try:
+                models = _fitted(trial, rival, seed)
+            except ValueError as error:
+                problems[rival.name] = (str(error),)
+                continue
+            scores[rival.name] = _scores(trial, _predictor(models))
+            found = [text for model in models for text in getattr(model, 'problems_', ())]
+            if found:
+                problems[rival.name] = tuple(dict.fromkeys(found))
+        results.append(
+            TrialResult(
+                name=trial.name,
+                title=trial.title,
+                trained_on=tuple(run.name for run in trial.train),
+                sensors=len(trial.train[0].sensor),
+                scores=scores,
+                problems=problems,
+            )
+        )
+    if progress is not None:
+        progress('done', '', total, total)
+    return GrinderComparison(seed, tuple(results))
+
+
+def _flux_trial(name: str, train: str, training_noise: float, test: str, seed: int) -> Trial:
+    """Return a trial whose columns are named by the noise of the rises."""
+    learnt_with = f'{100.0 * training_noise:g} % noise' if training_noise else 'no noise'
+    return Trial(
+        name,
+        f'trained on {train} flux with {learnt_with}, judged on {test} flux, noise as headed',
+        (record_flux_case(train, training_noise, seed),),
+        {f'{100.0 * noise:g} %': record_flux_case(test, noise, seed) for noise in NOISES},
+    )
+
+
+def _rise(run: ThermalRun) -> Array:
+    return run.rise(run.temperature[0])
+
+
+def _fitted(trial: Trial, rival: Rival, seed: int) -> list[Any]:
+    """Return one fitted model per axis."""
+    rise = np.concatenate([_rise(run) for run in trial.train])
+    displacement = np.concatenate([run.displacement for run in trial.train])
+    label = np.repeat(np.arange(len(trial.train)), [len(run.time) for run in trial.train])
+    return [rival.make(seed).fit(rise, target, runs=label) for target in displacement.T]
+
+
+def _predictor(models: Sequence[Any]) -> Any:
+    return lambda rise: np.column_stack([model.predict(rise) for model in models])
+
+
+def _uncompensated(rise: Array) -> Array:
+    return np.zeros((len(rise), len(GRINDER_AXES)))
+
+
+def _scores(trial: Trial, predict: Any) -> dict[str, Score]:
+    """Return the score of each column: every judged run, every axis."""
+    scores = {}
+    for heading, run in trial.judged.items():
+        predicted = predict(_rise(run))
+        # A prediction that left the numbers counts as infinitely wrong.
+        residual = np.where(np.isfinite(predicted), predicted, inf) - run.displacement
+        with np.errstate(over='ignore'):
+            rms = np.sqrt(np.square(residual).mean(axis=0))
+        for axis, value, largest in zip(run.axis, rms, np.abs(residual).max(axis=0), strict=True):
+            scores[f'{heading} {axis}'] = Score(float(value), float(largest))
+    return scores
+
+
+def _json_micrometres(length: float) -> float | None:
+    return 1e6 * length if isfinite(length) else None
+
+
+def _table(result: TrialResult) -> Table:
+    """Return the table of a trial, the best sound model of each unseen column strong."""
+    labels = {rival.name: rival.label for rival in RIVALS}
+    headings = list(next(iter(result.scores.values())))
+    seen = {f'{run} {axis}' for run in result.trained_on for axis in GRINDER_AXES}
+    models, rows = list(result.scores), []
+    for model, scores in result.scores.items():
+        label = labels.get(model) or candidate_label(model)
+        mark = MARK if model in result.problems else ''
+        rows.append((label + mark, *(_figures(scores[heading]) for heading in headings)))
+    strong = set()
+    for column, heading in enumerate(headings, start=1):
+        rms = {model: scores[heading].rms for model, scores in result.scores.items()}
+        if heading not in seen:
+            strong |= {(models.index(best), column) for best in best_of(rms, result.problems)}
+    return Table(
+        title=f'Grinder, {result.title}: residual rms/max [µm]',
+        columns=(
+            Column('Model', numeric=False),
+            *(Column(name, 'training' if name in seen else 'unseen') for name in headings),
+        ),
+        rows=tuple(rows),
+        strong=frozenset(strong),
+    )
+
+
+def _figures(score: Score) -> str:
+    """Return rms/max of a cell in micrometres."""
+    if has_diverged(score.largest):
+        return micrometres(score.largest)
+    return f'{1e6 * score.rms:.2f}/{micrometres(score.largest)}'

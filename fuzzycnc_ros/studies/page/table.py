@@ -1,0 +1,159 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A table once, shown in the terminal, as plain text, as Markdown and in HTML."""
+
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Any
+
+from fuzzycnc_ros.core.visible import visible
+from fuzzycnc_ros.studies.page.requirement import require
+
+WARNING_MARK = '! '
+"""Stands before a number that warns."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """Heading of a column, the group it belongs to, and whether it holds numbers."""
+
+    heading: str
+    group: str = ''
+    numeric: bool = True
+
+    @property
+    def full_heading(self) -> str:
+        """Group and heading in one line."""
+        return f'{self.group} {self.heading}'.strip()
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells as text with headings, an explanation and emphasis.
+
+    Control characters are spelt out everywhere: names may come from anywhere.
+
+    Parameters
+    ----------
+    title : str
+        What the table holds, with the unit of its numbers.
+    columns : tuple of Column
+        Columns; neighbours of one group share a heading where the output can show that.
+    rows : tuple of tuple of str
+        Cells.
+    strong : frozenset of (int, int)
+        Row and column of the cells that stand out, such as the best of a column.
+    highlight : frozenset of int
+        Rows that stand out, such as the model in use.
+    warning : frozenset of (int, int)
+        Row and column of the cells that warn; numbers among them are marked in plain text too.
+
+    Raises
+    ------
+    ValueError
+        If a row has not one cell per column.
+
+    Examples
+    --------
+    >>> columns = (Column('Model', numeric=False), Column('max', 'Y'), Column('max', 'Z'))
+    >>> print(Table('Residual [um]', columns, (('LagRidge', '2.4', '1.8'),)).to_text())
+    Residual [um]
+    Model     Y max  Z max
+    --------  -----  -----
+    LagRidge    2.4    1.8
+    """
+
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[str, ...], ...]
+    strong: frozenset[tuple[int, int]] = frozenset()
+    highlight: frozenset[int] = frozenset()
+    warning: frozenset[tuple[int, int]] = frozenset()
+
+    def __post_init__(self) -> None:
+        for number, row in enumerate(self.rows):
+            if len(row) != len(self.columns):
+                raise ValueError(
+                    f'row {number} of table {self.title!r}: expected {len(self.columns)} cells '
+                    f'but found {len(row)}'
+                )
+        shown = tuple(
+            replace(column, heading=visible(column.heading), group=visible(column.group))
+            for column in self.columns
+        )
+        object.__setattr__(self, 'title', visible(self.title))
+        object.__setattr__(self, 'columns', shown)
+        object.__setattr__(self, 'rows', tuple(tuple(map(visible, row)) for row in self.rows))
+
+    def marked(self, row: int, column: int) -> str:
+        """Return a cell as it is shown where colours may be absent."""
+        text = self.rows[row][column]
+        warns = (row, column) in self.warning and self.columns[column].numeric
+        return f'{WARNING_MARK}{text}' if warns else text
+
+    def groups(self) -> list[tuple[str, int]]:
+        """Return the groups of columns, each with its number of columns."""
+        return [
+            (group, len(list(members)))
+            for group, members in groupby(self.columns, key=lambda column: column.group)
+        ]
+
+    def to_rich(self) -> Any:
+        """Return a `rich.table.Table`; needs rich."""
+        text = require('rich.text').Text
+        table = require('rich.table').Table(
+            title=text(self.title, style='bold'),
+            title_justify='left',
+            box=require('rich.box').SIMPLE_HEAD,
+        )
+        for column in self.columns:
+            table.add_column(
+                text(f'{column.group}\n{column.heading}'.strip()),
+                justify='right' if column.numeric else 'left',
+                vertical='bottom',
+                no_wrap=True,
+            )
+        for r, row in enumerate(self.rows):
+            cells = [text(self.marked(r, c), style=self._style((r, c))) for c in range(len(row))]
+            table.add_row(*cells, style='bold' if r in self.highlight else None)
+        return table
+
+    def _style(self, cell: tuple[int, int]) -> str:
+        if cell in self.warning:
+            return 'bold yellow'
+        return 'bold green' if cell in self.strong else ''
+
+    def to_text(self) -> str:
+        """Return plain text in aligned columns."""
+        headings = tuple(column.full_heading for column in self.columns)
+        shown = [
+            tuple(self.marked(r, c) for c in range(len(row))) for r, row in enumerate(self.rows)
+        ]
+        widths = [max(map(len, column)) for column in zip(headings, *shown, strict=True)]
+        rule = tuple('-' * width for width in widths)
+        lines = [
+            '  '.join(
+                cell.rjust(width) if column.numeric else cell.ljust(width)
+                for cell, width, column in zip(row, widths, self.columns, strict=True)
+            ).rstrip()
+            for row in (headings, rule, *shown)
+        ]
+        return '\n'.join([self.title, *lines])
+
+    def to_markdown(self) -> str:
+        """Return a Markdown table with a bold title line."""
+        cells = [
+            [self._markdown_cell(r, c) for c in range(len(row))] for r, row in enumerate(self.rows)
+        ]
+        headings = [_escaped(column.full_heading) for column in self.columns]
+        rule = ['---:' if column.numeric else ':---' for column in self.columns]
+        lines = ['| ' + ' | '.join(row) + ' |' for row in (headings, rule, *cells)]
+        return '\n'.join([f'**{_escaped(self.title)}**', '', *lines])
+
+    def _markdown_cell(self, row: int, column: int) -> str:
+        text = _escaped(self.marked(row, column))
+        return f'**{text}**' if (row, column) in self.strong else text
+
+
+def _escaped(text: str) -> str:
+    return text.replace('\\', '\\\\').replace('|', '\\|').replace('\n', ' ')

@@ -1,0 +1,354 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What to set so that a part program keeps a contour tolerance, the cheapest remedy first.
+
+Every remedy is judged on the simulated controller: as the program is, with a lower acceleration,
+with another path mode, with scheduled feeds, and with mixtures of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.feedrate.job.controller_program import (
+    PathMode,
+    ProgramMoves,
+    program_moves,
+    with_mode,
+)
+from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings, schedule_program
+from fuzzycnc_ros.core.feedrate.job.split_program import check_same_path, split_program
+from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
+from fuzzycnc_ros.core.feedrate.program import Program, read_program, write_program
+from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.studies.programs.advice_mode import program_with_mode
+from fuzzycnc_ros.studies.programs.advice_refine import cuts_near_errors, refine
+from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
+
+CORNERS = ('none', 'feed', 'split')
+"""How corners may be kept: not by feeds, by feeds of blocks, by cutting blocks near them."""
+
+SHARES = (0.5, 0.2, 0.05)
+"""P of G64 that is tried, as shares of the tolerance [-]."""
+
+LADDER = 2.0 ** -(np.arange(31) / 3.0)
+"""Accelerations that are tried, as shares of the machine's: three to an octave, down to 1/1024."""
+
+NOTICED = 0.01
+"""Share of the time that a remedy has to save, so that it takes the place of a cheaper one [-]."""
+
+REFINED = (1.0, 0.5, 0.25)
+"""Accelerations with which feeds are refined, as shares of the machine's [-]."""
+
+STEP = 1.03
+"""Feeds are written in steps of this factor, rounded down, so that neighbours share a word."""
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """Something to set, and what it does.
+
+    Attributes
+    ----------
+    name : str
+        What it is.
+    acceleration : tuple of float, length 3
+        Of X, Y and Z [m/s^2].
+    mode : PathMode or None
+        Path mode throughout; None for the program's own.
+    program : str or None
+        The program with other feeds or more blocks; None for the one that was given.
+    judged : Judged
+        On the simulated controller.
+    """
+
+    name: str
+    acceleration: tuple[float, float, float]
+    mode: PathMode | None
+    program: str | None
+    judged: Judged
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Remedies for a program.
+
+    Attributes
+    ----------
+    tolerance : float
+        Largest contour error wanted [m].
+    remedies : tuple of Remedy
+        The first one is the program as it is.
+    best : int
+        Index of the fastest that keeps the tolerance, or of that with the least error.
+    """
+
+    tolerance: float
+    remedies: tuple[Remedy, ...]
+    best: int
+
+    @property
+    def chosen(self) -> Remedy:
+        """The remedy that is recommended."""
+        return self.remedies[self.best]
+
+    @property
+    def kept(self) -> bool:
+        """Whether it keeps the tolerance."""
+        return self.chosen.judged.error <= self.tolerance
+
+
+class Adviser:
+    """Looks for remedies for a program.
+
+    Parameters
+    ----------
+    program : Program
+        The part program.
+    tolerance : float
+        Largest contour error wanted [m].
+    limits : ControllerLimits
+        What the controller may do at most.
+    machine : ContouringConfig
+        Lags of the axes.
+    settings : ProgramSettings
+        How feeds are scheduled.
+    before : PathMode, optional
+        Path mode before the program says so.
+    units : {'mm', 'inch'}
+        Unit before the program says G20 or G21.
+
+    Raises
+    ------
+    ValueError
+        If nothing moves, or the tolerance is not above 0.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        tolerance: float,
+        limits: ControllerLimits,
+        machine: ContouringConfig,
+        settings: ProgramSettings,
+        before: PathMode | None = None,
+        units: str = 'mm',
+    ) -> None:
+        if not 0.0 < tolerance < np.inf:
+            raise ValueError(f'tolerance: expected more than 0 m but found {tolerance} m')
+        self._program, self._tolerance, self._units = program, tolerance, units
+        self._limits, self._machine, self._settings = limits, machine, settings
+        self._moves = program_moves(program.blocks, before)
+        self._path = ProgramPath(self._moves)
+        self._modes = [
+            PathMode(share * tolerance, min(share, SHARES[1]) * tolerance) for share in SHARES
+        ]
+
+    @property
+    def path(self) -> ProgramPath:
+        """The path by which errors are measured."""
+        return self._path
+
+    def advise(
+        self, corners: str = 'feed', progress: Progress = lambda text, done, total: None
+    ) -> Advice:
+        """Return remedies and the one that is recommended.
+
+        Parameters
+        ----------
+        corners : {'none', 'feed', 'split'}
+            Whether feeds are refined on the simulated controller until corners keep the
+            tolerance too, and whether blocks may be cut for that.
+        progress : callable
+            Told what is tried, and how much is done.
+        """
+        if corners not in CORNERS:
+            raise ValueError(f'corners: expected {", ".join(CORNERS)} but found {corners}')
+        steps = [
+            self._as_it_is, self._by_constant, self._slower, self._other_mode, self._slower_mode,
+            self._scheduled, self._scheduled_mix,
+        ]  # fmt: skip
+        if corners != 'none':
+            steps.append(self._refined)
+        if corners == 'split':
+            steps.append(self._split)
+        found: list[Remedy] = []
+        for number, step in enumerate(steps):
+            progress(step.__name__.strip('_').replace('_', ' '), number, len(steps))
+            found += [one for one in step() if one is not None]
+        return Advice(self._tolerance, tuple(found), self._best(found))
+
+    def _best(self, found: Sequence[Remedy]) -> int:
+        return best_of([one.judged for one in found], self._tolerance)
+
+    def _run(self, moves: ProgramMoves, share: float, mode: PathMode | None) -> Judged:
+        """Judge moves with a share of the acceleration and a path mode."""
+        moves = moves if mode is None else with_mode(moves, mode)
+        return self._path.run(moves, self._slowed(share), self._machine)
+
+    def _slowed(self, share: float) -> ControllerLimits:
+        most = self._limits.acceleration
+        x, y, z = (min(value, share * max(most)) for value in most)
+        return replace(self._limits, acceleration=(x, y, z))
+
+    def _remedy(
+        self, name: str, share: float, mode: PathMode | None, judged: Judged,
+        program: str | None = None,
+    ) -> Remedy:  # fmt: skip
+        return Remedy(name, self._slowed(share).acceleration, mode, program, judged)
+
+    def _as_it_is(self) -> list[Remedy]:
+        return [self._remedy('as it is', 1.0, None, self._run(self._moves, 1.0, None))]
+
+    def _by_constant(self) -> list[Remedy]:
+        """MAX_ACCELERATION = tolerance / C."""
+        share = self._tolerance / self._machine.contour_constant / max(self._limits.acceleration)
+        if share >= 1.0:
+            return []
+        judged = self._run(self._moves, share, None)
+        return [self._remedy('acceleration of tolerance / C', share, None, judged)]
+
+    def _slower(self) -> list[Remedy]:
+        share, judged = self._fastest(self._moves, None)
+        return [self._remedy('lower acceleration', share, None, judged)]
+
+    def _other_mode(self) -> list[Remedy]:
+        tried = [(mode, self._run(self._moves, 1.0, mode)) for mode in self._modes]
+        mode, judged = min(tried, key=lambda one: self._order(one[1]))
+        return [self._remedy('path mode', 1.0, mode, judged)]
+
+    def _slower_mode(self) -> list[Remedy]:
+        tried = [(mode, *self._fastest(self._moves, mode)) for mode in self._modes]
+        mode, share, judged = min(tried, key=lambda one: self._order(one[2]))
+        return [self._remedy('lower acceleration, path mode', share, mode, judged)]
+
+    def _scheduled(self) -> list[Remedy]:
+        moves, text = self._schedule(self._settings)
+        judged = self._run(moves, 1.0, None)
+        return [self._remedy('scheduled feeds', 1.0, None, judged, text)]
+
+    def _scheduled_mix(self) -> list[Remedy]:
+        found = []
+        for mode in self._modes:
+            moves, text = self._schedule(replace(self._settings, blend=mode.rounding))
+            share, judged = self._fastest(moves, mode)
+            name = 'scheduled feeds, lower acceleration, path mode'
+            found.append(self._remedy(name, share, mode, judged, text))
+        return [min(found, key=lambda one: self._order(one.judged))]
+
+    def _refined(self) -> list[Remedy]:
+        return [self._refine('feeds refined for corners', self._program)]
+
+    def _split(self) -> list[Remedy]:
+        mode = self._modes[1]
+        moves = with_mode(self._moves, mode)
+        cuts = cuts_near_errors(self._path, moves, self._tolerance, self._limits, self._machine)
+        text = split_program(self._program, cuts)
+        program = read_program(text, self._units)
+        check_same_path(self._program, program)
+        return [self._refine('blocks cut near corners, feeds refined', program)]
+
+    def _refine(self, name: str, program: Program) -> Remedy:
+        """Return a program with the feeds that were found best, with the best acceleration."""
+        mode = self._modes[1]
+        moves = with_mode(program_moves(program.blocks), mode)
+        path = ProgramPath(moves)
+        found: list[Remedy] = []
+        for share in REFINED:
+            limits = self._slowed(share)
+            for aim in (1.0, 0.9):
+                known = refine(path, moves, aim * self._tolerance, limits, self._machine)
+                text = self._written(program, moves, known.feed)
+                # judged as it was written, by the path as it was given
+                written = with_mode(program_moves(read_program(text, self._units).blocks), mode)
+                judged = self._path.run(written, limits, self._machine)
+                found.append(self._remedy(name, share, mode, judged, text))
+                if judged.error <= self._tolerance:
+                    break
+        return min(found, key=lambda one: self._order(one.judged))
+
+    def _schedule(self, settings: ProgramSettings) -> tuple[ProgramMoves, str]:
+        feeds = schedule_program(self._program, settings).feeds
+        text = write_program(self._program, feeds)
+        return self._moves.with_feeds(feeds), text
+
+    def _written(self, program: Program, moves: ProgramMoves, feed: Array) -> str:
+        """Return a program with feeds by move, of which each segment gets the least."""
+        wanted = np.full(len(program.segments), np.inf)
+        np.minimum.at(wanted, moves.segment, np.where(moves.moves.rapid, np.inf, feed))
+        own = np.array(
+            [
+                one.feed if one.schedulable and one.feed is not None else np.nan
+                for one in program.segments
+            ]
+        )
+        with np.errstate(invalid='ignore'):
+            step = np.ceil(np.log(own / np.minimum(wanted, own)) / np.log(STEP) - 1e-9)
+            feeds = own * STEP**-step
+        least = 2e-3 * 1e-3 / 60.0
+        return write_program(program, np.where(feeds < least, least, feeds))
+
+    def _fastest(self, moves: ProgramMoves, mode: PathMode | None) -> tuple[float, Judged]:
+        """Return the largest acceleration that keeps the tolerance, of a ladder, by halving."""
+        low, high = 0, len(LADDER) - 1
+        best = 1.0, self._run(moves, 1.0, mode)
+        if best[1].error <= self._tolerance:
+            return best
+        while low < high:
+            middle = (low + high) // 2
+            judged = self._run(moves, float(LADDER[middle]), mode)
+            if self._order(judged) < self._order(best[1]):
+                best = float(LADDER[middle]), judged
+            if judged.error <= self._tolerance:
+                high = middle
+            else:
+                low = middle + 1
+        judged = self._run(moves, float(LADDER[low]), mode)
+        if self._order(judged) < self._order(best[1]):
+            best = float(LADDER[low]), judged
+        return best
+
+    def _order(self, judged: Judged) -> tuple[bool, float]:
+        kept = judged.error <= self._tolerance
+        return not kept, judged.duration if kept else judged.error
+
+
+def best_of(judged: Sequence[Judged], tolerance: float) -> int:
+    """Return which is the fastest that keeps a tolerance, or has the least error if none does.
+
+    Of those that take no more than `NOTICED` longer than the fastest, the first one.
+
+    Parameters
+    ----------
+    judged : sequence of Judged
+        The cheapest remedies first.
+    tolerance : float
+        Largest contour error wanted [m].
+    """
+    kept = [index for index, one in enumerate(judged) if one.error <= tolerance]
+    if not kept:
+        return min(range(len(judged)), key=lambda index: judged[index].error)
+    least = min(judged[index].duration for index in kept)
+    return next(index for index in kept if judged[index].duration <= (1.0 + NOTICED) * least)
+
+
+def advised_program(program: Program, remedy: Remedy, units: str = 'mm') -> str:
+    """Return the program that a remedy asks for, path mode included.
+
+    Parameters
+    ----------
+    program : Program
+        As it was given.
+    remedy : Remedy
+        What is recommended.
+    units : {'mm', 'inch'}
+        Unit before the program says G20 or G21.
+    """
+    text = program.text if remedy.program is None else remedy.program
+    return text if remedy.mode is None else program_with_mode(text, remedy.mode, units)

@@ -1,0 +1,259 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Remedies for a part program: table, lines, document and page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, Protocol
+
+from fuzzycnc_ros.studies.page.drawing import ACCENT, INK, MUTED, new_figure, plot_style
+from fuzzycnc_ros.studies.page.html import Figure
+from fuzzycnc_ros.studies.page.remark import Remark
+from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.table import Column, Table
+
+MICRO, MILLI = 1e6, 1e3
+
+
+class Figures(Protocol):
+    """What a program does on a controller (SI)."""
+
+    @property
+    def duration(self) -> float:
+        """Time [s]."""
+
+    @property
+    def error(self) -> float:
+        """Largest contour error [m]."""
+
+    @property
+    def rms(self) -> float:
+        """Its root of the mean square [m]."""
+
+    @property
+    def corner_error(self) -> float:
+        """Largest one at corners [m]."""
+
+    @property
+    def smooth_error(self) -> float:
+        """Largest one elsewhere [m]."""
+
+    def document(self) -> dict[str, float]:
+        """Return all figures."""
+
+
+@dataclass(frozen=True)
+class AdviceRow:
+    """A remedy.
+
+    Parameters
+    ----------
+    name : str
+        What it is.
+    acceleration : tuple of float
+        Of X, Y and Z [m/s^2].
+    mode : str
+        Path mode in words of a program.
+    simulated : Figures
+        On the simulated controller.
+    measured : Figures or None
+        On LinuxCNC, where it ran.
+    """
+
+    name: str
+    acceleration: tuple[float, float, float]
+    mode: str
+    simulated: Figures
+    measured: Figures | None = None
+
+    @property
+    def judged(self) -> Figures:
+        """What counts: LinuxCNC where it ran, else the simulated controller."""
+        return self.measured or self.simulated
+
+
+@dataclass(frozen=True)
+class AdviceFigures:
+    """Remedies for a program.
+
+    Parameters
+    ----------
+    program : str
+        Its name.
+    tolerance : float
+        Largest contour error wanted [m].
+    rows : sequence of AdviceRow
+        The first one is the program as it is.
+    best : int
+        Index of the one that is recommended.
+    """
+
+    program: str
+    tolerance: float
+    rows: Sequence[AdviceRow]
+    best: int
+
+    @property
+    def kept(self) -> bool:
+        """Whether the recommended one keeps the tolerance."""
+        return self.rows[self.best].judged.error <= self.tolerance
+
+    @property
+    def verdict(self) -> Remark:
+        """What is recommended, or that nothing keeps the tolerance."""
+        best, first = self.rows[self.best], self.rows[0]
+        error, time = MICRO * best.judged.error, best.judged.duration
+        where = 'on LinuxCNC' if best.measured else 'on the simulated controller'
+        if not self.kept:
+            return Remark(
+                f'nothing that was tried keeps {MICRO * self.tolerance:g} um; the least error '
+                f'{where} leaves {best.name}: {error:.1f} um in {time:.2f} s',
+                warning=True,
+            )
+        if self.best == 0:
+            return Remark(f'leave it as it is: {error:.1f} um {where} in {time:.2f} s')
+        return Remark(
+            f'recommended: {best.name}: {error:.1f} um {where} in {time:.2f} s, as it is '
+            f'{MICRO * first.judged.error:.1f} um in {first.judged.duration:.2f} s'
+        )
+
+
+def advice_table(figures: AdviceFigures) -> Table:
+    """Return time and errors of every remedy."""
+    columns = [
+        Column('Remedy', numeric=False),
+        Column('acceleration [mm/s²]'),
+        Column('path mode', numeric=False),
+    ]
+    measured = any(row.measured for row in figures.rows)
+    names = ['simulated', 'LinuxCNC'] if measured else ['simulated']
+    for name in names:
+        columns += [Column('time [s]', name), Column('largest [um]', name), Column('rms', name)]
+    columns += [Column('at corners', 'largest [um]'), Column('elsewhere', 'largest [um]')]
+    rows: list[tuple[str, ...]] = []
+    warning = set()
+    for index, row in enumerate(figures.rows):
+        cells = [row.name, _rise(row.acceleration), row.mode]
+        for one in (row.simulated, row.measured)[: len(names)]:
+            if one is not None and one.error > figures.tolerance:
+                warning.add((index, len(cells) + 1))
+            cells += _triple(one)
+        cells += [_micro(row.judged.corner_error), _micro(row.judged.smooth_error)]
+        rows.append(tuple(cells))
+    title = f'{figures.program}: contour error of {MICRO * figures.tolerance:g} um at most'
+    return Table(
+        title, tuple(columns), tuple(rows), highlight=frozenset({figures.best}),
+        warning=frozenset(warning),
+    )  # fmt: skip
+
+
+def _rise(acceleration: tuple[float, float, float]) -> str:
+    return '/'.join(dict.fromkeys(f'{MILLI * value:.0f}' for value in acceleration))
+
+
+def _triple(one: Figures | None) -> list[str]:
+    if one is None:
+        return ['-', '-', '-']
+    return [f'{one.duration:.2f}', _micro(one.error), _micro(one.rms)]
+
+
+def _micro(error: float) -> str:
+    return f'{MICRO * error:.1f}' if isfinite(error) else '-'
+
+
+def settings_lines(figures: AdviceFigures) -> list[str]:
+    """Return the lines of LinuxCNC's INI file that the recommended remedy asks for."""
+    best, first = figures.rows[figures.best], figures.rows[0]
+    if best.acceleration == first.acceleration:
+        return []
+    lines = []
+    for number, (axis, value) in enumerate(zip('XYZ', best.acceleration, strict=True)):
+        for section in (f'[AXIS_{axis}]', f'[JOINT_{number}]'):
+            lines.append(f'{section} MAX_ACCELERATION = {MILLI * value:.0f}')
+    return lines
+
+
+def advice_document(figures: AdviceFigures) -> dict[str, Any]:
+    """Return all figures (SI)."""
+    return {
+        'program': figures.program,
+        'tolerance': figures.tolerance,
+        'kept': figures.kept,
+        'best': figures.best,
+        'ini': settings_lines(figures),
+        'remedies': [
+            {
+                'name': row.name,
+                'acceleration': list(row.acceleration),
+                'mode': row.mode,
+                'simulated': row.simulated.document(),
+                'linuxcnc': None if row.measured is None else row.measured.document(),
+            }
+            for row in figures.rows
+        ],
+    }
+
+
+def advice_page(figures: AdviceFigures, facts: Mapping[str, str], notes: Sequence[str]) -> Page:
+    """Return the page of a program's remedies.
+
+    Parameters
+    ----------
+    figures : AdviceFigures
+        What was found.
+    facts : mapping of str to str
+        Provenance.
+    notes : sequence of str
+        What a reader has to know besides.
+    """
+    lines = settings_lines(figures)
+    remarks = [
+        'Largest: distance of the axes from the programmed path while cutting. At corners: up to '
+        'four delays of the machine after a turn of 20 degrees or more.',
+        *notes,
+    ]
+    if lines:
+        remarks.insert(0, 'INI file of LinuxCNC: ' + '; '.join(lines))
+    return Page(
+        title='What to set for a contour tolerance',
+        summary=figures.verdict.text[:1].upper() + figures.verdict.text[1:] + '.',
+        sections=[
+            Section(
+                'Remedies side by side',
+                judged=[figures.verdict],
+                tables=[advice_table(figures)],
+                remarks=remarks,
+                figures=[
+                    Figure(
+                        'Time against largest contour error',
+                        'Each remedy by its number in the table; the dashed line is the '
+                        'tolerance, the ring what is recommended.',
+                        _plot(figures),
+                    )
+                ],
+            )
+        ],
+        facts=facts,
+    )
+
+
+def _plot(figures: AdviceFigures) -> Any:
+    with plot_style():
+        figure = new_figure(3.6)
+        axes = figure.subplots()
+        for number, row in enumerate(figures.rows, start=1):
+            error, time = MICRO * row.judged.error, row.judged.duration
+            kept = row.judged.error <= figures.tolerance
+            axes.plot(error, time, 'o', color=ACCENT if kept else MUTED, markersize=6)
+            if number == figures.best + 1:
+                axes.plot(error, time, 'o', mfc='none', mec=INK, markersize=13)
+            axes.annotate(
+                str(number), (error, time), xytext=(7, 5), textcoords='offset points', color=INK
+            )
+        axes.axvline(MICRO * figures.tolerance, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
+        axes.set(xscale='log', xlabel='largest contour error [um]', ylabel='time [s]')
+        axes.margins(0.12)
+        return figure

@@ -1,0 +1,120 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Controllers of an axis after tuning with equal effort: table, sentences, JSON."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+from fuzzycnc_ros.studies.page.remark import Remark
+from fuzzycnc_ros.studies.page.table import Column, Table
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.servo.axis_tuning import AxisTuning, TunedController
+
+LABELS = {
+    'pid': 'PID with feedforward',
+    'cascade': 'P-PI cascade with observer',
+    'linear_tangent': 'linear tangent of the rules',
+    'variable_universe': 'variable universe',
+}
+"""What the controllers are called."""
+
+
+def axis_tuning_table(found: AxisTuning, axis: str) -> Table:
+    """Return the controllers, the winner standing out."""
+    columns = (
+        Column('Controller', numeric=False),
+        Column('rms', 'following error [um]'),
+        Column('largest', 'following error [um]'),
+        Column('at rest [um]'),
+        Column('gave up'),
+        Column('against the best'),
+    )
+    rows, warning = [], set()
+    for place, one in enumerate(found.controllers):
+        whole = [item for item in one.held_out if not item.fault]
+        figures = (
+            [f'{1e6 * median(getattr(item, name) for item in whole):.3g}' for name in FIGURES]
+            if whole
+            else ['-'] * len(FIGURES)
+        )
+        ratio, spread = one.against(found.best)
+        against = 'best' if one is found.best else f'x{ratio:.2f} ({spread:.2f})'
+        rows.append((LABELS[one.name], *figures, f'{one.faults} of {len(one.held_out)}', against))
+        if one.faults:
+            warning.add((place, 4))
+    winner = found.controllers.index(found.winner)
+    return Table(
+        f'{axis}: medians of {len(found.held_out)} cases that nothing was tuned on, after '
+        f'{found.winner.trials} trials each; in parentheses the factor of one standard error',
+        columns,
+        tuple(rows),
+        highlight=frozenset({winner}),
+        warning=frozenset(warning),
+    )
+
+
+FIGURES = ('rms', 'largest', 'rest')
+"""Figures of a case that are shown."""
+
+
+def axis_tuning_remarks(found: AxisTuning) -> list[Remark]:
+    """Return which controller suits the axis, and by how much."""
+    winner, best = found.winner, found.best
+    others = [one for one in found.controllers if one is not winner]
+    nearest = min(others, key=lambda one: one.against(winner)[0])
+    ratio, spread = nearest.against(winner)
+    lines = []
+    if winner is best:
+        apart = 'beyond chance' if ratio > spread**2 else 'not beyond chance'
+        lines.append(
+            Remark(
+                f'{LABELS[winner.name]} suits this axis: {LABELS[nearest.name]} comes next with '
+                f'{100.0 * (ratio - 1.0):.0f} % larger errors, {apart}'
+            )
+        )
+    else:
+        lines.append(
+            Remark(
+                f'{LABELS[winner.name]} suits this axis: {LABELS[best.name]} is no better by more '
+                'than 5 %, and of equals the simpler one is taken'
+            )
+        )
+    lines.append(_fuzzy(found))
+    if winner.faults:
+        lines.append(
+            Remark(
+                f'{LABELS[winner.name]} gave up {winner.faults} of {len(found.held_out)} cases: '
+                'its limits or loads ask for more than the drive gives',
+                warning=True,
+            )
+        )
+    return lines
+
+
+def _fuzzy(found: AxisTuning) -> Remark:
+    """Return what the rules are worth beside their own tangent."""
+    one: dict[str, TunedController] = {item.name: item for item in found.controllers}
+    ratio, spread = one['linear_tangent'].against(one['variable_universe'])
+    if max(ratio, 1.0 / ratio) <= spread**2:
+        return Remark('the rules and their linear tangent are equal here, but for chance')
+    better, worse = ('rules', 'tangent') if ratio > 1.0 else ('linear tangent', 'rules')
+    share = 100.0 * (max(ratio, 1.0 / ratio) - 1.0)
+    return Remark(
+        f'the {better} leave less than the {worse}, which has {share:.0f} % larger errors'
+    )
+
+
+def axis_tuning_document(found: AxisTuning) -> dict[str, Any]:
+    """Return all figures in SI."""
+    return {
+        'winner': found.winner.name,
+        'best': found.best.name,
+        'cases': [asdict(case) for case in found.held_out],
+        'controllers': [
+            asdict(one) | {'against_best': one.against(found.best)} for one in found.controllers
+        ],
+    }

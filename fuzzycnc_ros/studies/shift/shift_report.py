@@ -1,0 +1,153 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The page that a shift is reported on."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from fuzzycnc_ros import __version__
+from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, sensor_count_curve
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.fingerprint import recognised_in
+from fuzzycnc_ros.studies.page.remark import Remark
+from fuzzycnc_ros.studies.page.sections import Section
+from fuzzycnc_ros.studies.thermal.comparison import by_channel
+from fuzzycnc_ros.studies.thermal.judged import DEFAULT, loss_remarks, span_text, training_remark
+from fuzzycnc_ros.studies.thermal.report_data import (
+    CompensationRun,
+    Latency,
+    ReportData,
+    SensorCountCurve,
+)
+from fuzzycnc_ros.studies.thermal.summary import candidate_label
+
+SENSOR_COUNTS = (1, 2, 3, 5, 8, 10, 15)
+"""Numbers of sensors on the sensor-count curve, method sheet 001 section 8.B."""
+
+
+def shift_report(
+    runs: Sequence[CompensationRun],
+    model: ThermalModel,
+    model_text: str,
+    *,
+    title: str = 'A thermal shift, compensated',
+    summary: str = '',
+    notes: Sequence[str] = (),
+    calibration: Sequence[ThermalRun] = (),
+    judged: Sequence[Remark] | None = None,
+    facts: Mapping[str, str] | None = None,
+    latency: Latency | None = None,
+    sections: Sequence[Section] = (),
+) -> ReportData:
+    """Return what the report of a shift shows.
+
+    Parameters
+    ----------
+    runs : sequence of CompensationRun
+        Compensated duties.
+    model : ThermalModel
+        Model that predicted.
+    model_text : str
+        Text of its file.
+    title : str
+        Headline.
+    summary : str
+        Sentence below it; what was trained on and judged if empty.
+    notes : sequence of str
+        Remarks, shown before those on the candidates.
+    calibration : sequence of ThermalRun
+        Training runs, for the sensor-count curve; without them there is none.
+    judged : sequence of Remark, optional
+        What was judged and whether the model was trained on it; found from the runs if absent.
+    facts : mapping, optional
+        Further rows of provenance, shown first.
+    latency : Latency, optional
+        Time from temperatures to compensation of a live run.
+    sections : sequence of Section, optional
+        Further parts of the page.
+    """
+    in_use = by_channel(dict(zip(model.channel, model.default, strict=True)))
+    names = ', '.join(run.name for run in runs)
+    return ReportData(
+        title=title,
+        runs=runs,
+        summary=summary or f'Trained on {", ".join(model.runs)}; judged on {names}.',
+        sensor_count_curve=count_curve(calibration, runs, len(model.inputs)),
+        latency=latency,
+        judged=[item for run in runs for item in judged_remarks(run, model)]
+        if judged is None
+        else judged,
+        facts={
+            **(facts or {}),
+            'Training runs': ', '.join(model.runs),
+            'Sensors that the model reads': ', '.join(model.inputs),
+            'Model in use': in_use,
+            'Sampling interval': f'{model.interval:g} s',
+            'Model hash': text_hash(model_text)[:16],
+            'fuzzycnc': __version__,
+        },
+        notes=[
+            *notes,
+            *(
+                f'{candidate_label(name)}: {problem}.'
+                for name, item in model.candidates.items()
+                for problem in item.problems
+            ),
+        ],
+        sections=sections,
+    )
+
+
+def judged_remarks(run: CompensationRun, model: ThermalModel) -> list[Remark]:
+    """Return what of a compensated run was judged, and whether the model was trained on it."""
+    measured = np.isfinite(run.measured)
+    window = span_text(run.name, run.time, run.channel, measured.sum(axis=0).tolist())
+    trained_on, recognised = recognised_in(model.fingerprints, _recorded(run, model.axis))
+    left = {
+        name: np.array([score.rms for score in scores])
+        for name, scores in (
+            (UNCOMPENSATED, run.scores()[UNCOMPENSATED]),
+            (DEFAULT, run.scores_in_use()),
+        )
+    }
+    return [
+        Remark(window),
+        training_remark(run.name, trained_on, recognised, model.runs),
+        *loss_remarks(run.name, run.channel, left),
+    ]
+
+
+def _recorded(run: CompensationRun, axis: Sequence[str]) -> ThermalRun:
+    return ThermalRun(
+        name=run.name,
+        time=run.time,
+        sensor=run.sensor,
+        temperature=run.temperature,
+        channel=run.channel,
+        axis=tuple(axis),
+        displacement=run.measured,
+    )
+
+
+def count_curve(
+    calibration: Sequence[ThermalRun], runs: Sequence[CompensationRun], chosen_count: int
+) -> SensorCountCurve | None:
+    """Return the sensor-count curve on the first run, None where it cannot be had.
+
+    It needs calibration runs, and a held-out run whose sensors all read to the end.
+    """
+    held_out = next((run for run in runs if np.isfinite(run.temperature).all()), None)
+    if not calibration or held_out is None:
+        return None
+    counts = tuple(n for n in SENSOR_COUNTS if n <= len(held_out.sensor))
+    unseen = _recorded(held_out, calibration[0].axis)
+    points = sensor_count_curve(calibration, unseen, counts=counts)
+    return SensorCountCurve(
+        count=counts,
+        channel=held_out.channel,
+        residual_max=np.array([point.largest for point in points]),
+        run=held_out.name,
+        chosen_count=chosen_count,
+    )

@@ -1,0 +1,343 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tables, documents and pages on soft material: tracks, learning, trainings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fuzzycnc_ros.studies.page.html import Figure
+from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.soft.foam_model import METHODS, NONE, NTS, PUBLISHED_MEANS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from fuzzycnc_ros.core.machine import TrackQuality
+    from fuzzycnc_ros.studies.soft.foam_model import FoamComparison, FoamTraining, TrackFigures
+
+_STARTS = {NONE: 'from nothing', NTS: 'from the model (NTS)'}
+
+
+def tracks_table(found: FoamComparison) -> Table:
+    """Return the qualities of all tracks under all methods."""
+    columns = (
+        Column('Track', numeric=False),
+        Column('compensation', numeric=False),
+        Column('angle error [deg]'),
+        Column('straightness [mm]'),
+        Column('closure gap [mm]'),
+        Column('rms [mm]', 'deviation'),
+        Column('max [mm]', 'deviation'),
+        Column('time [s]'),
+        Column('refused [%]'),
+    )
+    rows = []
+    for track in found.tracks:
+        for name, figures in track.methods.items():
+            mean, spread = figures.mean, np.degrees(figures.angle_spread)
+            rows.append(
+                (
+                    track.name if name == NONE else '',
+                    METHODS[name],
+                    f'{np.degrees(mean.angle_error):.2f} +- {spread:.2f}',
+                    *(
+                        f'{1e3 * value:.3f}'
+                        for value in (
+                            mean.straightness,
+                            mean.closure_gap,
+                            mean.rms_deviation,
+                            mean.max_deviation,
+                        )
+                    ),
+                    f'{mean.time:.2f}',
+                    f'{100.0 * figures.refused / (len(track.nominal) - 1):.0f}',
+                )
+            )
+    title = f'Stitched tracks, means of {found.runs} runs; time of a side at constant feed'
+    return Table(title, columns, tuple(rows))
+
+
+def published_table(found: FoamComparison) -> Table:
+    """Return the published averages beside those of the first track."""
+    columns = (
+        Column('Compensation', numeric=False),
+        *(
+            Column(heading, group)
+            for group in ('angle error [deg]', 'straightness [mm]', 'time [s]')
+            for heading in ('published', 'here')
+        ),
+    )
+    first = found.tracks[0]
+    rows = []
+    for name, figures in first.methods.items():
+        mean = figures.mean
+        here = (
+            f'{np.degrees(mean.angle_error):.2f}',
+            f'{1e3 * mean.straightness:.2f}',
+            f'{mean.time:.2f}',
+        )
+        known = PUBLISHED_MEANS.get(name)
+        printed = ('-',) * len(here) if known is None else tuple(f'{v:.2f}' for v in known)
+        cells = [cell for pair in zip(printed, here, strict=True) for cell in pair]
+        rows.append((METHODS[name], *cells))
+    return Table(
+        f'Published averages beside those of the track {first.name}', columns, tuple(rows)
+    )
+
+
+def learning_table(found: FoamComparison) -> Table:
+    """Return the angle errors over the cycles of learning."""
+    cycles = range(len(next(iter(found.tracks[0].learning.values()))))
+    columns = (
+        Column('Track', numeric=False),
+        Column('learning', numeric=False),
+        *(Column(str(cycle), 'angle error [deg] after cycle') for cycle in cycles),
+        Column('max deviation [mm]', 'last'),
+    )
+    rows = []
+    for track in found.tracks:
+        for number, (name, course) in enumerate(track.learning.items()):
+            errors = (f'{np.degrees(quality.angle_error):.2f}' for quality in course)
+            last = f'{1e3 * course[-1].max_deviation:.2f}'
+            rows.append((track.name if number == 0 else '', _STARTS[name], *errors, last))
+    return Table(
+        f'Learning from recorded runs, one in a cycle; means of {found.runs} courses',
+        columns,
+        tuple(rows),
+    )
+
+
+def comparison_remarks(found: FoamComparison) -> list[str]:
+    """Return what the default compensation takes away on each track, in words."""
+    lines = []
+    for track in found.tracks:
+        before, after = track.methods[NONE].mean, track.methods[NTS].mean
+        cut = [
+            f'{name} {100.0 * (1.0 - getattr(after, field) / getattr(before, field)):.0f} %'
+            for name, field in (
+                ('angle error', 'angle_error'),
+                ('straightness', 'straightness'),
+                ('max deviation', 'max_deviation'),
+            )
+        ]
+        lines.append(f'{track.name}: the default takes away {", ".join(cut)}')
+    return lines
+
+
+def comparison_document(found: FoamComparison) -> dict[str, Any]:
+    """Return all figures in SI, angles in rad, with the points of the first runs."""
+    return {
+        'seed': found.seed,
+        'runs': found.runs,
+        'tracks': [
+            {
+                'name': track.name,
+                'angle': track.angle,
+                'thickness': track.thickness,
+                'depth': track.depth,
+                'nominal': track.nominal,
+                'methods': {
+                    name: _quality(figures.mean)
+                    | {
+                        'angle_spread': figures.angle_spread,
+                        'refused': figures.refused,
+                        'limited': figures.limited,
+                        'commanded': figures.commanded,
+                        'stitched': figures.stitched,
+                    }
+                    for name, figures in track.methods.items()
+                },
+                'learning': {
+                    name: [_quality(quality) for quality in course]
+                    for name, course in track.learning.items()
+                },
+            }
+            for track in found.tracks
+        ],
+    }
+
+
+def comparison_page(found: FoamComparison, facts: Mapping[str, str]) -> Page:
+    """Return the page of a comparison."""
+    from fuzzycnc_ros.studies.soft import foam_plots as plots
+
+    shown = {track.name: track for track in found.tracks}
+    sections = [
+        Section(
+            'Tracks',
+            tables=[tracks_table(found)],
+            remarks=comparison_remarks(found),
+            figures=[
+                Figure(
+                    'Nominal, stitched before and stitched after',
+                    'The first run of each track without compensation, and with the default one. '
+                    'The relaxed sheet shows what was dragged along: sides lean, and the figure '
+                    'does not close.',
+                    plots.plot_tracks(
+                        {
+                            name: (
+                                track.nominal,
+                                track.methods[NONE].stitched,
+                                track.methods[NTS].stitched,
+                            )
+                            for name, track in shown.items()
+                        }
+                    ),
+                ),
+                Figure(
+                    'Distance of the stitches from their places',
+                    'First runs. Offsets that pile up along the track as published straighten '
+                    'the angles and carry the figure away; offsets that fade, as the drift does, '
+                    'keep it in its place.',
+                    plots.plot_deviation(
+                        {name: _way(track) for name, track in shown.items()},
+                        {name: _deviations(track) for name, track in shown.items()},
+                    ),
+                ),
+            ],
+        ),
+        Section(
+            'Published averages',
+            ['The sheet is a model that was tuned to the published means without compensation; '
+             'its track has their angle, and dimensions of its own. So the first row says '
+             'nothing, the others do.'],
+            tables=[published_table(found)],
+        ),
+        Section(
+            'Learning from recorded runs',
+            tables=[learning_table(found)],
+            figures=[
+                Figure(
+                    'Angle error over the cycles',
+                    'Each cycle takes 70\u00a0% of the deviations of one recorded run into the '
+                    'offsets.',
+                    plots.plot_learning(
+                        {
+                            title: {name: t.learning[start] for name, t in shown.items()}
+                            for start, title in _STARTS.items()
+                        }
+                    ),
+                )
+            ],
+        ),
+    ]  # fmt: skip
+    return Page(
+        title='Patterns on soft material, straightened beforehand',
+        summary='The presser foot drags the sheet along, and the pattern is off once the sheet '
+        'relaxes. A T-S fuzzy neural network learns from samples how far; the path is shifted by '
+        'that much beforehand.',
+        sections=sections,
+        facts=facts,
+    )
+
+
+def training_table(found: FoamTraining) -> Table:
+    """Return held-out errors by thickness."""
+    thicknesses = list(found.errors[0].by_thickness)
+    columns = (
+        Column('Model', numeric=False),
+        Column('all'),
+        *(Column(f'{1e3 * thickness:g} mm thick') for thickness in thicknesses),
+    )
+    rows = [
+        (item.name, f'{item.rms:.3f}', *(f'{item.by_thickness[t]:.3f}' for t in thicknesses))
+        for item in found.errors
+    ]
+    title = (
+        f'Error on held-out samples, rms of both axes [mm per 50 mm]; {found.folds} parts, '
+        f'{found.groups} groups'
+    )
+    return Table(title, columns, tuple(rows), highlight=frozenset({0}))
+
+
+def coverage_table(found: FoamTraining) -> Table:
+    """Return what the samples cover."""
+    columns = tuple(
+        Column(heading)
+        for heading in (
+            'thickness [mm]', 'lines', 'arcs', 'direction [deg]', 'depth [mm]',
+            'depth / thickness', 'step [mm]',
+        )
+    )  # fmt: skip
+    rows = [
+        (
+            f'{1e3 * item.thickness:g}',
+            str(item.lines),
+            str(item.arcs),
+            _range(*np.degrees(item.direction)),
+            _range(1e3 * item.depth[0], 1e3 * item.depth[1]),
+            _range(item.depth[0] / item.thickness, item.depth[1] / item.thickness),
+            _range(1e3 * item.step[0], 1e3 * item.step[1]),
+        )
+        for item in found.coverage
+    ]
+    return Table('What the samples cover', columns, tuple(rows))
+
+
+def training_document(found: FoamTraining) -> dict[str, Any]:
+    """Return errors [m per m of feed], and what the samples cover, in SI."""
+    per_feed = 1e-3 / 50e-3
+    return {
+        'folds': found.folds,
+        'groups': found.groups,
+        'coverage': [asdict(item) for item in found.coverage],
+        'errors': {
+            item.name: {
+                'rms': per_feed * item.rms,
+                'by_thickness': {f'{t:g}': per_feed * e for t, e in item.by_thickness.items()},
+            }
+            for item in found.errors
+        },
+    }
+
+
+def training_page(found: FoamTraining, lines: Sequence[str], facts: Mapping[str, str]) -> Page:
+    """Return the page of a training."""
+    from fuzzycnc_ros.studies.soft.foam_plots import plot_predictions
+
+    used = found.errors[0]
+    return Page(
+        title='Model of feed compensation',
+        summary=f'{used.name}: {used.rms:.3f} mm per 50 mm of feed on samples that it was not '
+        'trained on.',
+        sections=[
+            Section('Samples', tables=[coverage_table(found)], remarks=lines),
+            Section(
+                'Held-out samples',
+                tables=[training_table(found)],
+                figures=[
+                    Figure(
+                        'Predicted over needed compensation',
+                        'Each sample predicted by a model that was trained without its group.',
+                        plot_predictions(found.needed, used.predicted),
+                    )
+                ],
+            ),
+        ],
+        facts=facts,
+    )
+
+
+def _quality(quality: TrackQuality) -> dict[str, float]:
+    return quality._asdict()
+
+
+def _way(track: TrackFigures) -> Any:
+    return np.append(0.0, np.cumsum(np.hypot(*np.diff(track.nominal, axis=0).T)))
+
+
+def _deviations(track: TrackFigures) -> dict[str, Any]:
+    return {
+        METHODS[name]: np.hypot(*(figures.stitched - track.nominal).T)
+        for name, figures in track.methods.items()
+    }
+
+
+def _range(low: float, high: float) -> str:
+    return f'{low:.3g}' if low == high else f'{low:.3g} to {high:.3g}'

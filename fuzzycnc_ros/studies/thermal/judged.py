@@ -1,0 +1,187 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What was judged and what came of it, in sentences that pages and terminals share."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.studies.page.remark import Remark
+from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.thermal import Evaluation, ThermalModel
+
+    Figures = Mapping[str, NDArray[np.float64]]
+
+DEFAULT = 'default'
+"""Row of the automatic choice."""
+
+
+def remarks_on(judged: 'Evaluation') -> list[Remark]:
+    """Return what a reader of a judged run has to know: window, start, domain, band, losses."""
+    remarks = [Remark(window_text(judged))]
+    if judged.warm:
+        remarks.append(Remark(warm_text(judged.run, judged.warm), True))
+    remarks.append(Remark(band_text(judged)))
+    return remarks + loss_remarks(judged.run, judged.channel, judged.rms)
+
+
+def window_text(judged: 'Evaluation') -> str:
+    """Return what was judged, and how much of it is in the domain."""
+    window = span_text(judged.run, judged.time, judged.channel, judged.samples)
+    return f'{window}; {100.0 * judged.in_domain:.0f} % of them in the domain of the training'
+
+
+def span_text(
+    run: str, time: NDArray[np.float64], channel: Sequence[str], samples: Sequence[int]
+) -> str:
+    """Return the first and the last time that were judged, and the samples of each channel."""
+    return f'{run}: judged from {time[0]:g} to {time[-1]:g} s, {samples_text(channel, samples)}'
+
+
+def samples_text(channel: Sequence[str], samples: Sequence[int]) -> str:
+    """Return how many samples were measured, channel by channel where they differ.
+
+    Examples
+    --------
+    >>> samples_text(('Y', 'Z'), (480, 480)), samples_text(('Y', 'Z'), (480, 96))
+    ('480 samples', 'samples: 480 of Y, 96 of Z')
+    """
+    if len(set(samples)) == 1:
+        return f'{samples[0]} samples'
+    each = [f'{count} of {name}' for name, count in zip(channel, samples, strict=True)]
+    return f'samples: {", ".join(each)}'
+
+
+def training_remark(
+    run: str, trained_on: Mapping[str, float], recognised: bool, training: Sequence[str]
+) -> Remark:
+    """Return how much of what was judged the model was trained on.
+
+    Parameters
+    ----------
+    run : str
+        Name of the judged run.
+    trained_on : mapping of str to float
+        Training runs that judged samples come from, and their share [-].
+    recognised : bool
+        Whether samples that were trained on would have been recognised.
+    training : sequence of str
+        Names of all training runs.
+    """
+    if trained_on:
+        share = max(1.0, 100.0 * min(1.0, sum(trained_on.values())))
+        about = 'about ' if share < 99.5 else ''
+        return Remark(
+            f'{about}{share:.0f} % of the judged samples of {run} were trained on '
+            f'({", ".join(trained_on)}): this is no test',
+            True,
+        )
+    if not recognised:
+        return Remark(
+            f'{run}: whether the model was trained on these samples cannot be told; it does not '
+            'say enough of what it was trained on',
+            True,
+        )
+    same = ', but on others of a run of that name' if run in training else ''
+    return Remark(f'{run}: no model was trained on these samples{same}')
+
+
+def warm_text(run: str, warm: Mapping[str, float]) -> str:
+    """Return that a run began on a warm machine."""
+    return (
+        f'{run}: the machine was warm when the run began: {kelvins(warm)}; its rises mean '
+        'something else than in training, so none of its samples is in the domain'
+    )
+
+
+def kelvins(warm: Mapping[str, float]) -> str:
+    """Return by how much sensors are off, such as 'front +6.2 K, rear -1.5 K'."""
+    return ', '.join(f'{name} {kelvin:+.1f} K' for name, kelvin in warm.items())
+
+
+def band_text(judged: 'Evaluation') -> str:
+    """Return how much of what is left the band of the default holds, and how wide it is."""
+    each = [
+        f'{100.0 * share:.0f} % of {name} (\u00b1{micrometres(width)} \u00b5m)'
+        for name, share, width in zip(
+            judged.channel, judged.covered, judged.half_width, strict=True
+        )
+        if np.isfinite(share)
+    ]
+    return f'{judged.run}: the band of two standard deviations holds {", ".join(each)}'
+
+
+def worse_than_none(channel: Sequence[str], rms: 'Figures', name: str = DEFAULT) -> list[str]:
+    """Return the channels in which a model leaves more than there was without compensation."""
+    pairs = zip(channel, rms[name], rms[UNCOMPENSATED], strict=True)
+    return [label for label, left, bare in pairs if left > bare]
+
+
+def loss_remarks(
+    run: str, channel: Sequence[str], rms: 'Figures', name: str = DEFAULT
+) -> list[Remark]:
+    """Return that a model is worse than none, in one sentence; nothing where it is not."""
+    lost = worse_than_none(channel, rms, name)
+    if not lost:
+        return []
+    figures = dict(zip(channel, zip(rms[name], rms[UNCOMPENSATED], strict=True), strict=True))
+    return [Remark(f'{run}: {loss_text({label: figures[label] for label in lost})}', True)]
+
+
+def loss_text(losing: Mapping[str, tuple[float, float]]) -> str:
+    """Return in which channels a model is worse than none.
+
+    Parameters
+    ----------
+    losing : mapping of str to (float, float)
+        Channel -> root mean square with the model and without [m].
+
+    Examples
+    --------
+    >>> loss_text({'y': (26.6e-6, 9.4e-6)})
+    'worse than no compensation on y: 26.6 \u00b5m are left of 9.4 \u00b5m'
+    """
+    figures = ', '.join(_left_of(left, bare) for left, bare in losing.values())
+    return f'worse than no compensation on {", ".join(losing)}: {figures}'
+
+
+def _left_of(left: float, bare: float) -> str:
+    """Return two residuals in as many digits as tell them apart."""
+    if has_diverged(left):
+        return f'it diverges, where there are {micrometres(bare)} \u00b5m without'
+    digits = next((n for n in (1, 2, 3) if f'{1e6 * left:.{n}f}' != f'{1e6 * bare:.{n}f}'), 4)
+    return f'{1e6 * left:.{digits}f} \u00b5m are left of {1e6 * bare:.{digits}f} \u00b5m'
+
+
+def choice_remarks(model: 'ThermalModel') -> list[Remark]:
+    """Return which channels a model leaves alone and which it makes worse, and what follows."""
+    remarks = []
+    if model.uncompensated:
+        remarks.append(
+            Remark(
+                f'{", ".join(model.uncompensated)} '
+                + ('stays' if len(model.uncompensated) == 1 else 'stay')
+                + ' uncompensated, since no model was better beyond chance on held-out samples'
+            )
+        )
+    if model.losing:
+        names = dict.fromkeys(
+            candidate_label(used)
+            for channel, used in zip(model.channel, model.default, strict=True)
+            if channel in model.losing
+        )
+        remarks.append(
+            Remark(
+                f'{", ".join(names)} is {loss_text(model.losing)} on held-out samples; '
+                'thermal_predictor refuses this model unless its parameter force is true '
+                '(fuzzycnc up --force-model); train with --model auto to leave '
+                f'{", ".join(model.losing)} uncompensated',
+                True,
+            )
+        )
+    return remarks

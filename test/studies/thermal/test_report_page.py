@@ -1,0 +1,259 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+import re
+import sys
+from html.parser import HTMLParser
+from subprocess import run as start
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.core.machine import DUTIES, record_run
+from fuzzycnc_ros.studies.thermal.report_data import (
+    CompensationRun,
+    Latency,
+    ReportData,
+    SensorCountCurve,
+)
+from fuzzycnc_ros.studies.thermal.report_page import render_html
+
+pytest.importorskip('matplotlib', reason='matplotlib is not installed')
+pytest.importorskip('jinja2', reason='jinja2 is not installed')
+
+from fuzzycnc_ros.studies.page import drawing
+from fuzzycnc_ros.studies.page.svg import to_inline_svg
+from fuzzycnc_ros.studies.thermal import report_plots as plots
+
+
+def mill_run(name='T2', **changes):
+    """Build a run of the simulated mill with a stand-in for its predictions."""
+    recorded = record_run(name, 1)
+    measured = recorded.displacement
+    prediction = 0.9 * measured
+    rows = len(recorded.time)
+    fields = {
+        'name': name,
+        'time': recorded.time,
+        'sensor': recorded.sensor,
+        'temperature': recorded.temperature,
+        'cluster': [0] * 32 + [1] * 29 + [2] * 12 + [-1] * 3,
+        'chosen': ['T18', 'T55', 'T63'],
+        'channel': recorded.channel,
+        'measured': measured,
+        'predicted': {'classical_grey': 1.4 * measured, 'lag_ridge': prediction},
+        'default': 'lag_ridge',
+        'standard_deviation': np.full((rows, 2), 1e-6),
+        'in_domain': np.arange(rows) != 100,
+        'offset': -prediction,
+        'applied': -prediction,
+        'offset_limit': 50e-6,
+        'spindle_speed': [DUTIES[name].spindle_speed(t) for t in recorded.time],
+        **changes,
+    }
+    return CompensationRun(**fields)
+
+
+def report(**changes):
+    fields = {
+        'title': 'A shift of <mill_1>',
+        'runs': [mill_run()],
+        'summary': 'One run & its figures.',
+        'sensor_count_curve': SensorCountCurve(
+            (1, 5), ('Y', 'Z'), 1e-6 * np.ones((2, 2)), 'T2', 5
+        ),
+        'latency': Latency(1e-3 * np.linspace(1.0, 3.0, 101)),
+        'facts': {'Model hash': 'sha256:abc'},
+        'notes': ['No safety function.'],
+        **changes,
+    }
+    return ReportData(**fields)
+
+
+class Outline(HTMLParser):
+    """Collects ids, links and open elements, and refuses what is not closed in order."""
+
+    VOID = frozenset({'meta', 'br', 'hr', 'img', 'link', 'input'})
+
+    def __init__(self, text):
+        super().__init__()
+        self.ids, self.links, self.tags, self.open = [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        attributes = dict(attrs)
+        self.ids += [attributes['id']] if 'id' in attributes else []
+        self.links += [v for k, v in attrs if k in ('href', 'src', 'xlink:href')]
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        self.handle_endtag(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope='module')
+def page():
+    return render_html(report())
+
+
+def test_page_is_well_formed_and_self_contained(page):
+    outline = Outline(page)
+    assert outline.open == []
+    assert len(outline.ids) == len(set(outline.ids))
+    assert outline.links
+    assert all(link.startswith('#') for link in outline.links)
+    assert {link[1:] for link in outline.links} <= set(outline.ids)
+    assert not {'script', 'link', 'img', 'iframe'} & set(outline.tags)
+    assert 'url(http' not in page
+    assert '@import' not in page
+
+
+def test_every_figure_is_numbered_listed_and_explained(page):
+    outline = Outline(page)
+    assert outline.tags.count('figure') == outline.tags.count('svg') == 6
+    assert re.findall(r'<b>Figure (\d)\.', page) == list('123456')
+    for number in range(1, 7):
+        assert f'href="#figure-{number}"' in page
+
+
+def test_text_is_escaped(page):
+    assert 'A shift of &lt;mill_1&gt;' in page
+    assert 'One run &amp; its figures.' in page
+    assert '<mill_1>' not in page
+
+
+def test_figures_on_the_page_are_those_of_the_scores(page):
+    run = mill_run()
+    largest = 1e6 * np.abs(run.measured).max(axis=0)
+    for channel, value in zip(run.channel, largest, strict=True):
+        assert f'T2 {channel}, largest error left' in page
+        assert f'of {value:.1f} µm' in page
+        assert f'{0.1 * value:.1f} <small>µm</small>' in page
+    assert 'sha256:abc' in page
+    assert 'No safety function.' in page
+    assert 'median 2.00 ms' in page
+
+
+def test_svg_follows_the_theme_of_the_page(page):
+    svg = page[page.index('<svg') :]
+    for colour in (drawing.INK, drawing.MUTED, drawing.FAINT, drawing.GRID):
+        assert colour not in svg
+    assert 'fill: var(--ink)' in svg
+
+
+def test_same_data_same_page(page):
+    assert render_html(report()) == page
+
+
+def test_optional_parts_may_be_missing():
+    bare = mill_run(
+        standard_deviation=None,
+        in_domain=None,
+        offset=None,
+        applied=None,
+        offset_limit=None,
+        spindle_speed=None,
+    )
+    page = render_html(ReportData('Bare', [bare]))
+    assert Outline(page).tags.count('figure') == 3
+    assert 'Provenance' not in page
+    with pytest.raises(ValueError, match='expected commanded offsets'):
+        plots.plot_compensation(bare)
+
+
+def test_gaps_and_divergence_do_not_break_the_page():
+    measured = mill_run().measured.copy()
+    measured[:, 1] = np.nan
+    measured[10:20, 0] = np.nan
+    diverged = np.full_like(measured, np.inf)
+    run = mill_run(
+        measured=measured, predicted={'classical_grey': diverged, 'lag_ridge': measured}
+    )
+    page = render_html(ReportData('Gaps', [run]))
+    assert 'diverged' in page
+    assert '<div class="from">of - µm</div>' in page
+    lost = mill_run(predicted={'lag_ridge': diverged}, offset=None, applied=None)
+    assert 'diverged <small>' in render_html(ReportData('Lost', [lost]))
+
+
+def test_many_channels_get_rows_of_two():
+    names = [f'ch{i}' for i in range(1, 6)]
+    measured = np.tile(mill_run().measured[:, :1], (1, 5))
+    run = mill_run(
+        channel=names,
+        measured=measured,
+        predicted={'lag_ridge': measured},
+        standard_deviation=None,
+        offset=None,
+        applied=None,
+    )
+    assert len(plots.plot_prediction(run).axes) == 5
+
+
+def test_temperatures_have_a_panel_per_cluster_and_one_for_the_speed():
+    figure = plots.plot_temperatures(mill_run())
+    assert [axes.get_title(loc='left') for axes in figure.axes] == [
+        'Cluster 1: 32 sensors, T18 chosen',
+        'Cluster 2: 29 sensors, T55 chosen',
+        'Cluster 3: 12 sensors, T63 chosen',
+        'Left out: 3 sensors',
+        'Spindle speed',
+    ]
+    assert sum(len(axes.lines) for axes in figure.axes[:4]) == 76
+
+
+def test_scale_is_set_by_what_was_measured():
+    measured = mill_run().measured
+    run = mill_run(predicted={'classical_grey': 1e6 * measured, 'lag_ridge': measured})
+    assert plots.plot_prediction(run).axes[0].get_ylim()[1] < 60.0
+
+
+def test_one_sample_out_of_domain_shows():
+    figure = plots.plot_residual(mill_run())
+    (bars,) = figure.axes[0].collections[-1:]
+    (path,) = bars.get_paths()
+    x = path.vertices[:, 0]
+    assert (x.min(), x.max()) == pytest.approx((99.5 / 60, 100.5 / 60))
+
+
+@pytest.mark.parametrize(
+    ('seconds', 'label', 'last'),
+    [(7200.0, 'time [min]', 120.0), (7260.0, 'time [h]', 7260 / 3600)],
+)
+def test_time_axis_reads_in_minutes_or_hours(seconds, label, last):
+    values, text = plots.time_axis(np.array([100.0, 100.0 + seconds]))
+    assert (values[0], text) == (0.0, label)
+    assert values[1] == pytest.approx(last)
+
+
+def test_ids_of_two_figures_differ():
+    figures = [plots.plot_latency(Latency(np.array([1e-3, 2e-3]))) for _ in range(2)]
+    one, two = (to_inline_svg(f, name) for f, name in zip(figures, ('f1', 'f2'), strict=True))
+    ids = [set(re.findall(r'\bid="([^"]+)"', svg)) for svg in (one, two)]
+    assert ids[0]
+    assert not ids[0] & ids[1]
+
+
+def test_importing_the_report_loads_neither_matplotlib_nor_jinja2():
+    code = (
+        'import sys, fuzzycnc_ros.studies.thermal.report_page;'
+        "print([m for m in ('matplotlib', 'jinja2', 'rich') if m in sys.modules])"
+    )
+    answer = start([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == '[]'
+
+
+def test_pyplot_stays_out():
+    code = (
+        'import sys, numpy as np; from fuzzycnc_ros.studies.thermal.report_data import Latency;'
+        'from fuzzycnc_ros.studies.thermal.report_plots import plot_latency;'
+        'plot_latency(Latency(np.ones(3)));'
+        "print('matplotlib.pyplot' in sys.modules)"
+    )
+    answer = start([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == 'False'
