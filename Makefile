@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # `make demo` and `make test` need nothing done before; `make help` lists the rest.
 #   PYTHON=python3.11   interpreter of the environment (default: the first suitable one)
-#   ARGS='-k mill'      further arguments of pytest, or of `fuzzycnc demo`
+#   ARGS='-k mill'      further arguments of pytest, of `fuzzycnc demo`, of the fault campaign, ...
 .DEFAULT_GOAL := help
 MAKEFLAGS += --no-print-directory
 
@@ -57,6 +57,10 @@ test-all: test test-slow ## `make test` and `make test-slow`
 .PHONY: qualify
 qualify: setup ## Fault campaign, soak, LinuxCNC, many machines; wants an idle computer
 	@$(TESTS) qualify $(ARGS)
+
+.PHONY: faults soak
+faults soak: setup ## Part of it with options: the fault campaign, the soak (ARGS=--help)
+	@$(ROS) '$(BIN)/python' test/qualification $@ $(ARGS)
 
 .PHONY: lint
 lint: setup ## Style, format, spelling, types

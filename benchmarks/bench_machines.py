@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from soak.growth import held_by
 
 from fuzzycnc_ros.cli.free_domain import own_domain
 from fuzzycnc_ros.cli.graph_processes import COMPOSED, GraphProcesses, NodeSpec
@@ -34,9 +35,9 @@ from fuzzycnc_ros.core.thermal import train_model
 from fuzzycnc_ros.ros.environment import prepare_environment
 from fuzzycnc_ros.ros.messages import RCLPY, message_class
 from fuzzycnc_ros.ros.qos import publisher_qos, subscription_qos
-from fuzzycnc_ros.runtime.codes import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,
@@ -45,7 +46,6 @@ from fuzzycnc_ros.runtime.records import (
     Record,
     Temperatures,
 )
-from fuzzycnc_ros.scenario.soak_process import held_by
 
 MACHINES, SECONDS = 20, 60
 PERIOD = 1.0

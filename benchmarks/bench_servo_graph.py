@@ -33,9 +33,9 @@ from fuzzycnc_ros.cli.free_domain import own_domain
 from fuzzycnc_ros.cli.graph_processes import GraphProcesses, NodeSpec
 from fuzzycnc_ros.ros.messages import message_class
 from fuzzycnc_ros.ros.qos import subscription_qos
-from fuzzycnc_ros.runtime.codes import ServoStatus
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import decode
+from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.records import SECOND, ServoState
 
 MOVE_TIME, EMPTY, MOVES = 1.2, 10, 10

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """All components by node name, in the order of their turns."""
 
-from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge
-from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge
+from fuzzycnc_ros.adapters.linuxcnc.bridge import LinuxcncBridge
+from fuzzycnc_ros.adapters.opcua.bridge import OpcuaBridge
 from fuzzycnc_ros.components.machine.simulated_body import SimulatedBody
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachine
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler

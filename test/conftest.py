@@ -4,9 +4,9 @@
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
+import command_lines
 import hypothesis
 import processes
 import pytest
@@ -45,46 +45,19 @@ def data() -> Path:
     return folder
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a command line came to."""
-
-    code: int
-    out: str
-    err: str
-
-
 @pytest.fixture
 def fuzzycnc(capsys, tmp_path, monkeypatch):
     """Run a command line in an empty folder."""
     from fuzzycnc_ros.cli.main import run
 
     monkeypatch.chdir(tmp_path)
-
-    def command(*arguments) -> Outcome:
-        capsys.readouterr()
-        code = run([str(argument) for argument in arguments])
-        captured = capsys.readouterr()
-        return Outcome(code, captured.out, captured.err)
-
-    return command
+    return command_lines.runner(run, capsys)
 
 
 @pytest.fixture
 def refused(fuzzycnc):
     """Run a command line that must be refused in one line that names certain things."""
-
-    def command(*arguments, naming) -> str:
-        outcome = fuzzycnc(*arguments)
-        assert outcome.code == 2, outcome
-        lines = outcome.err.splitlines()
-        assert len(lines) == 1, outcome.err
-        assert lines[0].startswith('error: ')
-        missing = [text for text in naming if text not in lines[0]]
-        assert not missing, f'{missing} not in: {lines[0]}'
-        return lines[0]
-
-    return command
+    return command_lines.refuser(fuzzycnc)
 
 
 @pytest.fixture

@@ -17,7 +17,6 @@ from fuzzycnc_ros.adapters.controller_bridge_config import ControllerBridgeConfi
 from fuzzycnc_ros.adapters.controller_status import Readout
 from fuzzycnc_ros.components.thermal.compensator import AXES, describe
 from fuzzycnc_ros.core.machine.offset_input import OffsetInput, OffsetInputConfig
-from fuzzycnc_ros.runtime.codes import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.component import (
     Answer,
     Component,
@@ -27,6 +26,7 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
+from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.records import (
     Bools,
     Compensation,

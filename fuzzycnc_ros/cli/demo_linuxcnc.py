@@ -178,7 +178,7 @@ def _run_live(
     out: Path, controller: LinuxcncSimulation, seed: int, rate: float, progress: Steps
 ) -> tuple[dict[str, Any], bool]:
     """Run the graph for a duty; return what the body says, and whether LinuxCNC cut to the end."""
-    from fuzzycnc_ros.cli.operator import Operator
+    from fuzzycnc_ros.cli.operator_client import Operator
     from fuzzycnc_ros.components.machine.simulated_machine_duties import MACHINE_DUTIES
     from fuzzycnc_ros.runtime.records import Temperatures
     from fuzzycnc_ros.studies.linuxcnc_duty import duty_program

@@ -109,7 +109,7 @@ def _run_live(
     out: Path, bags: list[Path], seed: int, progress: Steps
 ) -> tuple[dict[str, Any], float]:
     """Run the graph over the unseen duties; return how the machine says it went, and the time."""
-    from fuzzycnc_ros.cli.operator import Operator
+    from fuzzycnc_ros.cli.operator_client import Operator
 
     specs = node_specs(
         duties=UNSEEN,

@@ -14,7 +14,7 @@ import numpy as np
 
 from fuzzycnc_ros.core.deformation.samples import RecordedPath
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, LINE, SheetMaterial
-from fuzzycnc_ros.runtime.codes import PrimitiveKind
+from fuzzycnc_ros.runtime.enums import PrimitiveKind
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.arrays import Array

@@ -146,7 +146,7 @@ def import_csv(
             --time Zeit --temperature 'T*' --displacement 'Y [mm]=Y:mm'
         fuzzycnc import-csv log.csv --out log --mapping log.yaml --resample 60
     """
-    from fuzzycnc_ros.bags.csv import import_csv as convert
+    from fuzzycnc_ros.bags.csv_import import import_csv as convert
     from fuzzycnc_ros.bags.csv_mapping import CsvMapping
 
     check_folder(json_file)

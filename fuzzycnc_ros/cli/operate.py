@@ -17,7 +17,7 @@ from fuzzycnc_ros.cli.options import node_parameters
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.cli.operator import Operator
+    from fuzzycnc_ros.cli.operator_client import Operator
     from fuzzycnc_ros.runtime.records import CompensationApplied
 
 HELP = """Act at a running machine: look, activate, set limits, reference and probe.
@@ -50,7 +50,7 @@ def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
     fuzzycnc operate status --machine mill_1
     """
     check_ros('operate')
-    from fuzzycnc_ros.cli.operator import Operator
+    from fuzzycnc_ros.cli.operator_client import Operator
     from fuzzycnc_ros.cli.supervision_monitor import Monitor
     from fuzzycnc_ros.studies.page.table import Column, Table
 
@@ -213,7 +213,7 @@ def probe(
     check_ros('operate')
     import numpy as np
 
-    from fuzzycnc_ros.cli.operator import Operator
+    from fuzzycnc_ros.cli.operator_client import Operator
     from fuzzycnc_ros.runtime.records import Displacement
 
     with Operator(machine, patience=PATIENCE) as operator:
@@ -273,7 +273,7 @@ def _nobody(machine: str) -> str:
 def _operator(machine: str, node: str, *, managed: bool = True) -> 'Operator':
     """Return an operator at a node that must exist, and have a lifecycle if it is managed."""
     check_ros('operate')
-    from fuzzycnc_ros.cli.operator import Operator
+    from fuzzycnc_ros.cli.operator_client import Operator
     from fuzzycnc_ros.registry import COMPONENTS
 
     names = [name for name, item in COMPONENTS.items() if item.MANAGED or not managed]

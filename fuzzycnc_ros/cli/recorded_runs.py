@@ -136,7 +136,7 @@ def _with_mates(model: 'ThermalModel', run: 'ThermalRun') -> 'NDArray[Any]':
     """Return the temperatures (n, s) of a run, other sensors standing in for lost inputs."""
     import numpy as np
 
-    from fuzzycnc_ros.components.thermal.substitution import RiseSource
+    from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
     from fuzzycnc_ros.core.thermal import ModelMismatchError
     from fuzzycnc_ros.core.thermal.run import REFERENCE_SAMPLES
     from fuzzycnc_ros.runtime.records import ThermalReference

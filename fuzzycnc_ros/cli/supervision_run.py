@@ -57,7 +57,7 @@ def check_free(monitor: 'Monitor', plans: Mapping[str, Plan]) -> None:
         If somebody works there; the text names the nodes.
     """
     # Here, so that `fuzzycnc --help` works where ROS is not installed.
-    from fuzzycnc_ros.cli.operator import SETTLED
+    from fuzzycnc_ros.cli.operator_client import SETTLED
 
     taken = {
         (machine, name)

@@ -4,10 +4,10 @@
 
 from fuzzycnc_ros.adapters.bridge_node import ControllerBridgeNode
 from fuzzycnc_ros.adapters.controller import Controller
+from fuzzycnc_ros.adapters.linuxcnc.bridge import LinuxcncBridge
+from fuzzycnc_ros.adapters.linuxcnc.bridge_config import LinuxcncBridgeConfig
 from fuzzycnc_ros.adapters.linuxcnc.control import Linuxcnc, LinuxcncError, linuxcnc_runs
-from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge
-from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge_config import LinuxcncBridgeConfig
-from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_status import (
+from fuzzycnc_ros.adapters.linuxcnc.status import (
     ControllerLimits,
     ControllerOutput,
     ControllerStatus,

@@ -13,11 +13,11 @@ from pathlib import Path
 from fuzzycnc_ros.adapters.bridge_node import ControllerBridgeNode
 from fuzzycnc_ros.adapters.controller import Controller
 from fuzzycnc_ros.adapters.link import LinkError
+from fuzzycnc_ros.adapters.opcua.bridge import OpcuaBridge, OpcuaBridgeConfig
 from fuzzycnc_ros.adapters.opcua.control import ControlFile, OpcUaControl
 from fuzzycnc_ros.adapters.opcua.control_file import check_axes, read_control
 from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
 from fuzzycnc_ros.adapters.opcua.offset_lines import LineLimits, LineOrders, LineStatus
-from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
 from fuzzycnc_ros.adapters.opcua.session import library_trouble
 from fuzzycnc_ros.adapters.threaded import ThreadedController
 from fuzzycnc_ros.ros import run

@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.bags.csv import CsvMapping, import_csv
+from fuzzycnc_ros.bags.csv_import import CsvMapping, import_csv
 from fuzzycnc_ros.bags.csv_time import KNOWN_FORMATS, known_forms, read_time, strptime_form
 from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.reader import BagReader

@@ -9,8 +9,8 @@ from benches.component_bench import machine_state
 from fuzzycnc_ros.bags.errors import BagDataError, BagTopicError, RunError
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.typestore import message_type
-from fuzzycnc_ros.runtime.codes import SpeedStatus
 from fuzzycnc_ros.runtime.convert import Target, encode
+from fuzzycnc_ros.runtime.enums import SpeedStatus
 from fuzzycnc_ros.runtime.records import SpindleSpeed
 
 SECOND = 10**9

@@ -21,7 +21,7 @@ from fuzzycnc_ros.core.servo import (
     point_to_point,
     position,
 )
-from fuzzycnc_ros.runtime.codes import ServoStatus
+from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.records import (
     AxisCommand,
     AxisState,

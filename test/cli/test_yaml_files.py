@@ -7,7 +7,7 @@ from dataclasses import fields
 
 import pytest
 
-from fuzzycnc_ros.bags.csv import CsvMapping
+from fuzzycnc_ros.bags.csv_import import CsvMapping
 from fuzzycnc_ros.bags.yaml_file import SIZE_MAX, compose, construct
 from fuzzycnc_ros.cli.import_csv import _read_mapping
 from fuzzycnc_ros.cli.scheduling_machine import read_machine

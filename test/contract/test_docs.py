@@ -189,10 +189,9 @@ def test_commands_and_options_exist(page):
     typer = pytest.importorskip(
         'typer', reason="typer is missing: pip install 'fuzzycnc_ros[cli]'"
     )
-    from fuzzycnc_ros.cli.main import app
 
     for line in used:
-        command, words = typer.main.get_command(app), line.split()[1:]
+        command, words = typer.main.get_command(APPLICATION.typer), line.split()[1:]
         # down to the command itself: `servo tune` is one of `servo`
         while words and not words[0].startswith('--') and hasattr(command, 'commands'):
             assert words[0] in command.commands, line

@@ -17,9 +17,9 @@ from rosgraph_msgs.msg import Clock
 from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.ros.messages import RCLPY, message_class
 from fuzzycnc_ros.ros.qos import publisher_qos
-from fuzzycnc_ros.runtime.codes import CompensationState
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.enums import CompensationState
 from fuzzycnc_ros.runtime.host_records import NodeConfiguration, NodeEvent
 from fuzzycnc_ros.runtime.records import (
     SECOND,

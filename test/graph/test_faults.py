@@ -9,7 +9,7 @@ import pytest
 
 from fuzzycnc_ros.components.machine.simulated_machine import DAY_START, SimulatedMachineConfig
 from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
-from fuzzycnc_ros.runtime.codes import AppliedStatus, CompensationState
+from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,

@@ -18,9 +18,9 @@ from fuzzycnc_ros.components.motion.tool_paths import curve_tool_path
 from fuzzycnc_ros.core.feedrate.path.curves import trident
 from fuzzycnc_ros.ros.messages import RCLPY, message_class
 from fuzzycnc_ros.ros.qos import publisher_qos
-from fuzzycnc_ros.runtime.codes import TrajectoryStatus
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.enums import TrajectoryStatus
 from fuzzycnc_ros.runtime.host_records import NodeConfiguration
 from fuzzycnc_ros.runtime.records import (
     SECOND,

@@ -15,7 +15,7 @@ from equipment.field_servers import LOCAL, Field, Route
 from equipment.opcua_machine import AXES, FILE, ControlServer, LineControl, control_file
 from equipment.secured_server import PINNING, secured, user_file
 
-from fuzzycnc_ros.runtime.codes import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.records import (
     MachineState,
 )

@@ -13,9 +13,9 @@ from fuzzycnc_ros.cli import operate
 from fuzzycnc_ros.cli.main import run
 from fuzzycnc_ros.ros.messages import RCLPY, message_class
 from fuzzycnc_ros.ros.qos import publisher_qos
-from fuzzycnc_ros.runtime.codes import AppliedStatus
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     CompensationApplied,

@@ -12,8 +12,8 @@ from live_graph import ANSWER_TIMEOUT, KILL_TIMEOUT
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.replay import replay
-from fuzzycnc_ros.runtime.codes import ServoStatus
 from fuzzycnc_ros.runtime.component import Level
+from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.records import (
     AxisCommand,
     AxisState,

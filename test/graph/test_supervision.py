@@ -16,9 +16,9 @@ import pytest
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
-from fuzzycnc_ros.runtime.codes import AppliedStatus, CompensationState
 from fuzzycnc_ros.runtime.component import LATCHED
 from fuzzycnc_ros.runtime.convert import decode
+from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
 from fuzzycnc_ros.runtime.host_records import NodeConfiguration, NodeEvent
 from fuzzycnc_ros.runtime.records import (
     SECOND,

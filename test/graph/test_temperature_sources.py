@@ -8,7 +8,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
 
 from fuzzycnc_ros.ros.messages import RCLPY
-from fuzzycnc_ros.runtime.codes import Status
+from fuzzycnc_ros.runtime.enums import Status
 from fuzzycnc_ros.runtime.records import SECOND, Temperatures
 
 pytestmark = pytest.mark.ros

@@ -15,7 +15,7 @@ pytest.importorskip('pymodbus')
 from asyncua import ua
 from equipment.field_servers import LOCAL, Field, ModbusServer, OpcUaServer, Route
 
-from fuzzycnc_ros.runtime.codes import SpeedStatus, Status
+from fuzzycnc_ros.runtime.enums import SpeedStatus, Status
 from fuzzycnc_ros.runtime.records import MachineState, SpindleSpeed, Temperatures
 
 pytestmark = pytest.mark.ros

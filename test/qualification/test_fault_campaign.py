@@ -1,14 +1,13 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every scenario of `fuzzycnc faults` on a live graph, judged by its bag.
+"""Every scenario of `make faults` on a live graph, judged by its bag.
 
 The scenarios of a stage share a graph: the first test of a stage runs all of them.
 """
 
 import pytest
-
-from fuzzycnc_ros.cli.fault_stage import run_stage
-from fuzzycnc_ros.faults.campaign import STAGES
+from campaign.scenarios import STAGES
+from campaign.stage import run_stage
 
 QUICK = ('strangers', 'compensation')
 """Stages that `make test-all` runs; all of them take ten minutes."""

@@ -13,7 +13,7 @@ import pytest
 from equipment.bridge_rig import ACTIVATE, CONFIGURE, DEACTIVATE, MICRON, BridgeRig
 from equipment.linuxcnc_machine import LinuxcncMachine, exclusive
 
-from fuzzycnc_ros.runtime.codes import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.records import (
     SECOND,
 )

@@ -19,9 +19,9 @@ from equipment.linuxcnc_offsets import OffsetTrace, fastest
 
 from fuzzycnc_ros.ros.messages import RCLPY, message_class
 from fuzzycnc_ros.ros.qos import publisher_qos
-from fuzzycnc_ros.runtime.codes import AppliedStatus
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import Compensation, CompensationApplied, ThermalError
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.qualify]

@@ -3,9 +3,9 @@
 """A soak over DDS: nothing is missed, and every node is watched."""
 
 import pytest
+from soak.run import TICKS_MIN
 
 from fuzzycnc_ros.core.thermal import train_model
-from fuzzycnc_ros.scenario.soak import TICKS_MIN
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
 NODES = (
@@ -22,7 +22,7 @@ NODES = (
 @pytest.mark.realtime
 @pytest.mark.qualify
 def test_a_live_soak_misses_nothing_and_watches_every_node(monkeypatch):
-    soak_live = pytest.importorskip('fuzzycnc_ros.cli.soak_live', reason='run `make test`')
+    soak_live = pytest.importorskip('soak.live', reason='run `make test`')
     monkeypatch.setenv('ROS_DOMAIN_ID', '0')  # soak_live takes a domain of its own
     monkeypatch.setattr(soak_live, 'WARM_UP_LIVE', TICKS_MIN // 2)
     monkeypatch.setattr(soak_live, 'PERIOD', 0.1)

@@ -9,11 +9,8 @@ import threading
 
 import numpy as np
 import pytest
-
-from fuzzycnc_ros.components.thermal.compensator import Compensator
-from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.core.thermal import train_model
-from fuzzycnc_ros.scenario.soak import (
+from soak.growth import GROWTH_MAX, growths, held_by
+from soak.run import (
     CYCLE,
     HELD,
     SEGMENT,
@@ -23,7 +20,10 @@ from fuzzycnc_ros.scenario.soak import (
     run_soak,
     soak_duties,
 )
-from fuzzycnc_ros.scenario.soak_process import GROWTH_MAX, growths, held_by
+
+from fuzzycnc_ros.components.thermal.compensator import Compensator
+from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
+from fuzzycnc_ros.core.thermal import train_model
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
 pytestmark = pytest.mark.qualify

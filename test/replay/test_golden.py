@@ -14,8 +14,8 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.replay import ROSBAGS, ReplayError, replay
 from fuzzycnc_ros.bags.replay_comparison import relative_difference
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.runtime.codes import Status
 from fuzzycnc_ros.runtime.convert import decode, encode
+from fuzzycnc_ros.runtime.enums import Status
 from fuzzycnc_ros.runtime.records import (
     Compensation,
     Temperatures,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack
-from fuzzycnc_ros.runtime.codes import PrimitiveKind
+from fuzzycnc_ros.runtime.enums import PrimitiveKind
 from fuzzycnc_ros.runtime.records import CompensatedPath, Material, StitchedPath
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A running LinuxCNC as an object: status in, counts out, in SI units.
 
-Behind it stands a process with the HAL pins (`linuxcnc_hal`); every connection is a fresh one.
+Behind it stands a process with the HAL pins (`hal_process`); every connection is a fresh one.
 """
 
 import contextlib
@@ -20,12 +20,12 @@ import numpy as np
 from fuzzycnc_ros.adapters.controller import Controller
 from fuzzycnc_ros.adapters.link import LinkError
 from fuzzycnc_ros.adapters.linuxcnc import hal_process
-from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_status import (
+from fuzzycnc_ros.adapters.linuxcnc.status import (
     ControllerLimits,
     ControllerOutput,
     ControllerStatus,
 )
-from fuzzycnc_ros.runtime.codes import MachineMode
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import Names
 
 ANSWER_TIMEOUT = 1.0
@@ -42,7 +42,7 @@ class LinuxcncError(LinkError):
 
 def linuxcnc_runs() -> bool:
     """Whether a LinuxCNC runs on this machine."""
-    return linuxcnc_hal.hal_memory() is not None
+    return hal_process.hal_memory() is not None
 
 
 class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits]):

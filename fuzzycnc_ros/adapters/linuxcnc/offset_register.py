@@ -12,7 +12,7 @@ from enum import Enum
 
 import numpy as np
 
-from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_status import ControllerOutput, ControllerStatus
+from fuzzycnc_ros.adapters.linuxcnc.status import ControllerOutput, ControllerStatus
 from fuzzycnc_ros.runtime.records import Floats
 
 SURE = 4

@@ -22,7 +22,7 @@ from fuzzycnc_ros.adapters.opcua.offset_lines import (
 )
 from fuzzycnc_ros.adapters.opcua.session import OpcUaSession, Server
 from fuzzycnc_ros.adapters.opcua.variables import ControlVariable, Variables
-from fuzzycnc_ros.runtime.codes import MachineMode
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import Floats, Names
 
 CLOSE_TIMEOUT = 1.0

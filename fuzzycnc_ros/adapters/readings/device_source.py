@@ -29,9 +29,9 @@ from fuzzycnc_ros.ros.messages import RCLPY
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.qos import create_publisher
 from fuzzycnc_ros.ros.timers import wall_timer
-from fuzzycnc_ros.runtime.codes import SpeedStatus
 from fuzzycnc_ros.runtime.component import STREAM, Health, Level
 from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.enums import SpeedStatus
 from fuzzycnc_ros.runtime.records import SpindleSpeed
 
 LOOK_MIN, LOOK_MAX = 0.002, 0.1

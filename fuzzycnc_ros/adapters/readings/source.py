@@ -9,9 +9,9 @@ from rclpy.node import Node
 
 from fuzzycnc_ros.ros.messages import RCLPY
 from fuzzycnc_ros.ros.qos import create_publisher
-from fuzzycnc_ros.runtime.codes import Status
 from fuzzycnc_ros.runtime.component import STREAM, Health
 from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.enums import Status
 from fuzzycnc_ros.runtime.records import Floats, Temperatures
 
 READINGS = 'sensor_readings'

@@ -17,12 +17,12 @@ from fuzzycnc_ros.components.machine.servo_drives import ServoDrives
 from fuzzycnc_ros.components.machine.servo_moves import ServoMoves
 from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
 from fuzzycnc_ros.components.servo.servo_axes import parse_axes, parse_plants
-from fuzzycnc_ros.components.servo.servo_lead import ServoLead
+from fuzzycnc_ros.components.servo.setpoints import ServoLead
 from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
 from fuzzycnc_ros.core.machine.path_error import PathError
 from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryInputConfig
-from fuzzycnc_ros.runtime.codes import TrajectoryStatus
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
+from fuzzycnc_ros.runtime.enums import TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
     AxisCommand,
     AxisState,

@@ -26,7 +26,6 @@ from fuzzycnc_ros.components.machine.simulated_machine_duties import MACHINE_DUT
 from fuzzycnc_ros.components.machine.simulated_machine_warmth import Warmth
 from fuzzycnc_ros.components.machine.stitching import Stitching
 from fuzzycnc_ros.core.machine.duties import Duty, DutyBlock
-from fuzzycnc_ros.runtime.codes import MachineMode
 from fuzzycnc_ros.runtime.command_sources import REQUEST
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
@@ -38,6 +37,7 @@ from fuzzycnc_ros.runtime.component import (
     Output,
     TickingComponent,
 )
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
     AxisCommand,
     AxisState,

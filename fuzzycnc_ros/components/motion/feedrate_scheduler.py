@@ -20,7 +20,6 @@ from fuzzycnc_ros.components.motion.program_request import ScheduledProgram, sch
 from fuzzycnc_ros.components.motion.tool_path_checks import PATH_AXES
 from fuzzycnc_ros.components.motion.tool_paths import ToolPathSegments, tool_path_segments
 from fuzzycnc_ros.core.config import Config
-from fuzzycnc_ros.runtime.codes import MachineMode, TrajectoryStatus
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,
@@ -31,6 +30,7 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
+from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
     AxisState,
     FeedSchedule,

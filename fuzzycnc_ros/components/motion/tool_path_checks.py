@@ -14,7 +14,7 @@ from fuzzycnc_ros.core.feedrate.path.nurbs_checks import (
     check_machinable,
 )
 from fuzzycnc_ros.core.feedrate.program.arcs import ABSOLUTE_MISFIT, RELATIVE_MISFIT, SAME_POINT
-from fuzzycnc_ros.runtime.codes import Junction, SegmentKind
+from fuzzycnc_ros.runtime.enums import Junction, SegmentKind
 from fuzzycnc_ros.runtime.records import Floats, ToolPath
 
 PATH_AXES = ('X', 'Y', 'Z')

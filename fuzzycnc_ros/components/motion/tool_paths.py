@@ -28,7 +28,7 @@ from fuzzycnc_ros.core.feedrate.program import (
     Segment,
 )
 from fuzzycnc_ros.core.feedrate.program.segments import Point
-from fuzzycnc_ros.runtime.codes import Junction, SegmentKind
+from fuzzycnc_ros.runtime.enums import Junction, SegmentKind
 from fuzzycnc_ros.runtime.records import Floats, ToolPath
 
 

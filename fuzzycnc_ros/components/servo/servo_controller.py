@@ -24,9 +24,8 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     profile_limits,
     trajectory_limits,
 )
-from fuzzycnc_ros.components.servo.servo_lead import ServoLead
+from fuzzycnc_ros.components.servo.setpoints import ServoLead
 from fuzzycnc_ros.core.config import Config
-from fuzzycnc_ros.runtime.codes import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.component import (
     Answer,
     Component,
@@ -36,6 +35,7 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
+from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.records import (
     AxisCommand,
     AxisState,

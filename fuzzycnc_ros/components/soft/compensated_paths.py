@@ -16,7 +16,7 @@ from fuzzycnc_ros.components.soft.stitch_patterns import (
 from fuzzycnc_ros.core.deformation import compensation
 from fuzzycnc_ros.core.deformation.compensation import REFERENCE_LENGTH
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive, SheetMaterial
-from fuzzycnc_ros.runtime.codes import Junction, SegmentKind
+from fuzzycnc_ros.runtime.enums import Junction, SegmentKind
 from fuzzycnc_ros.runtime.records import CompensatedPath, Floats, StitchPattern, ToolPath
 
 PLANE = ('X', 'Y')

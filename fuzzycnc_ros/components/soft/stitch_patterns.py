@@ -8,7 +8,7 @@ from math import hypot, isfinite
 import numpy as np
 
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive, SheetMaterial
-from fuzzycnc_ros.runtime.codes import PrimitiveKind
+from fuzzycnc_ros.runtime.enums import PrimitiveKind
 from fuzzycnc_ros.runtime.records import Floats, Material, StitchPattern
 
 STITCHES_MAX = 200_000

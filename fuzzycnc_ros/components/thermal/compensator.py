@@ -16,11 +16,6 @@ import numpy as np
 from fuzzycnc_ros.components.thermal.compensator_config import AXES, CompensatorConfig
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.core.machine.offset_input import EPOCH_STEP
-from fuzzycnc_ros.runtime.codes import (
-    AppliedStatus,
-    CompensationState,
-    Reason,
-)
 from fuzzycnc_ros.runtime.command_sources import REQUEST
 from fuzzycnc_ros.runtime.component import (
     Answer,
@@ -30,6 +25,11 @@ from fuzzycnc_ros.runtime.component import (
     Input,
     Level,
     Output,
+)
+from fuzzycnc_ros.runtime.enums import (
+    AppliedStatus,
+    CompensationState,
+    Reason,
 )
 from fuzzycnc_ros.runtime.records import (
     SECOND,

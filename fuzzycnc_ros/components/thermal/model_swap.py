@@ -14,8 +14,8 @@ import numpy as np
 from fuzzycnc_ros.components.thermal.sample_memory import Heard, SampleMemory
 from fuzzycnc_ros.components.thermal.thermal_history import ModelHistory, Prediction
 from fuzzycnc_ros.core.thermal.fade import Fade
-from fuzzycnc_ros.runtime.codes import Reason
 from fuzzycnc_ros.runtime.component import Health, Level
+from fuzzycnc_ros.runtime.enums import Reason
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Floats,

@@ -16,7 +16,6 @@ import numpy as np
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.thermal import SensorSelection as Selection
 from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalRun
-from fuzzycnc_ros.runtime.codes import Status
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,
@@ -27,6 +26,7 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
+from fuzzycnc_ros.runtime.enums import Status
 from fuzzycnc_ros.runtime.records import (
     Displacement,
     Record,

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.runtime.codes import SpeedStatus
 from fuzzycnc_ros.runtime.component import Health, Level
+from fuzzycnc_ros.runtime.enums import SpeedStatus
 from fuzzycnc_ros.runtime.records import (
     Floats,
     MachineState,

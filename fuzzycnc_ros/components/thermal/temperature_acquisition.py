@@ -16,7 +16,6 @@ import numpy as np
 from fuzzycnc_ros.components.thermal.compensator import NEGLIGIBLE, describe
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.repeated_names import repeated_names
-from fuzzycnc_ros.runtime.codes import Status
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,
@@ -27,6 +26,7 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
+from fuzzycnc_ros.runtime.enums import Status
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Bools,

@@ -14,14 +14,14 @@ import numpy as np
 from fuzzycnc_ros.components.thermal.predictor_checkpoint import read_blocks, write_blocks
 from fuzzycnc_ros.components.thermal.probe_correction import ProbeCorrection
 from fuzzycnc_ros.components.thermal.sample_memory import Heard
-from fuzzycnc_ros.components.thermal.substitution import RiseSource
+from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.core.thermal.fade import Fade
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatch
-from fuzzycnc_ros.runtime.codes import Reason, Status
 from fuzzycnc_ros.runtime.component import Health, Level
+from fuzzycnc_ros.runtime.enums import Reason, Status
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Floats,

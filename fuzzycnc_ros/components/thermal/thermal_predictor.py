@@ -21,7 +21,6 @@ from fuzzycnc_ros.components.thermal.thermal_history import ModelHistory, losses
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.core.thermal import ModelMismatchError, ThermalModel
-from fuzzycnc_ros.runtime.codes import Reason
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,
@@ -32,6 +31,7 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
+from fuzzycnc_ros.runtime.enums import Reason
 from fuzzycnc_ros.runtime.records import (
     CompensationApplied,
     Displacement,

@@ -17,7 +17,7 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.runtime.graph import Sink
 from fuzzycnc_ros.studies.contour.contouring_log import ContouringLog, FollowedPath
-from fuzzycnc_ros.studies.judged_graph import run_served
+from fuzzycnc_ros.studies.evaluated_graph import run_served
 
 CONTOURING_PATHS = ('infinity', 'trident', 'butterfly')
 """Curves of the interpolator literature that the machine can load."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.runtime.codes import TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,

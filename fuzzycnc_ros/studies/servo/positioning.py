@@ -16,7 +16,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
 from fuzzycnc_ros.components.servo.servo_controller import ServoController
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.runtime.graph import Sink
-from fuzzycnc_ros.studies.judged_graph import run_served
+from fuzzycnc_ros.studies.evaluated_graph import run_served
 from fuzzycnc_ros.studies.servo.positioning_log import PositioningLog, PositioningMove
 
 

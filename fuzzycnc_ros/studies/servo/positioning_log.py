@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.servo.positioning import settle_times
-from fuzzycnc_ros.runtime.codes import ServoStatus
+from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisCommand,

@@ -32,7 +32,7 @@ from fuzzycnc_ros.core.thermal import ThermalRun, load_model
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.runtime.component import Answer
 from fuzzycnc_ros.runtime.graph import Sink
-from fuzzycnc_ros.studies.judged_graph import judged_graph
+from fuzzycnc_ros.studies.evaluated_graph import judged_graph
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.shift.shift_log import ShiftLog, compensation_runs
 from fuzzycnc_ros.studies.thermal.report_data import CompensationRun

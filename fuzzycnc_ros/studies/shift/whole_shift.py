@@ -29,7 +29,7 @@ from fuzzycnc_ros.core.feedrate.program import LineSegment, read_program
 from fuzzycnc_ros.core.thermal import ThermalModel, load_model
 from fuzzycnc_ros.runtime.component import Component
 from fuzzycnc_ros.runtime.graph import Sink
-from fuzzycnc_ros.studies.judged_graph import judged_graph
+from fuzzycnc_ros.studies.evaluated_graph import judged_graph
 from fuzzycnc_ros.studies.shift.whole_shift_log import ShiftLogs, WholeShift, whole_shift
 
 DUTY = 'shift'

@@ -20,7 +20,7 @@ from fuzzycnc_ros.components.soft.deformation_compensator_config import (
     DeformationCompensatorConfig,
 )
 from fuzzycnc_ros.runtime.graph import Sink
-from fuzzycnc_ros.studies.judged_graph import judged_graph
+from fuzzycnc_ros.studies.evaluated_graph import judged_graph
 from fuzzycnc_ros.studies.soft.pattern_log import PatternLog, StitchedPattern
 
 TRACK = 'parallelogram:45'

@@ -5,9 +5,9 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_status import ControllerStatus
 from fuzzycnc_ros.adapters.linuxcnc.offset_register import SURE, OffsetRegisters, RegisterPhase
-from fuzzycnc_ros.runtime.codes import MachineMode
+from fuzzycnc_ros.adapters.linuxcnc.status import ControllerStatus
+from fuzzycnc_ros.runtime.enums import MachineMode
 
 SCALE = 1e-8
 

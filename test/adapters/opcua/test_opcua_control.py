@@ -24,7 +24,7 @@ from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
 from fuzzycnc_ros.adapters.opcua.offset_lines import LineOrders, Lines
 from fuzzycnc_ros.adapters.threaded import ThreadedController
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.runtime.codes import MachineMode
+from fuzzycnc_ros.runtime.enums import MachineMode
 
 pytestmark = pytest.mark.ros
 

@@ -12,8 +12,8 @@ from benches.line_control import LineControl
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
-from fuzzycnc_ros.runtime.codes import AppliedStatus
+from fuzzycnc_ros.adapters.opcua.bridge import OpcuaBridge, OpcuaBridgeConfig
+from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import Compensation, nanoseconds
 
 GUIDE = (Path(__file__).parents[3] / 'docs' / 'opcua-output.md').read_text(encoding='utf-8')

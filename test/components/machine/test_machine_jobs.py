@@ -15,7 +15,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
 from fuzzycnc_ros.components.machine.simulated_machine_duties import WHOLE_SHIFT
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.runtime.codes import MachineMode
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.runtime.records import nanoseconds
 from fuzzycnc_ros.studies.contour.contouring_log import ContouringLog

@@ -25,7 +25,7 @@ from fuzzycnc_ros.core.machine.contouring import (
     travel,
 )
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
-from fuzzycnc_ros.runtime.codes import MachineMode, TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
 from fuzzycnc_ros.runtime.records import SECOND, nanoseconds
 
 STEP = round(PERIOD * SECOND)

@@ -17,7 +17,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     make_controllers,
 )
 from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis
-from fuzzycnc_ros.runtime.codes import MachineMode, TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisCommand,

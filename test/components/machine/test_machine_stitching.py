@@ -23,8 +23,8 @@ from fuzzycnc_ros.components.machine.stitching import Stitching
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, StitchPath
 from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack, true_compensation
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
-from fuzzycnc_ros.runtime.codes import MachineMode
 from fuzzycnc_ros.runtime.component import Emission
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,

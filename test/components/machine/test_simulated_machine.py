@@ -13,8 +13,8 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
 )
 from fuzzycnc_ros.core.machine.duties import DUTIES, simulate_duty
 from fuzzycnc_ros.core.machine.mill import MILL_AXES, MILL_SENSORS
-from fuzzycnc_ros.runtime.codes import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.component import Emission
+from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,

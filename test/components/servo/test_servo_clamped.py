@@ -5,7 +5,7 @@
 import numpy as np
 from benches.servo_bench import Axis
 
-from fuzzycnc_ros.runtime.codes import ServoStatus
+from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.records import SECOND, AxisState
 
 

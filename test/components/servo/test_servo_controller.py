@@ -16,7 +16,7 @@ from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxis
 from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
 from fuzzycnc_ros.core.servo import point_to_point, position
 from fuzzycnc_ros.core.servo.controllers import FOR_USE
-from fuzzycnc_ros.runtime.codes import MachineMode, ServoStatus
+from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.records import SECOND
 
 

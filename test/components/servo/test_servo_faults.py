@@ -11,7 +11,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineCo
 from fuzzycnc_ros.components.servo.servo_controller import ServoController
 from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
 from fuzzycnc_ros.core.servo.controllers import FOR_USE
-from fuzzycnc_ros.runtime.codes import MachineMode, ServoStatus
+from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.records import SECOND, AxisCommand, AxisState, MachineState
 from fuzzycnc_ros.studies.servo.positioning import PositioningError, run_positioning
 

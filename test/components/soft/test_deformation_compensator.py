@@ -38,7 +38,7 @@ from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
 from fuzzycnc_ros.core.text_hash import text_hash
-from fuzzycnc_ros.runtime.codes import Junction, PrimitiveKind, SegmentKind
+from fuzzycnc_ros.runtime.enums import Junction, PrimitiveKind, SegmentKind
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 

@@ -26,7 +26,7 @@ from fuzzycnc_ros.components.thermal.temperature_acquisition import (
     TemperatureAcquisitionConfig,
 )
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.runtime.codes import AppliedStatus, CompensationState, Reason
+from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState, Reason
 from fuzzycnc_ros.runtime.records import SECOND, SensorSelection, nanoseconds
 
 HOUR = 3600.0

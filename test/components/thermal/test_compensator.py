@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
-from fuzzycnc_ros.runtime.codes import CompensationState, Reason
+from fuzzycnc_ros.runtime.enums import CompensationState, Reason
 from fuzzycnc_ros.runtime.records import Compensation, nanoseconds
 
 MICRON = 1e-6

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
 from fuzzycnc_ros.core.machine.offset_input import OffsetInput, OffsetInputConfig
-from fuzzycnc_ros.runtime.codes import AppliedStatus, CompensationState
+from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
 from fuzzycnc_ros.runtime.records import SECOND, CompensationApplied
 
 MICRON = 1e-6

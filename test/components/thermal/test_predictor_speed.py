@@ -19,7 +19,7 @@ from benches.predictor_bench import (
 
 from fuzzycnc_ros.core.machine.duties import DUTIES
 from fuzzycnc_ros.core.thermal import ThermalRun, train_model
-from fuzzycnc_ros.runtime.codes import Reason, SpeedStatus
+from fuzzycnc_ros.runtime.enums import Reason, SpeedStatus
 from fuzzycnc_ros.runtime.records import SpindleSpeed, ThermalError
 
 

@@ -28,7 +28,7 @@ from fuzzycnc_ros.components.thermal.thermal_predictor import (
     ThermalPredictorConfig,
 )
 from fuzzycnc_ros.core.thermal import ThermalRun, train_model
-from fuzzycnc_ros.runtime.codes import Reason
+from fuzzycnc_ros.runtime.enums import Reason
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 OTHER = ('D0',)

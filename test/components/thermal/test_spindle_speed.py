@@ -16,8 +16,8 @@ from fuzzycnc_ros.components.thermal.spindle_speed import (
     speed_told,
     speeds_at,
 )
-from fuzzycnc_ros.runtime.codes import MachineMode, SpeedStatus
 from fuzzycnc_ros.runtime.component import Level
+from fuzzycnc_ros.runtime.enums import MachineMode, SpeedStatus
 from fuzzycnc_ros.runtime.records import SECOND, MachineState, SpindleSpeed
 
 

@@ -14,7 +14,7 @@ from fuzzycnc_ros.components.thermal.temperature_acquisition import (
     TemperatureAcquisition,
     TemperatureAcquisitionConfig,
 )
-from fuzzycnc_ros.runtime.codes import Status
+from fuzzycnc_ros.runtime.enums import Status
 from fuzzycnc_ros.runtime.records import SECOND, nanoseconds
 
 PERIOD = 12.0

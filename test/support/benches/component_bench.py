@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.runtime.codes import MachineMode
 from fuzzycnc_ros.runtime.component import Component, Emission
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.merge import Merger
 from fuzzycnc_ros.runtime.records import (
     CompensationApplied,

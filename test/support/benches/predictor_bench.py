@@ -18,7 +18,7 @@ from fuzzycnc_ros.components.thermal.thermal_predictor import (
 from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, load_model, train_model
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
-from fuzzycnc_ros.runtime.codes import MachineMode
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
     Displacement,
     MachineState,

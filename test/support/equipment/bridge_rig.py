@@ -10,9 +10,9 @@ from lifecycle_msgs.msg import Transition
 
 from fuzzycnc_ros.ros.messages import RCLPY, message_class
 from fuzzycnc_ros.ros.qos import publisher_qos
-from fuzzycnc_ros.runtime.codes import AppliedStatus
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import (
     Compensation,
     CompensationApplied,

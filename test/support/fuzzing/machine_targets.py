@@ -18,7 +18,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachineConfig,
 )
 from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryPart
-from fuzzycnc_ros.runtime.codes import AppliedStatus, CompensationState
+from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisCommand,

@@ -12,7 +12,7 @@ from fuzzing.targets import CopiedTarget, work
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.servo.servo_controller import ServoController
-from fuzzycnc_ros.runtime.codes import MachineMode, ServoStatus, TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus, TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,

@@ -15,7 +15,7 @@ from fuzzing.targets import CopiedTarget, work
 from fuzzycnc_ros.components.thermal.compensator import Compensator
 from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector, SensorSelectorConfig
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisition
-from fuzzycnc_ros.runtime.codes import CompensationState, Status
+from fuzzycnc_ros.runtime.enums import CompensationState, Status
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     SensorCluster,

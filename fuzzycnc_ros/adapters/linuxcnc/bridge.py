@@ -1,0 +1,177 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Component `linuxcnc_bridge`: offsets into a running LinuxCNC, and what it really applies."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from fuzzycnc_ros.adapters.controller_bridge import CLOSE, SETTLING, ControllerBridge
+from fuzzycnc_ros.adapters.linuxcnc.bridge_config import LinuxcncBridgeConfig
+from fuzzycnc_ros.adapters.linuxcnc.offset_register import OffsetRegisters, RegisterPhase
+from fuzzycnc_ros.adapters.linuxcnc.status import (
+    ControllerLimits,
+    ControllerOutput,
+    ControllerStatus,
+)
+from fuzzycnc_ros.components.thermal.compensator import describe
+from fuzzycnc_ros.runtime.component import Emission
+from fuzzycnc_ros.runtime.records import Bools, nanoseconds
+
+
+class LinuxcncBridge(ControllerBridge[ControllerStatus, ControllerOutput]):
+    """Guard the offsets, bring LinuxCNC's registers there, tell what is applied."""
+
+    NAME = 'linuxcnc_bridge'
+    SUMMARY = (
+        'A real machine in place of the simulated one: compensation into a running LinuxCNC by '
+        'external offsets, and its read-back. Managed lifecycle.'
+    )
+    CONTROLLER = 'LinuxCNC'
+    CONFIG = LinuxcncBridgeConfig
+    _config: LinuxcncBridgeConfig
+
+    def __init__(self, config: LinuxcncBridgeConfig | None = None) -> None:
+        super().__init__(config)
+        self._registers = OffsetRegisters(len(self._axes))
+
+    @property
+    def moving(self) -> bool:
+        """Whether LinuxCNC is on its way to what was written last."""
+        status, orders = self._status, self._orders
+        if status is None or orders is None or not status.led:
+            return False
+        return bool(
+            np.any(orders.counts != status.counts)
+            or np.any(np.abs(status.applied - status.register) > CLOSE)
+        )
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it is inactive and has nothing to take back: the pins may be let go."""
+        status = self._status
+        if self._active or not self._holding or status is None:
+            return not self._active
+        return not status.ready or not (
+            np.any(self._input.applied)
+            or np.any(status.counts)
+            or np.any(np.abs(status.register) > CLOSE)
+        )
+
+    @property
+    def wants_control(self) -> bool:
+        """Whether it is time to take the pins: active without them, and nothing else moves."""
+        return self._active and not self._holding and self._registers.settled
+
+    def take_control(self) -> None:
+        """Note that the pins are this bridge's; go on from the offsets in force."""
+        status = self._status
+        assert status is not None, 'pins are taken after LinuxCNC has been read'
+        self._holding = True
+        self._registers.restart()
+        self._input = self._adopting(status.register)
+        self._orders = ControllerOutput(counts=status.counts.copy())
+
+    def refusal(self, limits: ControllerLimits, status: ControllerStatus) -> str:
+        """Say why offsets must not be written with the limits of the HAL file; empty if fine."""
+        if not (np.all(np.isfinite(status.scale)) and np.all(status.scale > 0.0)):
+            return (
+                'eoffset-scale: expected a positive number on every axis but found '
+                f'{status.scale.tolist()} m; set [FUZZYCNC]SCALE'
+            )
+        for what, own, unit, theirs in (
+            ('offset_max', self._config.offset_max, 'um', limits.counts_max),
+            ('slew_max', self._config.slew_max, 'um/s', limits.counts_rate),
+        ):
+            least = theirs * float(np.min(status.scale))
+            if own > least:
+                return (
+                    f'{what} = {1e6 * own:g} {unit} is above the {1e6 * least:g} {unit} of the '
+                    'HAL file; lower it, or raise [FUZZYCNC]COUNTS_*'
+                )
+        return ''
+
+    def observe(self, stamp: int, status: ControllerStatus) -> Iterator[Emission]:
+        """Take what was read at `stamp` [ns]; decide what to write, yield what is to be told."""
+        self._work_at(stamp)
+        self._status, self._absent = status, ''
+        if not self._holding:
+            self._registers.look(status)
+        found = self._holding and self._registers.observe(status)
+        if found or not self._leads:
+            # Others move or clear the registers: when that is over, go on from where they are.
+            self._input = self._adopting(status.register, self._input.epoch)
+        why = self._forbidden(status)
+        self._input.allow(not why or not self._leads, why)
+        wanted = self._input.advance(self._time, status.position)
+        if self._holding:
+            self._orders = self._registers.output(wanted, status)
+            if not self._active and self.at_rest:
+                self._holding, self._orders = False, None
+        self._watch(status)
+        yield from self._tell(status, why)
+
+    def _forget(self) -> None:
+        self._registers = OffsetRegisters(len(self._axes))
+
+    @property
+    def _leads(self) -> bool:
+        """Whether the registers go where this bridge says."""
+        return self._holding and self._registers.phase is not RegisterPhase.SETTLING
+
+    def _forbidden(self, status: ControllerStatus) -> str:
+        """Say why commands are not followed now; empty if they are."""
+        if not self._active:
+            return 'the bridge is not active'
+        if not self._holding:
+            return f'waiting for the counts, which {status.writer or "nobody"} writes'
+        if status.obstacle:
+            return status.obstacle
+        if status.frozen:
+            return (
+                f'eoffset-enable is off: frozen at {describe(self._axes, status.applied) or "0"}; '
+                'set the signal fuzzycnc-on'
+            )
+        if not status.alive:
+            return 'the watchdog of the HAL file has let the offsets go; taking them up again'
+        if self._registers.phase is RegisterPhase.SETTLING:
+            return 'finding out what the registers hold'
+        if self._registers.phase is not RegisterPhase.FOLLOWING:
+            return (
+                'counts of zero meant '
+                f'{describe(self._axes, self._registers.base) or "zero"} (scale or enable changed '
+                'with counts standing); ramping to zero to start anew'
+            )
+        return self.sources.refusal('compensation')
+
+    def _leaving(self, status: ControllerStatus) -> str:
+        return 'frozen, eoffset-enable is off' if status.frozen else super()._leaving(status)
+
+    def _watch(self, status: ControllerStatus) -> None:
+        """Note since when LinuxCNC has not been where its registers are."""
+        apart = status.ready and np.any(np.abs(status.applied - status.register) > CLOSE)
+        if not apart:
+            self._apart_since = None
+        elif self._apart_since is None:
+            self._apart_since = self._time
+
+    def _cut(self, status: ControllerStatus) -> Bools:
+        """Whether LinuxCNC itself cuts the offset of each axis."""
+        apart = np.abs(status.applied - status.register) > CLOSE
+        return np.asarray(apart & status.soft_limited, bool)
+
+    def _complaint(self, status: ControllerStatus) -> str:
+        cut = self._cut(status)
+        if np.any(cut):
+            return (
+                f'a soft limit cuts {describe(self._axes, status.register, cut)} to '
+                f'{describe(self._axes, status.applied, cut)}; programs need the largest offset '
+                'as a margin'
+            )
+        if self._apart_since is None or self._time - self._apart_since <= nanoseconds(SETTLING):
+            return ''
+        standing = describe(self._axes, status.applied, np.abs(status.applied) > CLOSE)
+        return (
+            f'LinuxCNC stays at {standing or "zero"} instead of '
+            f'{describe(self._axes, status.register) or "zero"}; offsets do not move in joint mode'
+        )

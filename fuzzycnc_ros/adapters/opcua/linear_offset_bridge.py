@@ -1,0 +1,342 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bridge to any control that takes offsets as lines K0 + slope (x - P0), by a hand-shake."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fuzzycnc_ros.adapters.controller_bridge import (
+    CLOSE,
+    SETTLING,
+    ControllerBridge,
+)
+from fuzzycnc_ros.adapters.controller_bridge_config import ControllerBridgeConfig
+from fuzzycnc_ros.adapters.opcua.hand_shake import HandShake, WriterWatch
+from fuzzycnc_ros.adapters.opcua.offset_lines import LineOrders, Lines, LineStatus
+from fuzzycnc_ros.components.thermal.compensator import describe
+from fuzzycnc_ros.core.config import param
+from fuzzycnc_ros.core.machine.offset_input import content_refusal
+from fuzzycnc_ros.runtime.component import Emission
+from fuzzycnc_ros.runtime.enums import AppliedStatus
+from fuzzycnc_ros.runtime.records import Bools, Compensation, Floats, Names, nanoseconds
+
+MOTION = 0.01
+"""How far an axis may go between the readings of its position and its offset [m]."""
+COLUMNS = ('offset', 'slope', 'reference_position')
+"""What makes a line."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LineBridgeConfig(ControllerBridgeConfig):
+    """Parameters of a bridge to a control that takes lines."""
+
+    cycle_period: float = param(
+        0.1, 's', 'Time between two exchanges with the control', low=0.01, high=1.0
+    )
+    validity: float = param(
+        10.0,
+        's',
+        'How long the control may follow a set without a newer one',
+        low=1.0,
+        high=3600.0,
+    )
+    acknowledge_time: float = param(
+        2.0, 's', 'How long the control may take to acknowledge a set', low=0.05, high=60.0
+    )
+    takeover_time: float = param(
+        1.0,
+        's',
+        'How long nobody may have written before this bridge takes hold; below the watchdog time '
+        'of the control',
+        low=0.1,
+        high=60.0,
+    )
+
+
+class LineBridge(ControllerBridge[LineStatus, LineOrders]):
+    """Guard the lines at the ends of the travel, hand them over, tell what is applied."""
+
+    CONTROLLER = 'the control'
+    CONFIG = LineBridgeConfig
+    _config: LineBridgeConfig
+
+    def __init__(self, config: LineBridgeConfig | None = None) -> None:
+        self._theirs = np.inf  # the slew limit of the control [m/s]
+        super().__init__(config)
+        size = len(self._axes)
+        self._hand_shake = HandShake(self._config.validity)
+        self._writers = WriterWatch(self._config.takeover_time)
+        self._reference = np.zeros(size)
+        self._clipped = np.zeros(size, bool)
+        self._narrowed = np.zeros(size, bool)
+        self._unusable = ''
+        self._still = np.zeros(size)
+        self._last = np.zeros(size)
+
+    @property
+    def moving(self) -> bool:
+        """Whether the control is on its way to what was written last."""
+        status, orders = self._status, self._orders
+        if status is None or orders is None:
+            return False
+        return self._hand_shake.waits(self._time) > 0.0 or bool(np.any(self._apart(status)))
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it is inactive and the control has gone to zero, and said so."""
+        status, lines = self._status, self._hand_shake.lines
+        if self._active or not self._holding or status is None:
+            return not self._active
+        zero = lines is not None and not (np.any(lines.offset) or np.any(lines.slope))
+        gone = not status.ready or not np.any(np.abs(status.applied) > self._close(status))
+        return zero and gone and self._hand_shake.acknowledged(status)
+
+    @property
+    def wants_control(self) -> bool:
+        """Whether it is time to take hold: active without it, and nobody else writes."""
+        status = self._status
+        if status is None or not self._active or self._holding:
+            return False
+        return self._writers.free(self._time, status)
+
+    def take_control(self) -> None:
+        """Note that the hand-shake is this bridge's; go on from the offsets in force."""
+        status = self._status
+        assert status is not None, 'hold is taken after the control has been read'
+        self._holding = True
+        self._hand_shake.begin(self._time, status)
+        self._adopt(status)
+        self._order(status)
+
+    def refusal(self) -> str:
+        """Say why the bridge must not be activated now; empty if it may."""
+        status = self._status
+        if status is None or self._holding:
+            return ''
+        if self._writers.other:
+            return f'the control is written by {self._writers.other}; end it first'
+        closed = [
+            axis
+            for axis, most in zip(self._axes, status.limits.offset_max, strict=True)
+            if not most > 0.0
+        ]
+        if closed:
+            return (
+                f'the control takes no offset on {", ".join(closed)}: its own limit is zero; '
+                'raise it there, or leave the axis out'
+            )
+        return ''
+
+    def observe(self, stamp: int, status: LineStatus) -> Iterator[Emission]:
+        """Take what was read at `stamp` [ns]; decide what to write, yield what is to be told."""
+        self._work_at(stamp)
+        self._status, self._absent, self._last = status, '', status.applied
+        self._look_for_others(status)
+        if not self._leads or self._theirs != status.limits.slew_max:
+            self._adopt(status)
+        why = self._forbidden(status)
+        self._input.allow(not why or not self._leads, why)
+        self._input.advance(self._time)
+        if self._holding:
+            self._order(status)
+            if not self._active and self.at_rest:
+                self._holding, self._orders = False, None
+        self._watch(status)
+        yield from self._tell(status, why)
+
+    def _left(self) -> Floats:
+        """Return what was read last: the control goes on without a connection."""
+        return self._last
+
+    @property
+    def _places(self) -> Names:
+        """The lower ends of the travel, then the upper ones."""
+        axes = self._config.axes
+        return (*(f'{axis} low' for axis in axes), *(f'{axis} high' for axis in axes))
+
+    @property
+    def _slew_max(self) -> float:
+        return min(self._config.slew_max, max(self._theirs, 1e-9))
+
+    @property
+    def _leads(self) -> bool:
+        """Whether the control goes where this bridge says."""
+        status = self._status
+        if not self._holding or status is None or not status.alive or self._late:
+            return False
+        return status.ready or bool(np.any(np.abs(status.applied) > self._close(status)))
+
+    @property
+    def _late(self) -> bool:
+        """Whether the control should have acknowledged the newest set by now."""
+        return self._hand_shake.waits(self._time) > self._config.acknowledge_time
+
+    def _look_for_others(self, status: LineStatus) -> None:
+        """Let go at once if somebody else writes."""
+        ours = self._hand_shake.sequence != 0 and self._hand_shake.wrote(status)
+        self._writers.look(self._time, status, ours=ours)
+        if self._holding and not ours:
+            self._holding, self._orders = False, None
+            self._hand_shake.forget()
+            self._writers.collide(self._time)
+
+    def _adopt(self, status: LineStatus) -> None:
+        """Go on from what is in force."""
+        lines = Lines.constant(np.where(np.isfinite(status.applied), status.applied, 0.0))
+        if self._stands(status):
+            lines = status.lines
+        self._theirs, self._unusable = status.limits.slew_max, ''
+        self._reference = lines.reference_position
+        self._clipped = np.zeros(len(self._axes), bool)
+        ends = status.limits.travel.ends(lines)
+        self._input = self._adopting(ends, self._input.epoch)
+
+    def _stands(self, status: LineStatus) -> bool:
+        """Whether the control follows the lines in its variables, as far as that can be seen."""
+        lines = status.lines
+        numbers = (lines.offset, lines.slope, lines.reference_position)
+        if not all(np.all(np.isfinite(item)) for item in numbers) or not status.alive:
+            return False
+        if status.sequence == 0 or status.acknowledged != status.sequence:
+            return False
+        idle = np.isnan(lines.at(status.position)) & (status.applied == 0.0)
+        return not np.any(idle | self._away(status, lines))
+
+    def _command(self, command: Compensation) -> None:
+        """Guard a command by its values at the ends of the travel."""
+        status = self._status
+        assert status is not None, 'who leads has read the control'
+        travel = status.limits.travel
+        columns = {name: np.asarray(getattr(command, name), np.float64) for name in COLUMNS}
+        self._unusable = content_refusal(self._axes, command.axis, columns) or self._steep(
+            command, travel.sloping
+        )
+        if self._unusable:
+            return
+        rows = [self._axes.index(axis) for axis in command.axis]
+        full = {name: np.zeros(len(self._axes)) for name in COLUMNS}
+        for name, values in columns.items():
+            full[name][rows] = values
+        lines = Lines(**full)
+        wanted = travel.ends(lines)
+        most = np.tile(self._most(status), 2)
+        cut = np.clip(wanted, -most, most)
+        answer = self._input.command(
+            command.epoch,
+            self._places,
+            cut,
+            stamp=command.stamp + self._ahead,
+            valid_until=command.valid_until + self._ahead,
+        )
+        if answer.accepted:
+            self._clipped = np.any(np.split(cut != wanted, 2), axis=0)
+            self._reference = lines.reference_position
+
+    def _steep(self, command: Compensation, sloping: Bools) -> str:
+        """Say which slope this control cannot take; empty if it can take all."""
+        flat = [
+            axis
+            for axis, slope in zip(command.axis, command.slope, strict=True)
+            if slope != 0.0 and not sloping[self._axes.index(axis)]
+        ]
+        if flat:
+            return (
+                f'slope: the control takes none on {", ".join(flat)}; give slope, '
+                'reference_position and travel in the control file, or command no slope'
+            )
+        return ''
+
+    def _most(self, status: LineStatus) -> Floats:
+        """Return the smaller of our limits and those of the control [m]."""
+        theirs = np.maximum(status.limits.offset_max, 0.0)
+        return np.minimum(self._config.offset_max, theirs)
+
+    def _order(self, status: LineStatus) -> None:
+        """Set what to write."""
+        wanted = self._input.applied
+        most = np.tile(self._most(status), 2)
+        ends = np.clip(wanted, -most, most)  # their limit may have sunk since the command
+        self._narrowed = np.any(np.split(ends != wanted, 2), axis=0)
+        lines = status.limits.travel.lines(ends, self._reference)
+        self._orders = self._hand_shake.orders(lines, ends, status, self._time)
+
+    def _forbidden(self, status: LineStatus) -> str:
+        """Say why commands are not followed now; empty if they are."""
+        if not self._active:
+            return 'the bridge is not active'
+        if not self._holding:
+            if self._writers.other:
+                return (
+                    f'two writers: the control is written by {self._writers.other}, not by this '
+                    'bridge; end all but one'
+                )
+            return 'looking whether somebody else writes to the control'
+        if status.obstacle:
+            return status.obstacle
+        if self._late:
+            return (
+                f'set {self._hand_shake.sequence} has not been acknowledged within '
+                f'{self._config.acknowledge_time:g} s (the control is at {status.acknowledged}); '
+                'does its program run'
+            )
+        if not status.alive:
+            return 'the watchdog of the control hears nobody; does its program see the heartbeat'
+        return self.sources.refusal('compensation')
+
+    def _close(self, status: LineStatus) -> Floats:
+        """Return the difference that counts as none on each axis [m]."""
+        return np.maximum(CLOSE, status.limits.resolution)
+
+    def _apart(self, status: LineStatus) -> Bools:
+        """Whether each axis is not where the set says; no where that cannot be known."""
+        lines = self._hand_shake.lines
+        if lines is None or not self._holding:
+            return np.zeros(len(self._axes), bool)
+        return self._away(status, lines)
+
+    def _away(self, status: LineStatus, lines: Lines) -> Bools:
+        """Whether each axis is not where lines say."""
+        apart = np.abs(status.applied - lines.at(status.position))
+        near = self._close(status) + MOTION * np.abs(lines.slope)
+        return np.asarray(apart > near, bool)
+
+    def _watch(self, status: LineStatus) -> None:
+        """Note since when the control has stood still where it should not."""
+        still = np.all(np.abs(status.applied - self._still) <= 0.1 * self._close(status))
+        if not (status.ready and np.any(self._apart(status))) or not still:
+            self._apart_since, self._still = None, status.applied
+        elif self._apart_since is None:
+            self._apart_since = self._time
+
+    def _cut(self, status: LineStatus) -> Bools:
+        """Whether a limit cuts the offset of each axis: ours, or that of the control."""
+        full = np.abs(status.applied) >= status.limits.offset_max * (1.0 - 1e-6)
+        guarded = (self._clipped | self._narrowed) & self._leads
+        return np.asarray(guarded | (full & self._apart(status)), bool)
+
+    def _limited(self, status: LineStatus) -> Bools:
+        guard = np.any(np.split(self._input.at_limit, 2), axis=0)
+        return np.asarray(guard | self._cut(status), bool)
+
+    def _verdict(self, status: LineStatus, why: str) -> tuple[AppliedStatus, str]:
+        code, reason = super()._verdict(status, why)
+        if self._active and not why and self._unusable:
+            return AppliedStatus.REFUSED, self._unusable
+        return code, reason
+
+    def _complaint(self, status: LineStatus) -> str:
+        if self._apart_since is not None:
+            if self._time - self._apart_since > nanoseconds(SETTLING):
+                lines = self._hand_shake.lines
+                assert lines is not None
+                apart = self._apart(status)
+                return (
+                    f'the control stays at {describe(self._axes, status.applied, apart)} instead '
+                    f'of {describe(self._axes, lines.at(status.position), apart)}'
+                )
+        cut = self._clipped | self._narrowed
+        if np.any(cut) and int(self._input.status) == AppliedStatus.FOLLOWING:
+            return f'cut at the limit of {describe(self._axes, self._most(status), cut)}'
+        return ''

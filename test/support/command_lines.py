@@ -1,0 +1,47 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Command lines run in this process, in an empty folder."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import pytest
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command line came to."""
+
+    code: int
+    out: str
+    err: str
+
+
+def runner(
+    run: Callable[[Sequence[str]], int], capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Outcome]:
+    """Return what carries out command lines."""
+
+    def command(*arguments) -> Outcome:
+        capsys.readouterr()
+        code = run([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return Outcome(code, captured.out, captured.err)
+
+    return command
+
+
+def refuser(command: Callable[..., Outcome]) -> Callable[..., str]:
+    """Return what carries out command lines that must be refused in one line that names things."""
+
+    def refuse(*arguments, naming) -> str:
+        outcome = command(*arguments)
+        assert outcome.code == 2, outcome
+        lines = outcome.err.splitlines()
+        assert len(lines) == 1, outcome.err
+        assert lines[0].startswith('error: ')
+        missing = [text for text in naming if text not in lines[0]]
+        assert not missing, f'{missing} not in: {lines[0]}'
+        return lines[0]
+
+    return refuse
