@@ -27,9 +27,9 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from soak.growth import held_by
 
-from fuzzycnc_ros.cli.free_domain import own_domain
-from fuzzycnc_ros.cli.graph_processes import COMPOSED, GraphProcesses, NodeSpec
-from fuzzycnc_ros.cli.up import THERMAL
+from fuzzycnc_ros.cli.live.free_domain import own_domain
+from fuzzycnc_ros.cli.live.graph_processes import COMPOSED, GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.live.up import THERMAL
 from fuzzycnc_ros.core.machine.duties import DUTIES, simulate_duty
 from fuzzycnc_ros.core.thermal import train_model
 from fuzzycnc_ros.ros.environment import prepare_environment

@@ -29,8 +29,8 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
 
-from fuzzycnc_ros.cli.free_domain import own_domain
-from fuzzycnc_ros.cli.graph_processes import GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.live.free_domain import own_domain
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, NodeSpec
 from fuzzycnc_ros.ros.messages import message_class
 from fuzzycnc_ros.ros.qos import subscription_qos
 from fuzzycnc_ros.runtime.component import STREAM

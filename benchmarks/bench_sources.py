@@ -94,7 +94,7 @@ def measure(
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
 
-    from fuzzycnc_ros.cli.graph_processes import NodeSpec, parameter_file, ros_arguments
+    from fuzzycnc_ros.cli.live.graph_processes import NodeSpec, parameter_file, ros_arguments
     from fuzzycnc_ros.ros.messages import message_class
     from fuzzycnc_ros.ros.qos import subscription_qos
     from fuzzycnc_ros.runtime.component import STREAM

@@ -35,7 +35,7 @@ from scipy.special import stdtrit
 from thermal_recordings import Machine, machines
 
 from fuzzycnc_ros.cli.console import progress_bar, write_json, write_text
-from fuzzycnc_ros.cli.many_bags import cores
+from fuzzycnc_ros.cli.models.many_bags import cores
 from fuzzycnc_ros.cli.workers import Progress, in_workers
 from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun, evaluate
 from fuzzycnc_ros.core.thermal.candidate import BASELINES, UNCOMPENSATED

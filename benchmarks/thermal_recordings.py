@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.cli.many_bags import find_bags
+from fuzzycnc_ros.cli.models.many_bags import find_bags
 from fuzzycnc_ros.core.machine import record_grinder, record_runs
 from fuzzycnc_ros.core.thermal import ThermalRun
 from fuzzycnc_ros.core.thermal.comparison import Split, splits

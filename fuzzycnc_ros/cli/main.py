@@ -2,32 +2,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Entry point of the command `fuzzycnc`: its subcommands."""
 
-from fuzzycnc_ros.cli.advise import advise
 from fuzzycnc_ros.cli.application import Application, CommandGroup, Commands
-from fuzzycnc_ros.cli.compare import compare
-from fuzzycnc_ros.cli.curve import curve
-from fuzzycnc_ros.cli.demo import demo
-from fuzzycnc_ros.cli.evaluate import evaluate
-from fuzzycnc_ros.cli.foam import COMMANDS as FOAM_COMMANDS
-from fuzzycnc_ros.cli.foam import HELP as FOAM_HELP
-from fuzzycnc_ros.cli.import_csv import import_csv
-from fuzzycnc_ros.cli.info import info
-from fuzzycnc_ros.cli.machine import COMMANDS as MACHINE_COMMANDS
-from fuzzycnc_ros.cli.machine import HELP as MACHINE_HELP
-from fuzzycnc_ros.cli.operate import COMMANDS as OPERATE_COMMANDS
-from fuzzycnc_ros.cli.operate import HELP as OPERATE_HELP
-from fuzzycnc_ros.cli.pareto import pareto
-from fuzzycnc_ros.cli.position import position
-from fuzzycnc_ros.cli.record import record
-from fuzzycnc_ros.cli.replay import replay
-from fuzzycnc_ros.cli.schedule import schedule
-from fuzzycnc_ros.cli.security import COMMANDS as SECURITY_COMMANDS
-from fuzzycnc_ros.cli.security import HELP as SECURITY_HELP
-from fuzzycnc_ros.cli.servo import COMMANDS as SERVO_COMMANDS
-from fuzzycnc_ros.cli.servo import HELP as SERVO_HELP
-from fuzzycnc_ros.cli.simulate import simulate
-from fuzzycnc_ros.cli.train import train
-from fuzzycnc_ros.cli.up import up
+from fuzzycnc_ros.cli.axes.machine import COMMANDS as MACHINE_COMMANDS
+from fuzzycnc_ros.cli.axes.machine import HELP as MACHINE_HELP
+from fuzzycnc_ros.cli.axes.position import position
+from fuzzycnc_ros.cli.axes.servo import COMMANDS as SERVO_COMMANDS
+from fuzzycnc_ros.cli.axes.servo import HELP as SERVO_HELP
+from fuzzycnc_ros.cli.bags.import_csv import import_csv
+from fuzzycnc_ros.cli.bags.info import info
+from fuzzycnc_ros.cli.bags.record import record
+from fuzzycnc_ros.cli.bags.replay import replay
+from fuzzycnc_ros.cli.demo.command import demo
+from fuzzycnc_ros.cli.foam.command import COMMANDS as FOAM_COMMANDS
+from fuzzycnc_ros.cli.foam.command import HELP as FOAM_HELP
+from fuzzycnc_ros.cli.live.operate import COMMANDS as OPERATE_COMMANDS
+from fuzzycnc_ros.cli.live.operate import HELP as OPERATE_HELP
+from fuzzycnc_ros.cli.live.security import COMMANDS as SECURITY_COMMANDS
+from fuzzycnc_ros.cli.live.security import HELP as SECURITY_HELP
+from fuzzycnc_ros.cli.live.up import up
+from fuzzycnc_ros.cli.models.compare import compare
+from fuzzycnc_ros.cli.models.curve import curve
+from fuzzycnc_ros.cli.models.evaluate import evaluate
+from fuzzycnc_ros.cli.models.simulate import simulate
+from fuzzycnc_ros.cli.models.train import train
+from fuzzycnc_ros.cli.programs.advise import advise
+from fuzzycnc_ros.cli.programs.pareto import pareto
+from fuzzycnc_ros.cli.programs.schedule import schedule
 
 HELP = """Measure, predict and compensate the thermal error of a CNC machine.
 

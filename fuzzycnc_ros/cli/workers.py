@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 
 from fuzzycnc_ros.bags.uninterrupted import uninterrupted
 from fuzzycnc_ros.cli.console import Tell
-from fuzzycnc_ros.cli.fit_progress import FitCounter
+from fuzzycnc_ros.cli.models.fit_progress import FitCounter
 
 Item = TypeVar('Item')
 Result = TypeVar('Result')

@@ -14,9 +14,9 @@ import pytest
 from processes import HANG, start, wait_for
 from rich.console import Console
 
-from fuzzycnc_ros.cli import supervision_view
 from fuzzycnc_ros.cli.background_output import BackgroundOutput
-from fuzzycnc_ros.cli.supervision_view import View
+from fuzzycnc_ros.cli.live import supervision_view
+from fuzzycnc_ros.cli.live.supervision_view import View
 
 LINES = 5000
 """More than a pipe and the queue hold."""

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from processes import HANG, start, wait_for
 
-from fuzzycnc_ros.cli.fit_progress import FitCounter
+from fuzzycnc_ros.cli.models.fit_progress import FitCounter
 
 SCRIPT = """
 import json, os, sys, time

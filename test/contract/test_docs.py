@@ -189,6 +189,7 @@ def test_commands_and_options_exist(page):
     typer = pytest.importorskip(
         'typer', reason="typer is missing: pip install 'fuzzycnc_ros[cli]'"
     )
+    from fuzzycnc_ros.cli.main import APPLICATION
 
     for line in used:
         command, words = typer.main.get_command(APPLICATION.typer), line.split()[1:]

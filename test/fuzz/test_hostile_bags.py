@@ -25,8 +25,8 @@ from fuzzycnc_ros.bags.repair import repair
 from fuzzycnc_ros.bags.replay import ReplayError, replay
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.typestore import message_definition
-from fuzzycnc_ros.cli.evaluate import judge_bag
-from fuzzycnc_ros.cli.many_bags import NamedBag
+from fuzzycnc_ros.cli.models.evaluate import judge_bag
+from fuzzycnc_ros.cli.models.many_bags import NamedBag
 from fuzzycnc_ros.core.thermal import train_model
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')

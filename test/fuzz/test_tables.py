@@ -20,9 +20,9 @@ from fuzzycnc_ros.adapters.readings.device_file import read_devices
 from fuzzycnc_ros.bags.csv_import import CsvMapping, import_csv
 from fuzzycnc_ros.bags.errors import BagError, CsvError
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.cli.import_csv import _read_mapping
-from fuzzycnc_ros.cli.scheduling_machine import read_machine
-from fuzzycnc_ros.cli.servo_settings import read_settings
+from fuzzycnc_ros.cli.axes.servo_settings import read_settings
+from fuzzycnc_ros.cli.bags.import_csv import _read_mapping
+from fuzzycnc_ros.cli.programs.scheduling_machine import read_machine
 from fuzzycnc_ros.core.deformation.offset_file import read_offsets
 from fuzzycnc_ros.core.thermal.document import ModelFileError
 from fuzzycnc_ros.ros.parameters import ParameterError

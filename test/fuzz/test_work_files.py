@@ -14,9 +14,9 @@ from fuzzing.campaign import SEEDS, fuzz, refusal, refused_or_read
 from fuzzing.file_mutations import damaged
 from hypothesis import given
 
-from fuzzycnc_ros.cli.foam_compensate import Job, shifted_points, shifted_program
-from fuzzycnc_ros.cli.foam_samples import COLUMNS, read_samples
-from fuzzycnc_ros.cli.servo_records import read_csv
+from fuzzycnc_ros.cli.axes.servo_records import read_csv
+from fuzzycnc_ros.cli.foam.compensate import Job, shifted_points, shifted_program
+from fuzzycnc_ros.cli.foam.samples import COLUMNS, read_samples
 from fuzzycnc_ros.core.deformation import SheetMaterial, read_model
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
 from fuzzycnc_ros.core.machine.foam_tracks import FoamTrack

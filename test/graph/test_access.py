@@ -14,8 +14,8 @@ pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test
 import rclpy
 
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.cli.operator_client import Operator
-from fuzzycnc_ros.cli.supervision_monitor import Monitor
+from fuzzycnc_ros.cli.live.operator_client import Operator
+from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.access import (
     ACTIONS,

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.cli import operate
+from fuzzycnc_ros.cli.live import operate
 from fuzzycnc_ros.cli.main import run
 from fuzzycnc_ros.ros.messages import RCLPY, message_class
 from fuzzycnc_ros.ros.qos import publisher_qos

@@ -6,7 +6,7 @@ import pytest
 from live_graph import ANSWER_TIMEOUT
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
-from fuzzycnc_ros.cli.demo_shift import mill_specs
+from fuzzycnc_ros.cli.demo.shift import mill_specs
 from fuzzycnc_ros.core.thermal import train_model
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.studies.published_bag import PublishedBag

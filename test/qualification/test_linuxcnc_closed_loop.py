@@ -11,7 +11,7 @@ import pytest
 from equipment.linuxcnc_machine import exclusive
 from rich.console import Console
 
-from fuzzycnc_ros.cli.demo_linuxcnc import linuxcnc_demo
+from fuzzycnc_ros.cli.demo.linuxcnc import linuxcnc_demo
 from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.studies.linuxcnc_duty import ClosedLoopLog
 from fuzzycnc_ros.studies.shift.shift_log import ShiftLog

@@ -4,7 +4,7 @@
 
 import pytest
 
-from fuzzycnc_ros.cli.shift_quilter import (
+from fuzzycnc_ros.cli.demo.shift_quilter import (
     PATTERN_BAGS,
     first_piece,
     pattern_alone,

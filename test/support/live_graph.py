@@ -42,8 +42,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.replay import ROSBAGS
-from fuzzycnc_ros.cli.graph_processes import NodeSpec, parameter_file, ros_arguments
-from fuzzycnc_ros.cli.up import node_specs
+from fuzzycnc_ros.cli.live.graph_processes import NodeSpec, parameter_file, ros_arguments
+from fuzzycnc_ros.cli.live.up import node_specs
 from fuzzycnc_ros.core.thermal import train_model
 from fuzzycnc_ros.ros.environment import prepare_environment
 from fuzzycnc_ros.ros.messages import message_class

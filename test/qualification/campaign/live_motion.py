@@ -18,7 +18,7 @@ from campaign.live_graphs import LiveGraph
 from campaign.pattern_verdict import BLEND
 from campaign.relay import direct, durability
 from campaign.scenario import Stage
-from fuzzycnc_ros.cli.graph_processes import NodeSpec
+from fuzzycnc_ros.cli.live.graph_processes import NodeSpec
 from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
 from fuzzycnc_ros.ros.messages import RCLPY, message_class

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from campaign.scenario import Ends, Kind, Scenario, Stage
 from campaign.scenarios import chosen
 from campaign.verdict import Verdict, judge
-from fuzzycnc_ros.cli.free_domain import free_domain
+from fuzzycnc_ros.cli.live.free_domain import free_domain
 from fuzzycnc_ros.registry import COMPONENTS
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from fuzzycnc_ros.bags.canonical import combined_hash, excluded, topic_hashes
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.recorder import REPORT_NAME
 from fuzzycnc_ros.cli.console import Tell
-from fuzzycnc_ros.cli.free_domain import own_domain
-from fuzzycnc_ros.cli.graph_processes import GraphError, GraphProcesses
-from fuzzycnc_ros.cli.supervision_monitor import Monitor
-from fuzzycnc_ros.cli.up import MACHINE, node_specs
+from fuzzycnc_ros.cli.live.free_domain import own_domain
+from fuzzycnc_ros.cli.live.graph_processes import GraphError, GraphProcesses
+from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
+from fuzzycnc_ros.cli.live.up import MACHINE, node_specs
 from soak.growth import held_by
 from soak.run import EVERY_TICK, TICK, SoakRun, soak_duties
 

@@ -1,0 +1,323 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc servo`: position controllers compared, learnt, tuned and judged."""
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import typer
+
+from fuzzycnc_ros.cli.axes.servo_axis import (
+    AXES,
+    CHOICES,
+    DEFAULT,
+    TUNABLE,
+    Axis,
+    Out,
+    check_axis,
+    make_axis,
+    make_controller,
+    warnings_said,
+)
+from fuzzycnc_ros.cli.axes.servo_learn import learn
+from fuzzycnc_ros.cli.console import (
+    JsonFile,
+    check_at_least,
+    check_folder,
+    check_new,
+    progress_bar,
+    say,
+    show,
+    words,
+    write_json,
+    write_text,
+)
+from fuzzycnc_ros.cli.models.many_bags import Jobs, jobs_of
+from fuzzycnc_ros.cli.options import ALL, MachineFile, Report, names_of
+
+HELP = """Compare, learn, tune and judge controllers that position an axis.
+
+    fuzzycnc servo compare --report controllers.html
+    fuzzycnc servo learn run --out rules.yaml
+    fuzzycnc servo tune --generations 30 --out settings.yaml
+    fuzzycnc servo tune --machine-file mill.yaml --axis X --out tuned.yaml
+    fuzzycnc servo stability --params settings.yaml
+
+`fuzzycnc position` moves an axis with what they find.
+"""
+
+MachineAxis = Annotated[
+    str, typer.Option(metavar='NAME', show_default=False, help='Axis of the machine file.')
+]
+
+Params = Annotated[
+    Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
+    typer.Option(
+        metavar='FILE', show_default=False, help='Settings as `servo tune` and `learn` write them.'
+    ),
+]
+
+
+def compare(
+    controllers: Annotated[
+        list[str],
+        typer.Option(
+            metavar='NAME,...',
+            help=f'Controllers to compare, or {ALL}: {", ".join(CHOICES)}.',
+        ),
+    ] = [ALL],  # noqa: B006 - typer copies it
+    moves: Annotated[
+        int, typer.Option(help='Random moves with moderate and as many with hard friction.')
+    ] = 200,
+    seed: Annotated[int, typer.Option(help='Seed of noise and random moves.')] = 0,
+    machine_file: MachineFile = None,
+    axis: MachineAxis = '',
+    report: Report = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Put all position controllers on the same cases of the lathe axis, or of a machine's.
+
+    Steps and profiles with and without friction, the gain halved and one and a half times, a step
+    of load, a sine, a circle of two axes, and random moves whose gain, load, noise and friction
+    are drawn. Ten seconds with --moves 0, about a minute and a half with 200.
+
+        fuzzycnc servo compare --moves 0
+        fuzzycnc servo compare --controllers pid,variable_universe --json figures.json
+        fuzzycnc servo compare --report controllers.html
+
+    With a machine file: the four controllers for any axis, on the cases of `servo tune`.
+
+        fuzzycnc servo compare --machine-file mill.yaml --axis X
+    """
+    check_at_least('--seed', seed, 0)
+    if machine_file is not None:
+        from fuzzycnc_ros.cli.axes.servo_machine import compare_machine_axis
+
+        if report is not None:
+            raise ValueError('--report: expected none with --machine-file; use --json')
+        check_folder(json_file)
+        compare_machine_axis(machine_file, axis, seed, json_file)
+        return
+    from fuzzycnc_ros.studies.servo import positioning_compare as shown
+    from fuzzycnc_ros.studies.servo.positioning_model import LABELS
+    from fuzzycnc_ros.studies.servo.servo_cases import compare_controllers
+
+    names = names_of('--controllers', controllers, tuple(LABELS))
+    check_at_least('--moves', moves, 0)
+    for path in (report, json_file):
+        check_folder(path)
+    with progress_bar('driving') as tell:
+        found = compare_controllers(names, moves=moves, seed=seed, progress=tell)
+    tables, lines = (
+        (shown.moves_table(found), shown.others_table(found)),
+        shown.comparison_remarks(found),
+    )
+    for table in tables:
+        show(table)
+        say('')
+    for line in lines:
+        say(line)
+    if report is not None:
+        from fuzzycnc_ros.studies.page.sections import render_page
+
+        facts = {
+            'Axis': 'lathe, simulated: 286 mm/s at full duty, grating of 0.625 um, noise 0.1 um',
+            'Control period': '1 ms',
+            'Profile': '200 mm/s, 1.5 m/s², 30 m/s³',
+            'Random moves': f'{moves} with moderate and {moves} with hard friction',
+            'Seed': str(seed),
+        }
+        write_text(report, render_page(shown.comparison_page(found, tables, lines, facts)))
+        say(f'{report}: the report; open it in a browser')
+    write_json(json_file, shown.comparison_document(found))
+
+
+def tune(
+    out: Out,
+    axis: Axis = '',
+    machine_file: MachineFile = None,
+    generations: Annotated[
+        Optional[int],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Option(
+            show_default=False,
+            help='Generations of the search after the first population; 30, or 8 with a '
+            'machine file.',
+        ),
+    ] = None,
+    population: Annotated[int, typer.Option(help='Candidates per setting.')] = 6,
+    search: Annotated[
+        list[str],
+        typer.Option(
+            metavar='NAME,...',
+            help=f'Settings to search, or {ALL}: error_exponent, rate_exponent, error_floor, '
+            'rate_floor, output_gain, rate_range, disturbance.',
+        ),
+    ] = [ALL],  # noqa: B006
+    seed: Annotated[int, typer.Option(help='Seed of the search.')] = 0,
+    jobs: Jobs = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Search for settings of the lathe's controller, or for the controller of a machine's axis.
+
+    Differential evolution on eight moves: 20 um to 170 mm, the gain from half to one and a half
+    times nominal, friction, load. A generation of the default size takes about four seconds of
+    one core; the progress shows the best cost so far.
+
+        fuzzycnc servo tune --out settings.yaml
+        fuzzycnc servo tune --search output_gain,disturbance --generations 10 --out few.json
+
+    With a machine file all four controllers - PID with feedforward, cascade, linear tangent,
+    variable universe - are tuned with the same number of trials, with gains from half to twice,
+    loads and friction within the file's limits, and judged on other cases. The best one,
+    or a simpler one that is as good to 5 %, is written into --out, a new machine file. It takes
+    about two minutes.
+
+        fuzzycnc servo tune --machine-file mill.yaml --axis X --out tuned.yaml
+    """
+    check_at_least('--population', population, 1)
+    check_at_least('--seed', seed, 0)
+    effort = generations if generations is not None else 30 if machine_file is None else 8
+    check_at_least('--generations', effort, 1)
+    check_new(out)
+    check_folder(json_file)
+    if machine_file is not None:
+        from fuzzycnc_ros.cli.axes.servo_machine import Effort, tune_machine_axis
+
+        if words(search) != (ALL,):
+            raise ValueError(f'--search: expected {ALL} with --machine-file but found others')
+        work = Effort(seed, effort, population)
+        tune_machine_axis(machine_file, axis, out, work, jobs_of(jobs), json_file)
+        return
+    axis = axis or AXES[0]
+    from fuzzycnc_ros.cli.axes.servo_search import default_cost, swinging
+    from fuzzycnc_ros.cli.axes.servo_settings import write_settings
+    from fuzzycnc_ros.core.servo.tuning import BOUNDS, production
+    from fuzzycnc_ros.core.servo.tuning import tune as searched
+    from fuzzycnc_ros.studies.servo.positioning_rules import tuning_table
+
+    check_axis(axis)
+    if axis != AXES[0]:
+        raise ValueError(
+            f'--axis: expected {AXES[0]}, on which settings are searched, but found {axis}; for '
+            'other axes give a --machine-file, such as ballscrew, which is built in'
+        )
+    names = names_of('--search', search, tuple(BOUNDS))
+    if population * len(names) < 5:
+        raise ValueError(
+            f'--population: expected five candidates or more in all but found {population} for '
+            f'each of {len(names)} settings'
+        )
+    with progress_bar('searching') as tell:
+        found = searched(
+            bounds={name: BOUNDS[name] for name in names},
+            seed=seed,
+            generations=effort,
+            population=population,
+            progress=lambda done, total, cost: tell(f'best cost {cost:.3f}', done, total),
+        )
+    before = default_cost()
+    show(tuning_table(found, before))
+    if found.cost >= before:
+        say('note: no better than the defaults; more generations or candidates may be')
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        best = production(make_axis(axis, {}).linear(), found.settings)
+    for line in swinging(best):
+        say(line)
+    about = f'tuned on the simulated lathe axis, seed {seed}, {effort} generations'
+    write_settings(out, axis, numbers=found.settings, about=about)
+    say(f'{out}: the settings; move with them by `fuzzycnc position --params {out}`')
+    write_json(
+        json_file,
+        {
+            'settings': found.settings,
+            'cost': found.cost,
+            'history': found.history,
+            'evaluations': found.evaluations,
+            'seed': seed,
+        },
+    )
+
+
+def stability(
+    axis: Axis = 'lathe',
+    controller: Annotated[
+        str, typer.Option(metavar='|'.join(TUNABLE), help='Controller of the lathe axis.')
+    ] = DEFAULT,
+    params: Params = None,
+    gains: Annotated[
+        list[str],
+        typer.Option(metavar='FACTOR,...', help="Factors on the axis' gain to look at."),
+    ] = ['0.5,0.75,1,1.25,1.5,1.75'],  # noqa: B006
+    report: Report = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Show what a position loop has to spare before it swings.
+
+    Gains near the target, gain and phase margin, the spectral radius of the sampled loop with its
+    observer over the gain of the axis, and the amplitude of a lasting oscillation that the
+    describing function of the contracted surface predicts.
+
+        fuzzycnc servo stability
+        fuzzycnc servo stability --params settings.yaml --gains 0.5,1,1.5,2 --report margins.html
+    """
+    from fuzzycnc_ros.cli.axes.servo_settings import read_settings
+    from fuzzycnc_ros.core.servo import stability_report
+    from fuzzycnc_ros.studies.servo.positioning_rules import (
+        stability_document,
+        stability_page,
+        stability_table,
+    )
+
+    check_axis(axis)
+    if controller not in TUNABLE:
+        raise ValueError(
+            f'--controller: expected one of {", ".join(TUNABLE)} but found {controller!r}'
+        )
+    factors = _factors(gains)
+    for path in (report, json_file):
+        check_folder(path)
+    plant = make_axis(axis, {})
+    with warnings_said():
+        settings = read_settings(params) if params is not None else None
+        chosen: Any = make_controller(controller, axis, plant, settings, unstable=True)
+    found = stability_report(chosen, gains=factors)
+    table = stability_table(found, f'{controller} on the {axis} axis')
+    show(table)
+    if report is not None:
+        from fuzzycnc_ros.studies.page.sections import render_page
+
+        fine = sorted({*(0.05 * k for k in range(2, 51)), *factors})
+        course = stability_report(chosen, gains=fine).spectral_radius
+        facts = {'Axis': axis, 'Settings': str(params) if params else 'built-in defaults'}
+        page = stability_page(found, course, table, facts)
+        write_text(report, render_page(page))
+        say(f'{report}: the report; open it in a browser')
+    write_json(json_file, stability_document(found))
+
+
+def _factors(texts: list[str]) -> tuple[float, ...]:
+    """Return factors on the gain, from the smallest."""
+    found = []
+    for text in words(texts):
+        try:
+            factor = float(text)
+        except ValueError:
+            factor = 0.0
+        if not 0.0 < factor < 100.0:
+            raise ValueError(f'--gains: expected factors above 0, below 100 but found {text!r}')
+        found.append(factor)
+    if not found:
+        raise ValueError('--gains: expected factors such as 0.5,1,1.5 but found none')
+    return tuple(sorted(set(found)))
+
+
+COMMANDS: dict[str, Callable[..., Any]] = {
+    'compare': compare,
+    'learn': learn,
+    'tune': tune,
+    'stability': stability,
+}
+"""The subcommands in the order of the help."""

@@ -1,0 +1,174 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated axis and the controller that the positioning commands are told of."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fuzzycnc_ros.cli.console import say
+from fuzzycnc_ros.cli.quantities import quantity
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.cli.axes.servo_settings import ServoSettings
+    from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
+    from fuzzycnc_ros.core.servo import AxisController
+
+AXES = ('lathe', 'ballscrew')
+"""Simulated axes."""
+
+CHOICES = (
+    'variable_universe',
+    'variable_universe_model_free',
+    'variable_universe_static',
+    'variable_universe_paper',
+    'fixed_universe',
+    'fixed_universe_paper',
+    'cascade',
+    'pid',
+)
+"""Controllers of the lathe axis; the ball screw has the first alone."""
+
+DEFAULT = CHOICES[0]
+
+TUNABLE = CHOICES[:3]
+"""Controllers that settings from a file are for."""
+
+TIMES: Mapping[str, float] = MappingProxyType({'s': 1.0, 'ms': 1e-3})
+"""What a time of 1 is, by unit [s]."""
+
+Axis = Annotated[
+    str,
+    typer.Option(
+        metavar='|'.join(AXES),
+        show_default=False,
+        help=f'Simulated axis, {AXES[0]} without it; with a machine file the name of its axis.',
+    ),
+]
+
+Out = Annotated[
+    Path, typer.Option(metavar='FILE', help='Where to write it: YAML, or JSON if it ends so.')
+]
+
+
+def signed(option: str, text: str, units: Mapping[str, float], *, example: str) -> float:
+    """Return a number with its unit and sign in SI; errors as `quantity`."""
+    plain = text.strip()
+    sign = -1.0 if plain.startswith('-') else 1.0
+    try:
+        return sign * quantity(option, plain.removeprefix('-'), units, example=example, zero=True)
+    except ValueError as error:
+        raise ValueError(str(error).replace(repr(plain.removeprefix('-')), repr(text))) from None
+
+
+def check_axis(axis: str) -> None:
+    """Refuse an axis that is not known."""
+    if axis not in AXES:
+        raise ValueError(f'--axis: expected one of {", ".join(AXES)} but found {axis!r}')
+
+
+def make_axis(axis: str, knobs: Mapping[str, tuple[str, Any]]) -> AxisPlant:
+    """Return a simulated axis.
+
+    Parameters
+    ----------
+    axis : str
+        Of `AXES`.
+    knobs : mapping of str to (str, value)
+        What is set of it: by parameter, the option that says so and its value.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its bounds; the message names the option.
+    """
+    from fuzzycnc_ros.core.machine import (
+        BallscrewAxis,
+        BallscrewAxisConfig,
+        LatheAxis,
+        LatheAxisConfig,
+    )
+
+    if axis == 'lathe':
+        return made_with(lambda **values: LatheAxis(LatheAxisConfig(**values)), knobs)
+    return made_with(lambda **values: BallscrewAxis(BallscrewAxisConfig(**values)), knobs)
+
+
+def made_with(make: Callable[..., AxisPlant], knobs: Mapping[str, tuple[str, Any]]) -> AxisPlant:
+    """Return what is made with the values of knobs; refusals name their options."""
+    try:
+        return make(**{name: value for name, (_, value) in knobs.items()})
+    except ValueError as error:
+        text = str(error)
+        for name, (option, _) in knobs.items():
+            if text.startswith((f'{name} ', f'{name}:')):
+                text = f'{option}: {text}'
+        raise ValueError(text) from error
+
+
+def make_controller(
+    name: str,
+    axis: str,
+    plant: AxisPlant,
+    settings: ServoSettings | None = None,
+    *,
+    unstable: bool = False,
+) -> AxisController:
+    """Return a controller as it is meant to be used on an axis, or with settings of its own.
+
+    Settings whose loop does not settle are refused unless `unstable`.
+
+    Raises
+    ------
+    ValueError
+        If it is unknown or not for this axis, or if the settings are of no use to it or leave a
+        loop that does not settle.
+    """
+    if name not in CHOICES:
+        raise ValueError(f'--controller: expected one of {", ".join(CHOICES)} but found {name!r}')
+    if axis == 'ballscrew' and name != DEFAULT:
+        raise ValueError(
+            f'--controller: expected {DEFAULT} for the ballscrew axis but found {name}; the '
+            'others are set for the lathe axis'
+        )
+    if settings is None:
+        if axis == 'ballscrew':
+            from fuzzycnc_ros.core.machine import BallscrewAxisConfig
+            from fuzzycnc_ros.core.servo import BallscrewController
+
+            direction = 1.0 if plant.linear().gain > 0.0 else -1.0
+            return BallscrewController(BallscrewAxisConfig(direction=direction))
+        from fuzzycnc_ros.core.servo import controllers
+
+        return controllers.make_controller(name, plant.linear())
+    if name not in TUNABLE:
+        raise ValueError(
+            f'--params: expected one of the controllers {", ".join(TUNABLE)} but found {name}, '
+            'which has no such parameters'
+        )
+    if settings.axis not in ('', axis):
+        raise ValueError(
+            f'{settings.path}: expected settings for the {axis} axis but found those for the '
+            f'{settings.axis} axis'
+        )
+    controller = settings.controller(name, axis, plant.linear())
+    if not unstable:
+        settings.check(controller)
+    return controller
+
+
+@contextmanager
+def warnings_said() -> Iterator[None]:
+    """Print what the controllers warn of as lines of the result."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter('always')
+        yield
+    for text in dict.fromkeys(str(item.message) for item in found):
+        say(f'note: {text}')

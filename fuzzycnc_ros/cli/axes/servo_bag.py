@@ -1,0 +1,218 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Moves of an axis out of a bag of a run with `servo_controller`, for `fuzzycnc servo learn`.
+
+The controller says only now and then where an axis is to be.  In between that follows from the
+position commands and the limits that it runs with; what comes out is held against what it said
+next, and what does not agree is left out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import islice
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.bags.runs import find_topic
+from fuzzycnc_ros.cli.axes.servo_records import Moves
+from fuzzycnc_ros.components.servo.servo_controller import ServoController
+from fuzzycnc_ros.components.servo.servo_controller_config import (
+    ServoControllerConfig,
+    profile_limits,
+)
+from fuzzycnc_ros.core.servo import point_to_point
+from fuzzycnc_ros.runtime.convert import decode
+from fuzzycnc_ros.runtime.enums import ServoStatus
+from fuzzycnc_ros.runtime.host_records import NodeConfiguration
+from fuzzycnc_ros.runtime.records import (
+    SECOND,
+    AxisCommand,
+    AxisState,
+    PositionCommand,
+    Record,
+    ServoState,
+    nanoseconds,
+)
+
+NEEDED: dict[str, type[Record]] = {
+    'axis_state': AxisState,
+    'axis_command': AxisCommand,
+    'servo_state': ServoState,
+}
+
+BESIDE: dict[str, type[Record]] = {
+    'position_command': PositionCommand,
+    'node_configuration': NodeConfiguration,
+}
+"""Topics without which there are fewer moves."""
+
+_USED = ('period', 'velocity_max', 'acceleration_max', 'jerk_max')
+"""Parameters of the controller that its moves depend on."""
+
+_AGREES = 1e-9
+"""Difference to what the controller said of the reference that is none [m]."""
+
+Row = tuple[float, float, float, float]
+"""Time [s], reference and position [m], duty [-]."""
+
+_DRIVEN = (ServoStatus.RESTING, ServoStatus.MOVING)
+
+
+def read_bag(path: Path, axis: str | None) -> Moves:
+    """Read the moves of an axis from a bag of a run with `servo_controller`.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read or lacks a topic.
+    ValueError
+        If it has no such axis, or several and none is named, or no move of it.
+    """
+    seen = _records(path)
+    states, commands, servos = ({record.stamp: record for record in seen[name]} for name in NEEDED)
+    chosen = _axis(path, axis, {name for one in commands.values() for name in one.axis})
+    course = _Course(chosen, seen, _configuration(path, seen))
+    rows: list[Row] = []
+    for stamp in sorted(states):
+        position = _of(states[stamp], 'position', chosen)
+        told = servos.get(stamp)
+        duty = _of(commands[stamp], 'duty', chosen) if stamp in commands else nan
+        rows += course.go_on(stamp, told, (position, duty))
+    good = [row for row in rows if all(map(isfinite, row))]
+    if not good:
+        raise ValueError(
+            f'{path}: expected moves of the axis {chosen} that were commanded by '
+            'position_command and answered by axis_command but found none'
+        )
+    return Moves(*np.array(good).T)
+
+
+class _Course:
+    """Where an axis was to be, from its commands and what its controller said."""
+
+    def __init__(
+        self, name: str, seen: dict[str, list[Any]], config: ServoControllerConfig
+    ) -> None:
+        self._name, self._config = name, config
+        self._commands = sorted(seen['position_command'], key=lambda item: item.stamp)
+        self._period = nanoseconds(config.period)
+        self._known = False
+        self._last = 0
+        self._open: list[Row] = []
+        self._motion: tuple[float, ...] = (nan, 0.0, 0.0)
+        self._way: Iterator[tuple[float, ...]] = iter(())
+
+    def go_on(self, stamp: int, told: ServoState | None, values: tuple[float, float]) -> list[Row]:
+        """Return the rows that are certain now: time [s], reference [m], and the values."""
+        due = self._advance(stamp)
+        time = stamp / SECOND
+        if told is None:
+            if self._known:
+                self._open.append((time, self._motion[0], *values))
+            return []
+        reference = _of(told, 'reference', self._name)
+        agrees = self._known and abs(self._motion[0] - reference) <= _AGREES
+        certain, self._open = self._open if agrees else [], []
+        if told.status not in _DRIVEN or not isfinite(reference):
+            self._known = False
+            return certain
+        self._known = agrees or told.status == ServoStatus.RESTING
+        if not agrees:
+            self._rest(reference)
+            if due is not None:  # this is where it sets out
+                self._go(due)
+                self._motion = next(self._way, self._motion)
+                self._known = True
+        return [*certain, (time, reference, *values)]
+
+    def _rest(self, reference: float) -> None:
+        self._motion, self._way = (reference, 0.0, 0.0), iter(())
+
+    def _advance(self, stamp: int) -> PositionCommand | None:
+        """Bring the reference to the control period of a stamp [ns]; return a new command."""
+        due: PositionCommand | None = None
+        while self._commands and self._commands[0].stamp <= stamp:
+            due = self._commands.pop(0)
+        if due is not None and self._name not in due.axis:
+            due = None
+        periods = round((stamp - self._last) / self._period) if self._last else 1
+        self._last = stamp
+        if not self._known:
+            return due
+        for _ in range(periods - 1):  # those that the bag has no state of
+            self._motion = next(self._way, self._motion)
+        if due is not None:
+            self._go(due)
+        self._motion = next(self._way, self._motion)
+        return due
+
+    def _go(self, command: PositionCommand) -> None:
+        """Set out from the present motion."""
+        reference, speed, change = self._motion
+        target = _of(command, 'position', self._name)
+        limits = profile_limits(self._config, _of(command, 'velocity', self._name))
+        profile = point_to_point(reference, target, limits, velocity=speed, acceleration=change)
+        way = profile.sample(self._config.period)
+        rows = zip(
+            *(x.tolist() for x in (way.position, way.velocity, way.acceleration)), strict=True
+        )
+        # the first row is the motion of the period before, which is over if there was any
+        self._way = islice(rows, 1 if speed or change else 0, None)
+
+
+def _records(path: Path) -> dict[str, list[Any]]:
+    """Return the records of a bag by topic."""
+    seen: dict[str, list[Any]] = defaultdict(list)
+    with BagReader(path) as reader:
+        space = find_topic(reader, 'servo_state', ServoState.TYPE).removesuffix('servo_state')
+        reader.require({f'{space}{name}': kind.TYPE for name, kind in NEEDED.items()})
+        kinds = {**NEEDED, **BESIDE}
+        names = {f'{space}{name}': name for name in kinds}
+        there = [topic for topic in names if topic in reader.connections]
+        for message in reader.messages(there):
+            name = names[message.topic]
+            seen[name].append(decode(kinds[name], message.message))
+    return seen
+
+
+def _configuration(path: Path, seen: dict[str, list[Any]]) -> ServoControllerConfig:
+    """Return what the controller began to run with, as far as its moves depend on it."""
+    for item in seen['node_configuration']:
+        if item.node == ServoController.NAME:
+            try:
+                given = json.loads(item.parameters)
+                # all others may be those of another version
+                return ServoControllerConfig(**{n: given[n] for n in _USED if n in given})
+            except (TypeError, ValueError) as error:
+                raise ValueError(
+                    f'{path}: expected the parameters of servo_controller: {error}'
+                ) from error
+    return ServoControllerConfig()
+
+
+def _axis(path: Path, axis: str | None, known: set[str]) -> str:
+    """Return the axis that is meant."""
+    if axis is not None and axis not in known:
+        raise ValueError(
+            f'--name: expected one of the driven axes {", ".join(sorted(known)) or "(none)"} of '
+            f'{path} but found {axis!r}'
+        )
+    if axis is None and len(known) != 1:
+        raise ValueError(
+            f'--name: expected one of the driven axes {", ".join(sorted(known)) or "(none)"} of '
+            f'{path} but found none named'
+        )
+    return axis if axis is not None else next(iter(known))
+
+
+def _of(record: Any, field: str, axis: str) -> float:
+    """Return a value of an axis; NaN where it has none."""
+    names = list(record.axis)
+    return float(getattr(record, field)[names.index(axis)]) if axis in names else float('nan')

@@ -1,0 +1,139 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc record`: the topics of a live graph into a bag."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import typer
+
+from fuzzycnc_ros.cli.bags.recording_loss import LACKING, loss
+from fuzzycnc_ros.cli.console import (
+    JsonFile,
+    check_at_least,
+    check_folder,
+    check_new,
+    check_ros,
+    complain,
+    write_json,
+)
+from fuzzycnc_ros.cli.live.graph_processes import GraphError
+from fuzzycnc_ros.cli.live.machine_names import machine_name
+from fuzzycnc_ros.ros.ending import child_set_up
+from fuzzycnc_ros.ros.environment import prepare_environment
+
+STOP_TIMEOUT = 30.0
+"""Time [s] that the recorder gets to close its bag."""
+
+
+def record(
+    out: Annotated[Path, typer.Option(metavar='BAG', help='Directory of the new bag.')],
+    machine: Annotated[
+        str, typer.Option(help='Machine to record: the namespace of its topics.')
+    ] = 'mill',
+    topics: Annotated[
+        str,
+        typer.Option(
+            metavar='REGEX', help='Topics to record, absolute names; all of the machine if empty.'
+        ),
+    ] = '',
+    lockstep: Annotated[
+        bool, typer.Option('--lockstep', help='Take turns in a lock-step run, losing nothing.')
+    ] = False,
+    duration: Annotated[
+        Optional[float],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Option(show_default=False, help='Stop after so many seconds; else Ctrl-C stops.'),
+    ] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Record the topics of a live machine, undecoded, until Ctrl-C.
+
+    The bag is one that `ros2 bag info` and `ros2 bag play` read. Topics are taken up as they
+    appear. Lost messages and holes in samples are counted, written into the bag, and end the
+    command with code 1; if this process is killed, at most the last second is lost, and
+    `fuzzycnc info BAG --repair` makes the bag whole.
+
+        fuzzycnc record --machine mill_1 --out monday
+        fuzzycnc record --out axes --topics '/(joint_states|tf)$' --duration 60
+    """
+    check_at_least('--duration', duration, 0.0)
+    machine = machine_name(machine) if machine.strip('/') else ''
+    check_new(out)
+    check_folder(json_file)
+    check_ros('recording')
+    prepare_environment()
+    code = _run_recorder(_arguments(out, machine, topics, lockstep), out, duration)
+    if code == 0 and json_file is not None:
+        write_json(json_file, _figures(out))
+    if code == 0:
+        lacking = loss(out)
+        if lacking:
+            complain(lacking)
+            code = LACKING
+    if code:
+        raise typer.Exit(code)
+
+
+def _arguments(out: Path, machine: str, topics: str, lockstep: bool) -> list[str]:
+    parameters = {'output': str(out), 'topics': topics, 'lockstep': lockstep}
+    arguments = ['--ros-args', '-r', f'__ns:=/{machine}']
+    for name, value in parameters.items():
+        # JSON is YAML: a bag named 2024 stays a text.
+        arguments += ['-p', f'{name}:={json.dumps(value)}']
+    return arguments
+
+
+def _run_recorder(arguments: list[str], bag: Path, duration: float | None) -> int:
+    """Run the node as a process of its own, and hand it every wish to end."""
+    command = [sys.executable, '-m', 'fuzzycnc_ros.nodes.recorder', *arguments]
+    # Its own session: a Ctrl-C at the terminal must reach it once, from here.
+    process = subprocess.Popen(command, start_new_session=True, preexec_fn=child_set_up())
+    wished = False
+    try:
+        # Time counts from the bag's beginning: a node takes a while to start.
+        _wait(process, bag.exists)
+        began = time.monotonic()
+        _wait(process, lambda: duration is not None and time.monotonic() - began >= duration)
+    except KeyboardInterrupt:
+        wished = True  # to end, which is carried out below
+    finally:
+        if process.poll() is None:
+            process.terminate()
+    try:
+        code = process.wait(STOP_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        raise GraphError(
+            f'the recorder did not close {bag} within {STOP_TIMEOUT:g} s and was killed; make '
+            f'the bag whole with `fuzzycnc info {bag} --repair`'
+        ) from None
+    if wished and code < 0:
+        raise KeyboardInterrupt  # before the recorder had begun
+    return code
+
+
+def _wait(process: subprocess.Popen[bytes], done: Callable[[], bool]) -> None:
+    while process.poll() is None and not done():
+        time.sleep(0.05)
+
+
+def _figures(bag: Path) -> dict[str, Any]:
+    from fuzzycnc_ros.bags.reader import BagReader
+
+    with BagReader(bag) as reader:
+        recording = reader.attachments().get('recording.json')
+        return {
+            'bag': str(bag),
+            'messages': reader.message_count,
+            'duration_s': 1e-9 * (reader.stop - reader.start),
+            'topics': {
+                topic: item.message_count for topic, item in sorted(reader.connections.items())
+            },
+            'recording': None if recording is None else json.loads(recording.data),
+        }

@@ -1,0 +1,113 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc demo`: the product at work on a simulated machine, live over DDS."""
+
+from collections.abc import Callable
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+from fuzzycnc_ros.cli.demo.contour import contour_demo
+from fuzzycnc_ros.cli.demo.linuxcnc import linuxcnc_demo
+from fuzzycnc_ros.cli.demo.pattern import pattern_demo
+from fuzzycnc_ros.cli.demo.shift import shift_demo
+from fuzzycnc_ros.cli.demo.steps import renewed
+from fuzzycnc_ros.cli.demo.thermal import thermal_demo
+from fuzzycnc_ros.cli.live.graph_processes import GraphError
+from fuzzycnc_ros.cli.live.up import BANNER
+from fuzzycnc_ros.cli.programs.program_files import program_lines
+from fuzzycnc_ros.cli.terminal import Terminal
+
+
+class Scenario(str, Enum):
+    """What the demo shows."""
+
+    thermal = 'thermal'
+    contour = 'contour'
+    pattern = 'pattern'
+    shift = 'shift'
+    linuxcnc = 'linuxcnc'
+
+
+_RUN: dict[Scenario, Callable[[Terminal, Path, int], None]] = {
+    Scenario.thermal: thermal_demo,
+    Scenario.contour: contour_demo,
+    Scenario.pattern: pattern_demo,
+    Scenario.linuxcnc: linuxcnc_demo,
+}
+
+
+def demo(
+    out: Annotated[
+        Path, typer.Option(help='Folder for the bag, the report and the summary; it is renewed.')
+    ] = Path('build/demo'),
+    scenario: Annotated[
+        Scenario, typer.Option(help='What to show: see above.')
+    ] = Scenario.thermal,
+    seed: Annotated[int, typer.Option(help='Seed of all measuring noise.')] = 0,
+    program: Annotated[
+        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Option(
+            help='Part program to cut in the shift, in mm unless it says G20; a plate of its own '
+            'if none.'
+        ),
+    ] = None,
+) -> None:
+    """Watch a simulated mill warm up for two shifts while its thermal error is compensated.
+
+    Calibration runs are recorded first.  Then every node comes up as a process of its own; over
+    DDS they select sensors, train models, and compensate two duties that no model has seen, in
+    lock-step with the simulated machine.  At the end there are a table, a bag that is replayed
+    and compared, a report with plots, and the figures as JSON.
+
+    Or watch its axes follow a curve at a contour error of 0.05 mm: the feed is scheduled, sent
+    as a trajectory, and followed every millisecond:
+
+        fuzzycnc demo --scenario contour --out build/contour
+
+    Or watch it stitch a parallelogram on a sheet of foam, without compensation and with that of a
+    trained T-S fuzzy neural network:
+
+        fuzzycnc demo --scenario pattern --out build/pattern
+
+    Or watch a shift of eight hours with everything on: the mill warms up and cools down, cuts
+    curves and a part program on servo axes in between, and a second machine stitches foam:
+
+        fuzzycnc demo --scenario shift --out build/shift
+
+    Or watch a real controller take the offsets: a LinuxCNC without a screen cuts circles and turns
+    the spindle, which heats the simulated mill; needs LinuxCNC on this computer:
+
+        fuzzycnc demo --scenario linuxcnc --out build/linuxcnc
+    """
+    if program is not None and scenario is not Scenario.shift:
+        raise GraphError('--program: expected --scenario shift, which alone cuts a program')
+    text = _checked_program(program) if program is not None else ''
+    console = Terminal()
+    console.print(BANNER, style='yellow')
+    with renewed(out):
+        if scenario is Scenario.shift:
+            shift_demo(console, out, seed, text)
+        else:
+            _RUN[scenario](console, out, seed)
+
+
+def _checked_program(path: Path) -> str:
+    """Return the text of a part program that the shift can cut.
+
+    Raises
+    ------
+    ValueError
+        If there is none or it cannot be cut; the message says why.
+    """
+    from fuzzycnc_ros.studies.shift.whole_shift import check_program
+
+    with program_lines(path) as file:
+        text = file.read_text(encoding='utf-8', errors='replace')
+    try:
+        check_program(text)
+    except ValueError as error:
+        raise ValueError(f'--program {path}: {error}') from error
+    return text

@@ -1,0 +1,326 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc foam`: soft material that a path is straightened for beforehand."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Optional
+
+import typer
+
+from fuzzycnc_ros.cli.console import (
+    JsonFile,
+    check_at_least,
+    check_folder,
+    check_new,
+    progress_bar,
+    say,
+    show,
+    write_json,
+    write_text,
+)
+from fuzzycnc_ros.cli.foam.compensate import compensate
+from fuzzycnc_ros.cli.foam.models import read_model_file
+from fuzzycnc_ros.cli.options import Report
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.cli.foam.samples import Samples
+    from fuzzycnc_ros.core.deformation import TSFuzzyNetwork
+
+HELP = """Straighten patterns on soft material: show, train, compensate, learn.
+
+    fuzzycnc foam demo --report foam.html
+    fuzzycnc foam train calibration --out model.json
+    fuzzycnc foam compensate quilt.ngc --model model.json --thickness 15mm --depth 6mm \\
+        --step 3mm --out quilt_compensated.ngc
+    fuzzycnc foam learn monday --out offsets.json
+
+`deformation_compensator` uses both files on a machine.
+"""
+
+FEATURES = ('load', 'physical', 'thickness', 'paper')
+
+Force = Annotated[bool, typer.Option('--force', help='Overwrite the file.')]
+
+
+def demo(
+    seed: Annotated[int, typer.Option(help='Seed of samples, sheets and stitches.')] = 0,
+    runs: Annotated[int, typer.Option(help='Runs of each track and method.')] = 11,
+    report: Report = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Stitch five tracks on the simulated sheet, without and with compensation.
+
+    Models are trained on 265 samples; each track is stitched --runs times on sheets that scatter:
+    as it is, with linear rules, with the default, and as published. Then the tracks are learnt
+    from their recorded runs in three cycles. Ten seconds.
+
+        fuzzycnc foam demo
+        fuzzycnc foam demo --seed 3 --json figures.json --report foam.html
+    """
+    from fuzzycnc_ros.studies.soft import foam_page as shown
+    from fuzzycnc_ros.studies.soft.foam_comparison import SIZE, compare_foam
+
+    check_at_least('--seed', seed, 0)
+    check_at_least('--runs', runs, 1)
+    for path in (report, json_file):
+        check_folder(path)
+    with progress_bar('stitching') as tell:
+        found = compare_foam(seed, runs=runs, progress=tell)
+    for table in (
+        shown.tracks_table(found),
+        shown.published_table(found),
+        shown.learning_table(found),
+    ):
+        show(table)
+        say('')
+    for line in shown.comparison_remarks(found):
+        say(line)
+    if report is not None:
+        from fuzzycnc_ros.studies.page.sections import render_page
+
+        facts = {
+            'Sheets': f'simulated foam, {1e3 * SIZE[0]:g} x {1e3 * SIZE[1]:g} mm, clamped all '
+            'around; friction and modulus scatter from run to run',
+            'Training': '265 samples in the middle of a sheet of 200 x 120 mm, thicknesses 5 to '
+            '35 mm',
+            'Seed': str(seed),
+        }
+        write_text(report, render_page(shown.comparison_page(found, facts)))
+        say(f'{report}: the report; open it in a browser')
+    write_json(json_file, shown.comparison_document(found))
+
+
+def train(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar='BAG...|CSV',
+            help='Bags of runs with deformation_compensator, or one .csv with the columns '
+            'direction_deg, depth_mm, type (1 arc, 2 line), step_mm, thickness_mm, s_x_mm, s_y_mm '
+            'and, if known, sheet.',
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar='MODEL', help='Model file to write.')],
+    consequent: Annotated[
+        str, typer.Option(metavar='nts|sts', help='Rules with a hidden layer, or linear ones.')
+    ] = 'nts',
+    features: Annotated[
+        str,
+        typer.Option(
+            metavar='|'.join(FEATURES),
+            help='Inputs: drift per load of the foot, physical ones, those of the paper with '
+            'the thickness, those of the paper.',
+        ),
+    ] = 'load',
+    adapt: Annotated[
+        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Option(
+            metavar='MODEL',
+            show_default=False,
+            help='Only fit the gains of X and Y of this model to the samples.',
+        ),
+    ] = None,
+    baselines: Annotated[
+        bool,
+        typer.Option('--baselines/--no-baselines', help='Judge plain regressors as well.'),
+    ] = True,
+    seed: Annotated[int, typer.Option(help='Seed of the training.')] = 0,
+    force: Force = False,
+    report: Report = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Train a model of feed compensation on samples, and write it.
+
+    A sample is a primitive that was stitched on a fresh sheet without compensation: its direction,
+    depth, type, step and thickness, and the offset that it called for per 50 mm of feed. Later
+    sides of recorded paths, and compensated ones, are taken by the fading of the drift. Each model
+    is judged on samples that were held out; samples of one sheet, path or equal process stay
+    together.
+
+    With --adapt nothing is trained: two gains, within 0.5 and 2, bring a model to another sheet or
+    foot from a single run.
+
+        fuzzycnc foam train calibration --out model.json
+        fuzzycnc foam train samples.csv --consequent sts --out linear.json --report training.html
+        fuzzycnc foam train monday --adapt model.json --out model_monday.json
+    """
+    from fuzzycnc_ros.cli.foam.samples import read_samples
+
+    for option, value, known in (
+        ('--consequent', consequent, ('nts', 'sts')),
+        ('--features', features, FEATURES),
+    ):
+        if value not in known:
+            raise ValueError(f'{option}: expected one of {", ".join(known)} but found {value!r}')
+    check_at_least('--seed', seed, 0)
+    if not force:
+        check_new(out, remedy='add --force')
+    for path in (out, report, json_file):
+        check_folder(path)
+    if adapt is not None:
+        if report is not None:
+            raise ValueError('--report: expected none with --adapt, which trains nothing')
+        _adapt(read_samples(sources), adapt, out, json_file)
+        return
+    samples = read_samples(sources)
+    settings = {'consequent': consequent, 'features': features, 'random_state': seed}
+    _train(samples, settings, baselines, out, report, json_file)
+
+
+def _train(
+    samples: 'Samples',
+    settings: dict[str, Any],
+    baselines: bool,
+    out: Path,
+    report: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Judge and train, and write what came of it."""
+    from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
+    from fuzzycnc_ros.core.text_hash import text_hash
+    from fuzzycnc_ros.studies.soft import foam_page as shown
+    from fuzzycnc_ros.studies.soft import foam_training as judged
+
+    used, other = settings['consequent'], 'sts' if settings['consequent'] == 'nts' else 'nts'
+    names = {'nts': 'hidden layer (NTS)', 'sts': 'linear rules (STS)'}
+    rivals = [
+        judged.network(f'{names[used]}, in use', **settings),
+        judged.network(names[other], **{**settings, 'consequent': other}),
+    ]
+    lines = list(samples.lines)
+    if baselines:
+        try:
+            rivals += judged.baselines(settings['features'], settings['random_state'])
+        except ModuleNotFoundError as error:
+            lines.append(f'no plain regressors: {error}; pip install "fuzzycnc_ros[ml]"')
+    with progress_bar('training') as tell:
+        found = judged.judge_training(
+            samples.x, samples.s, samples.groups, rivals, seed=settings['random_state'],
+            progress=tell,
+        )  # fmt: skip
+        network = TSFuzzyNetwork(**settings).fit(samples.x, samples.s, samples.groups)
+    text = write_model(network.model_)
+    lines += [f'note: {problem}' for problem in network.problems_]
+    lines.append(_gate_line(network))
+    for line in lines:
+        say(line)
+    for table in (shown.coverage_table(found), shown.training_table(found)):
+        say('')
+        show(table)
+    write_text(out, text)
+    say(f'{out}: written, hash {text_hash(text)[:16]}')
+    if report is not None:
+        from fuzzycnc_ros.studies.page.sections import render_page
+
+        facts = {
+            'Consequents': names[used],
+            'Inputs': settings['features'],
+            'Rules': str(len(network.model_.network.antecedent.center)),
+            'Penalty': f'{network.ridge_:g}',
+            'Seed': str(settings['random_state']),
+        }
+        write_text(report, render_page(shown.training_page(found, lines, facts)))
+        say(f'{report}: the report; open it in a browser')
+    document = shown.training_document(found)
+    write_json(
+        json_file,
+        {'model': str(out), 'hash': text_hash(text), 'notes': lines, **settings, **document},
+    )
+
+
+def _gate_line(network: 'TSFuzzyNetwork') -> str:
+    """Return what the model lets pass, in words."""
+    gate = network.model_.gate
+    low, high = gate.low, gate.high
+    return (
+        f'the model is for directions {low[0]:g} to {high[0]:g} deg and their opposites, steps '
+        f'{low[3]:g} to {high[3]:g} mm, thicknesses {low[4]:g} to {high[4]:g} mm, depths '
+        f'{gate.ratio_low:.2f} to {gate.ratio_high:.2f} of the thickness'
+    )
+
+
+def _adapt(samples: 'Samples', source: Path, out: Path, json_file: Path | None) -> None:
+    """Fit the gains of a model to samples, and write it."""
+    from fuzzycnc_ros.cli.foam.gains import fit_gains
+    from fuzzycnc_ros.core.deformation import write_model
+    from fuzzycnc_ros.core.text_hash import text_hash
+
+    model = read_model_file(source)
+    for line in samples.lines:
+        say(line)
+    try:
+        fit = fit_gains(model, samples)
+    except ValueError as error:
+        raise ValueError(f'{source}: {error}') from error
+    for line in fit.lines():
+        say(line)
+    text = write_model(fit.model)
+    write_text(out, text)
+    say(f'{out}: written, hash {text_hash(text)[:16]}')
+    document = {
+        'model': str(out), 'hash': text_hash(text), 'samples': fit.samples,
+        'left_out': fit.left_out, 'gain_before': fit.before, 'gain': fit.gain,
+        'rms_before': 0.02 * fit.error_before, 'rms': 0.02 * fit.error,
+    }  # fmt: skip
+    write_json(json_file, document)
+
+
+def learn(
+    bags: Annotated[
+        list[Path],
+        typer.Argument(metavar='BAG...', help='Bags of runs of one track, of the last cycle.'),
+    ],
+    out: Annotated[Path, typer.Option(metavar='OFFSETS', help='File of offsets to write.')],
+    gain: Annotated[
+        float, typer.Option(help='Share of the deviation that a cycle takes away, above 0 to 1.')
+    ] = 0.7,
+    path_id: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            '--path', metavar='NAME', show_default=False, help='Track, if the bags hold several.'
+        ),
+    ] = None,
+    force: Force = False,
+    json_file: JsonFile = None,
+) -> None:
+    """Learn the offsets of one track from recorded runs of it.
+
+    The offsets of the next run are those of the recorded ones and a share of what was left. Runs
+    of one cycle count by their mean; runs with other offsets, of another track or material are
+    refused. No model is needed, and a track is learnt where no model was trained.
+
+        fuzzycnc foam learn first_run --out offsets.json
+        fuzzycnc foam learn second_run --out offsets.json --force
+    """
+    from fuzzycnc_ros.cli.foam.learning import learn_track
+    from fuzzycnc_ros.cli.foam.records import read_recordings
+    from fuzzycnc_ros.core.deformation.offset_file import write_offsets
+
+    if not 0.0 < gain <= 1.0:
+        raise ValueError(f'--gain: expected more than 0 and at most 1 but found {gain:g}')
+    if not force:
+        check_new(out, remedy='add --force')
+    for path in (out, json_file):
+        check_folder(path)
+    for bag in bags:
+        if not bag.exists():
+            raise ValueError(f'{bag}: expected a bag but nothing is there')
+    recordings = read_recordings(bags)
+    learnt = learn_track(recordings.paths, path_id, gain)
+    write_text(out, write_offsets(learnt.offsets))
+    for reason, count in sorted(recordings.left_out.items()):
+        say(f'left out: {count} {reason}')
+    for line in learnt.lines():
+        say(line)
+    say(f'{out}: the offsets of {learnt.offsets.path_id!r} on {learnt.offsets.material!r}')
+    write_json(json_file, learnt.document() | {'offsets': str(out), 'gain': gain})
+
+
+COMMANDS: dict[str, Callable[..., Any]] = {
+    'demo': demo,
+    'train': train,
+    'compensate': compensate,
+    'learn': learn,
+}
+"""The subcommands in the order of the help."""

@@ -1,0 +1,236 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Start nodes again that die, ever later, and give up those that keep dying."""
+
+import signal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import Protocol
+
+from fuzzycnc_ros.cli.live.graph_processes import (
+    GraphError,
+    GraphProcesses,
+    NodeSpec,
+    process_name,
+)
+from fuzzycnc_ros.ros.ending import REFUSED
+
+TIME_SOURCES = ('simulated_machine', 'simulated_body', 'player')
+"""Nodes that make machine time: a run is over when its one ends, and cannot be resumed."""
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class RestartPolicy:
+    """When a node that died is started again.
+
+    Attributes
+    ----------
+    delay, delay_max : float
+        Wall time [s] before the first restart of a row; it doubles with each, up to the latter.
+    restarts_max : int
+        Restarts within `window` after which a node is given up.
+    window : float
+        Wall time [s] that restarts count for.
+    """
+
+    delay: float = 0.5
+    delay_max: float = 30.0
+    restarts_max: int = 5
+    window: float = 120.0
+
+
+class State(Enum):
+    """What a supervised process does."""
+
+    RUNNING = 'running'
+    WAITING = 'waiting'
+    GIVEN_UP = 'given up'
+    ENDED = 'ended'
+
+
+class Lifecycles(Protocol):
+    """What is known of managed nodes."""
+
+    def begin(self, machine: str, node: str) -> None:
+        """Forget what an earlier life of a node has said."""
+
+    def lifecycle(self, machine: str, node: str) -> str:
+        """Return the lifecycle state that a node has told last; empty if none."""
+
+    def was_active(self, machine: str, node: str) -> bool:
+        """Whether a node has been active in its present life."""
+
+
+@dataclass
+class Supervised:
+    """One process with one node or several composed ones.
+
+    Attributes
+    ----------
+    resume : set of str
+        Managed nodes that are to become active when the process is started again.
+    ends : list of str
+        Why it ended each time that nobody had asked it to.
+    begun : list of float
+        When it was started anew [s of wall time], as far back as that counts.
+    restarts : int
+        How often it was started anew, ever.
+    """
+
+    graph: GraphProcesses
+    specs: tuple[NodeSpec, ...]
+    resume: set[str]
+    state: State = State.RUNNING
+    ends: list[str] = field(default_factory=list)
+    begun: list[float] = field(default_factory=list)
+    restarts: int = 0
+    start_at: float = 0.0
+    reason: str = ''
+
+    @property
+    def name(self) -> str:
+        """Name of the process."""
+        return process_name(self.specs)
+
+    @property
+    def title(self) -> str:
+        """Name for people."""
+        return f'{self.graph.machine}/{self.name}'
+
+    @property
+    def makes_time(self) -> bool:
+        """Whether the run is over with this process."""
+        return any(spec.name in TIME_SOURCES for spec in self.specs)
+
+
+class Supervisor:
+    """Watch the processes of some graphs.
+
+    Parameters
+    ----------
+    tell : callable
+        Told in words what happens.
+    lifecycles : Lifecycles
+        Source of the states of managed nodes.
+    policy : RestartPolicy, optional
+        When nodes are started again.
+    """
+
+    def __init__(
+        self, tell: Tell, lifecycles: Lifecycles, policy: RestartPolicy | None = None
+    ) -> None:
+        self._tell, self._lifecycles = tell, lifecycles
+        self._policy = policy or RestartPolicy()
+        self.processes: list[Supervised] = []
+
+    def start(self, graph: GraphProcesses, specs: Sequence[NodeSpec]) -> Supervised:
+        """Start a process and watch it from now on."""
+        resume = {spec.name for spec in specs if spec.parameters.get('autostart')}
+        process = Supervised(graph, tuple(specs), resume)
+        self.processes.append(process)
+        self._run(process)
+        return process
+
+    @property
+    def over(self) -> bool:
+        """Whether all that make time have come to their end, or nothing is left to watch."""
+        makers = [item for item in self.processes if item.makes_time] or self.processes
+        done = (State.ENDED, State.GIVEN_UP)
+        return bool(makers) and all(item.state in done for item in makers)
+
+    @property
+    def given_up(self) -> list[str]:
+        """Processes that are not started any more."""
+        return [item.title for item in self.processes if item.state is State.GIVEN_UP]
+
+    @property
+    def restarts(self) -> dict[str, int]:
+        """How often each process was started anew; those that never were are left out."""
+        return {item.title: item.restarts for item in self.processes if item.restarts}
+
+    def poll(self, now: float) -> None:
+        """Look after all processes at wall time `now` [s].
+
+        Raises
+        ------
+        GraphError
+            If a node refuses its parameters at the start, or one that makes time has failed:
+            neither can be mended by starting it again.
+        """
+        for process in self.processes:
+            if process.state is State.RUNNING:
+                code = process.graph.poll().get(process.name)
+                if code is not None:
+                    self._ended(process, code, now)
+            elif process.state is State.WAITING and now >= process.start_at:
+                process.restarts += 1
+                process.begun.append(now)
+                process.specs = tuple(self._again(process, spec) for spec in process.specs)
+                self._run(process)
+
+    def _run(self, process: Supervised) -> None:
+        for spec in process.specs:
+            self._lifecycles.begin(process.graph.machine, spec.name)
+        process.graph.start(*process.specs)
+        process.state = State.RUNNING
+        process.reason = ''
+        self._tell(f'{process.title} runs as process {process.graph.pid(process.name)}')
+
+    def _ended(self, process: Supervised, code: int, now: float) -> None:
+        words = process.graph.last_words(process.name)
+        process.reason = _cause(code) if code <= 0 else f'{_cause(code)}: {words}'
+        process.ends.append(process.reason)
+        if process.makes_time:
+            if code:
+                raise GraphError(f'{process.title} {process.reason}')
+            process.state = State.ENDED
+            return
+        if code == REFUSED and not process.restarts:
+            raise GraphError(f'{process.title} {process.reason}')
+        self._note_lifecycles(process)
+        policy = self._policy
+        process.begun = [time for time in process.begun if now - time < policy.window]
+        count = len(process.begun)
+        if code == REFUSED or count >= policy.restarts_max:
+            process.state = State.GIVEN_UP
+            after = f' after {count} restarts within {policy.window:g} s'
+            self._tell(f'{process.title} {process.reason}; given up{after * (code != REFUSED)}')
+            return
+        delay = min(policy.delay * 2**count, policy.delay_max)
+        process.state, process.start_at = State.WAITING, now + delay
+        self._tell(f'{process.title} {process.reason}; starts again in {delay:g} s')
+
+    def _note_lifecycles(self, process: Supervised) -> None:
+        """Remember which managed nodes were active; one that never got so far still shall."""
+        for spec in process.specs:
+            if 'autostart' not in spec.parameters:
+                continue
+            key = (process.graph.machine, spec.name)
+            active = self._lifecycles.lifecycle(*key) == 'active'
+            if not active and self._lifecycles.was_active(*key):
+                process.resume.discard(spec.name)
+
+    def _again(self, process: Supervised, spec: NodeSpec) -> NodeSpec:
+        """Return a node as it is to be started anew."""
+        parameters = dict(spec.parameters)
+        if 'autostart' in parameters:
+            parameters['autostart'] = spec.name in process.resume
+        if spec.name == 'recorder':
+            first = str(parameters['output'])
+            if process.restarts > 1:
+                first = first.rpartition('_again')[0]
+            # A torn bag is left to `fuzzycnc info`, which repairs it.
+            parameters['output'] = f'{first}_again{process.restarts}'
+        return replace(spec, parameters=parameters)
+
+
+def _cause(code: int) -> str:
+    if code < 0:
+        try:
+            return f'was killed by {signal.Signals(-code).name}'
+        except ValueError:
+            return f'was killed by signal {-code}'
+    return f'ended with code {code}' if code else 'ended by itself'

@@ -1,0 +1,139 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What nodes say of themselves: health on `/diagnostics`, lifecycle on `node_configuration`."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from fuzzycnc_ros.cli.live.operator_client import Operator
+from fuzzycnc_ros.ros.messages import message_class
+from fuzzycnc_ros.runtime.component import Level
+from fuzzycnc_ros.runtime.host_records import NodeConfiguration
+
+SILENT = 5.0
+"""Wall time [s] without a word from a node, which reports every second."""
+_SPIN = 0.1
+
+
+@dataclass
+class NodeView:
+    """What one node says of itself.
+
+    Attributes
+    ----------
+    heard_at : float
+        Wall time of its newest report [s]; 0 before the first of its present life.
+    lifecycle : str
+        State that it has told; empty before.
+    was_active : bool
+        Whether it was active in its present life.
+    level : Level
+        The worst of its items.
+    trouble : tuple of str
+        What its items above OK say, the worst first.
+    activity : dict
+        Rate and latency.
+    """
+
+    heard_at: float = 0.0
+    lifecycle: str = ''
+    was_active: bool = False
+    level: Level = Level.OK
+    trouble: tuple[str, ...] = ()
+    activity: dict[str, str] = field(default_factory=dict)
+
+    def silent(self, now: float) -> bool:
+        """Whether nothing has been heard for long."""
+        return self.heard_at > 0.0 and now - self.heard_at > SILENT
+
+
+class Monitor:
+    """Listen to the nodes of some machines."""
+
+    def __init__(self, machines: Sequence[str]) -> None:
+        self.views: dict[tuple[str, str], NodeView] = {}
+        self._began = time.monotonic()
+        self._operator = Operator('')
+        node = self._operator.node
+        node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 1000)
+        # Latched by every node of a machine: of each the newest is wanted.
+        kept = QoSProfile(
+            depth=100,
+            reliability=ReliabilityPolicy.RELIABLE,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        )
+        for machine in machines:
+            node.create_subscription(
+                message_class(NodeConfiguration.TYPE),
+                f'/{machine}/node_configuration',
+                self._configuration_handler(machine),
+                kept,
+            )
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._operator.__exit__(None, None, None)
+
+    def spin(self, duration: float = _SPIN) -> None:
+        """Listen for some wall time [s]."""
+        self._operator.pause(duration)
+
+    @property
+    def age(self) -> float:
+        """Wall time [s] since it began to listen."""
+        return time.monotonic() - self._began
+
+    def spin_until(self, age: float) -> None:
+        """Listen until it is so old [s]."""
+        self.spin(age - self.age)
+
+    def present(self) -> set[tuple[str, str]]:
+        """Return machines and nodes that are in the graph, or died in it a while ago."""
+        found = self._operator.node.get_node_names_and_namespaces()
+        return {(where.strip('/'), name) for name, where in found}
+
+    def view(self, machine: str, node: str) -> NodeView:
+        """Return what a node says of itself."""
+        return self.views.setdefault((machine, node), NodeView())
+
+    def begin(self, machine: str, node: str) -> None:
+        """Forget what an earlier life of a node has said."""
+        self.views[machine, node] = NodeView()
+
+    def lifecycle(self, machine: str, node: str) -> str:
+        """Return the lifecycle state that a node has told last; empty if none."""
+        return self.view(machine, node).lifecycle
+
+    def was_active(self, machine: str, node: str) -> bool:
+        """Whether a node has been active in its present life."""
+        return self.view(machine, node).was_active
+
+    def _configuration_handler(self, machine: str) -> Callable[[Any], None]:
+        def on_configuration(message: Any) -> None:
+            view = self.view(machine, message.node)
+            view.lifecycle = message.lifecycle_state
+            view.was_active |= view.lifecycle == 'active'
+
+        return on_configuration
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        if not array.status:
+            return
+        machine, _, node = array.status[0].name.partition(': ')[0].rpartition('/')
+        view = self.view(machine, node)
+        view.heard_at = time.monotonic()
+        found = []
+        for status in array.status:
+            item = status.name.partition(': ')[2]
+            if item == 'activity':
+                view.activity = {value.key: value.value for value in status.values}
+            elif status.level[0]:
+                found.append((status.level[0], f'{item}: {status.message}'))
+        found.sort(key=lambda entry: -entry[0])
+        view.level = Level(found[0][0]) if found else Level.OK
+        view.trouble = tuple(text for _, text in found)

@@ -1,0 +1,231 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bring graphs up in order, watch them until they are over or interrupted, take them down."""
+
+import os
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from fuzzycnc_ros.cli.bags.recording_loss import LACKING, loss
+from fuzzycnc_ros.cli.live.graph_processes import (
+    GraphError,
+    GraphProcesses,
+    NodeSpec,
+    process_name,
+)
+from fuzzycnc_ros.cli.live.supervision import TIME_SOURCES, State, Supervised, Supervisor
+from fuzzycnc_ros.cli.live.supervision_view import View
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
+
+ACTIVE_TIMEOUT = 20.0
+"""Wall time [s] until a managed node must be active."""
+GIVEN_UP = 1
+"""Exit code where a node was given up."""
+
+RIVALS = (
+    frozenset(TIME_SOURCES),
+    frozenset({'simulated_machine', 'linuxcnc_bridge', 'opcua_bridge'}),
+)
+"""Nodes of which a machine has one: what makes its time, and what stands for it."""
+DECIDED = 6.0
+"""Wall time [s] after which who is in the graph but does not speak counts as dead."""
+SPOKE = 4.0
+"""Wall time [s] since its newest report for a node that is alive: it reports every second, a busy
+computer permitting."""
+
+Plan = Sequence[tuple[NodeSpec, ...]]
+"""Processes of one machine, each with one node or several composed ones."""
+
+
+def check_free(monitor: 'Monitor', plans: Mapping[str, Plan]) -> None:
+    """Refuse to start nodes beside others of the same name, or beside another machine.
+
+    Who is in the graph only may be dead: what was killed stays there for 20 s more.  So those
+    count that go on speaking.
+
+    Parameters
+    ----------
+    monitor : Monitor
+        Listens to these machines.
+    plans : mapping of str to Plan
+        What is to be started, by machine.
+
+    Raises
+    ------
+    GraphError
+        If somebody works there; the text names the nodes.
+    """
+    # Here, so that `fuzzycnc --help` works where ROS is not installed.
+    from fuzzycnc_ros.cli.live.operator_client import SETTLED
+
+    taken = {
+        (machine, name)
+        for machine, plan in plans.items()
+        for name in _in_the_way({spec.name for group in plan for spec in group})
+    }
+    monitor.spin_until(SETTLED)
+    while (present := monitor.present() & taken) and monitor.age < DECIDED:
+        monitor.spin()
+    now = time.monotonic()
+    speaking = sorted(key for key in present if now - monitor.view(*key).heard_at < SPOKE)
+    if speaking:
+        raise GraphError(
+            f'expected nobody at {", ".join(sorted({machine for machine, _ in speaking}))} but '
+            f'found {", ".join(f"/{machine}/{node}" for machine, node in speaking)} at work in '
+            f'ROS domain {os.environ.get("ROS_DOMAIN_ID") or 0}: end them, choose another '
+            '--machine or ROS_DOMAIN_ID, or add --takeover to run beside them'
+        )
+
+
+def _in_the_way(names: set[str]) -> set[str]:
+    """Return the nodes that cannot run beside some others; recorders disturb nobody."""
+    found = set(names)
+    for rivals in RIVALS:
+        if names & rivals:
+            found |= rivals
+    return found - {'recorder'}
+
+
+def supervise(
+    console: Console,
+    monitor: 'Monitor',
+    graphs: Sequence[GraphProcesses],
+    plans: Sequence[Plan],
+) -> dict[str, Any]:
+    """Run the processes of some graphs until they are over or interrupted; return how it went."""
+    with View(console) as view:
+        supervisor = Supervisor(view.tell, monitor)
+        try:
+            _bring_up(supervisor, monitor, view, graphs, plans)
+            view.tell(f'all started: {_names(supervisor)}; Ctrl-C ends them')
+            while not supervisor.over:
+                _watch(supervisor, monitor, view)
+        except KeyboardInterrupt:
+            view.tell('ending all nodes')
+        _end(graphs)
+        lacking = _lacking(supervisor)
+        for text in lacking:
+            view.tell(f'error: {text}')
+    document: dict[str, Any] = {
+        'nodes': [spec.name for group in plans[0] for spec in group],
+        'exit_code': GIVEN_UP if supervisor.given_up else LACKING if lacking else 0,
+        'restarts': supervisor.restarts,
+        'given_up': supervisor.given_up,
+        'lacking': lacking,
+    }
+    told = {
+        graph.machine: _outcome(graph, plan) for graph, plan in zip(graphs, plans, strict=True)
+    }
+    if len(graphs) == 1:
+        return {**document, **told[graphs[0].machine]}
+    return {**document, 'machines': told}
+
+
+def _watch(supervisor: Supervisor, monitor: 'Monitor', view: View) -> None:
+    """Listen for a moment, look after the processes, show it."""
+    monitor.spin()
+    supervisor.poll(time.monotonic())
+    view.update(supervisor.processes, monitor)
+
+
+def _bring_up(
+    supervisor: Supervisor,
+    monitor: 'Monitor',
+    view: View,
+    graphs: Sequence[GraphProcesses],
+    plans: Sequence[Plan],
+) -> None:
+    """Start what serves, then the managed nodes one after the other, then what makes time."""
+    waiting: list[tuple[GraphProcesses, tuple[NodeSpec, ...]]] = []
+    managed: list[tuple[GraphProcesses, tuple[NodeSpec, ...]]] = []
+    for graph, plan in zip(graphs, plans, strict=True):
+        for group in plan:
+            if any(spec.parameters.get('autostart') for spec in group):
+                managed.append((graph, group))
+            elif any(spec.name in TIME_SOURCES for spec in group):
+                waiting.append((graph, group))
+            else:
+                supervisor.start(graph, group)
+    for graph, group in managed:
+        process = supervisor.start(graph, group)
+        for spec in group:
+            if spec.parameters.get('autostart'):
+                _await_active(supervisor, monitor, view, process, spec.name)
+    for graph, group in waiting:
+        supervisor.start(graph, group)
+
+
+def _await_active(
+    supervisor: Supervisor, monitor: 'Monitor', view: View, process: Supervised, node: str
+) -> None:
+    """Wait until a managed node is active; say why if it does not get so far."""
+    machine = process.graph.machine
+    until = time.monotonic() + ACTIVE_TIMEOUT
+    while not monitor.was_active(machine, node):
+        _watch(supervisor, monitor, view)
+        late = time.monotonic() > until
+        if late or process.state in (State.GIVEN_UP, State.ENDED):
+            state = monitor.lifecycle(machine, node) or 'not heard of'
+            why = process.reason or '; '.join(monitor.view(machine, node).trouble)
+            why = why or process.graph.last_words(process.name)
+            view.tell(f'{machine}/{node} did not become active, it is {state}: {why}')
+            return
+
+
+def _end(graphs: Sequence[GraphProcesses]) -> None:
+    """End all nodes; the recorders last, so that they hear the others out."""
+    for late in (False, True):
+        asked = [
+            (graph, graph.interrupt(name))
+            for graph in graphs
+            for name in graph.names
+            if late or name != 'recorder'
+        ]
+        for graph, names in asked:
+            graph.wait_ended(names)
+
+
+def _lacking(supervisor: Supervisor) -> list[str]:
+    """Return in words what the recordings of a run lack."""
+    found = []
+    for process in supervisor.processes:
+        if not any(spec.name == 'recorder' for spec in process.specs):
+            continue
+        code = process.graph.poll().get(process.name)
+        reasons = list(process.ends)
+        if code and process.state is State.RUNNING:  # it was asked to end, and failed
+            reasons.append(f'ended with code {code}: {process.graph.last_words(process.name)}')
+        if reasons:
+            found.append(f'{process.title} {reasons[0]}: the recording lacks what came then')
+        found += _losses(process)
+    return found
+
+
+def _losses(process: Supervised) -> list[str]:
+    """Return what the newest bag of a recorder says that it lacks."""
+    from fuzzycnc_ros.bags.errors import BagError
+
+    bags = [spec.parameters['output'] for spec in process.specs if spec.name == 'recorder']
+    try:
+        return [text for text in (loss(Path(str(bag))) for bag in bags) if text]
+    except BagError:
+        return []  # torn or not begun; why was said above
+
+
+def _names(supervisor: Supervisor) -> str:
+    titles = [process.title for process in supervisor.processes]
+    return ', '.join(titles)
+
+
+def _outcome(graph: GraphProcesses, plan: Plan) -> dict[str, Any]:
+    """Return what the simulated machine of a graph said of its run."""
+    for group in plan:
+        if any(spec.name in TIME_SOURCES for spec in group):
+            return graph.outcome(process_name(group))
+    return {}

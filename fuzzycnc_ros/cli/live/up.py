@@ -1,0 +1,311 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc up`: the whole graph of one machine, as processes or composed in one."""
+
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any, Optional
+
+import typer
+
+from fuzzycnc_ros.cli.console import check_folder, check_ros, words, write_json
+from fuzzycnc_ros.cli.live.graph_processes import GraphError, GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.live.machine_names import machine_name
+from fuzzycnc_ros.cli.live.supervision_run import check_free, supervise
+from fuzzycnc_ros.cli.terminal import Terminal
+from fuzzycnc_ros.ros.environment import open_to_network
+
+BANNER = (
+    'fuzzycnc is not a safety function (ISO 13849): emergency stop, limit switches and drive '
+    'limits stay in hardware.'
+)
+THERMAL = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator')
+"""Nodes of thermal compensation."""
+MACHINE = 'simulated_machine'
+BODY = 'simulated_body'
+"""Makes the time of a real controller without hardware; it starts last, too."""
+
+
+def node_specs(
+    *,
+    nodes: Sequence[str] = THERMAL,
+    duties: tuple[str, ...] = (),
+    model: Path | None = None,
+    force_model: bool = False,
+    record: Path | None = None,
+    lockstep: bool = False,
+    autostart: bool = False,
+    state_directory: Path | None = None,
+    feedrate: bool = False,
+    machine_parameters: dict[str, Any] | None = None,
+) -> list[NodeSpec]:
+    """Return the nodes of a graph in the order of their turns, the simulated machine last.
+
+    Parameters
+    ----------
+    nodes : sequence of str
+        Any components; `recorder`, and `simulated_machine` without duties of its own.
+    duties : tuple of str
+        Duties of the simulated machine; empty leaves it out, for a real machine.
+    model : Path, optional
+        Model file of the predictor.
+    force_model : bool
+        Whether the predictor uses a model that is worse than none on some channel.
+    record : Path, optional
+        Bag to record; none if left out.
+    lockstep : bool
+        Whether the simulated machine gives turns instead of following the clock.
+    autostart : bool
+        Whether the managed nodes become active by themselves.
+    state_directory : Path, optional
+        Where nodes keep what must survive a restart.
+    feedrate : bool
+        Whether the feedrate scheduler takes part.
+    machine_parameters : dict, optional
+        Further parameters of the simulated machine.
+
+    Raises
+    ------
+    GraphError
+        If a name is no node.
+    """
+    from fuzzycnc_ros.registry import COMPONENTS
+
+    wanted = {*nodes, *(('feedrate_scheduler',) if feedrate else ())}
+    unknown = sorted(wanted - {*COMPONENTS, 'recorder'})
+    if unknown or not wanted:
+        raise GraphError(
+            f'nodes: expected names among {", ".join(COMPONENTS)} but found '
+            f'{", ".join(unknown) or "none"}'
+        )
+    simulated = bool(duties) or MACHINE in wanted
+    if simulated and BODY in wanted:
+        raise GraphError(f'nodes: expected {MACHINE} or {BODY}, since each makes time, not both')
+    common: dict[str, Any] = {'lockstep': lockstep}
+    if (simulated or BODY in wanted) and not lockstep:
+        common['use_sim_time'] = True
+    specs = []
+    for name, component in COMPONENTS.items():
+        if name not in wanted or name in (MACHINE, BODY):
+            continue
+        parameters = dict(common)
+        if state_directory is not None and any(item.persistent for item in component.OUTPUTS):
+            parameters['state_directory'] = str(state_directory)
+        if component.MANAGED:
+            parameters['autostart'] = autostart
+        if name == 'thermal_predictor' and model is not None:
+            parameters['model'] = str(model)
+        if name == 'thermal_predictor' and force_model:
+            parameters['force'] = True
+        specs.append(NodeSpec(name, parameters))
+    served = [spec.name for spec in specs]
+    if record is not None:
+        specs.append(NodeSpec('recorder', dict(common, output=str(record))))
+    elif 'recorder' in wanted:
+        raise GraphError('nodes: recorder needs a bag to write; name it with --record')
+    if BODY in wanted:
+        specs.append(NodeSpec(BODY, {'nodes': [spec.name for spec in specs]}))
+    if simulated:
+        machine = {
+            'lockstep': lockstep,
+            'lockstep_nodes': served,
+            'lockstep_recorder': record is not None,
+            **({'duties': list(duties)} if duties else {}),
+            **(machine_parameters or {}),
+        }
+        specs.append(NodeSpec(MACHINE, machine))
+    return specs
+
+
+def up(
+    machine: Annotated[
+        str,
+        typer.Option(
+            help='Name of the machine: the namespace of its nodes. Several, comma-separated, get '
+            'the same nodes each.'
+        ),
+    ] = 'mill',
+    simulate: Annotated[
+        str,
+        typer.Option(
+            help='Duties of the simulated machine, comma-separated (D0, D0b, T1, T2, T3); each '
+            'begins cold, a day later, and nobody waits for that. Leave it out for a real machine.'
+        ),
+    ] = '',
+    model: Annotated[
+        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Option(help='Model file of the predictor, made by `fuzzycnc train`.'),
+    ] = None,
+    force_model: Annotated[
+        bool,
+        typer.Option(
+            '--force-model',
+            help='Use the model even where it left more than no compensation; without, the graph '
+            'is not started.',
+        ),
+    ] = False,
+    record: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(
+            help='Record everything into this new bag; with several machines one each, named '
+            '<bag>_<machine>.'
+        ),
+    ] = None,
+    params: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(help='Folder with parameter files <node>.yaml.'),
+    ] = None,
+    machine_file: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            metavar='FILE.yaml',
+            show_default=False,
+            help='Machine file whose values the nodes get; those of --params win.',
+        ),
+    ] = None,
+    nodes: Annotated[
+        str,
+        typer.Option(
+            help='Nodes to run, comma-separated, in place of those of thermal compensation.'
+        ),
+    ] = '',
+    rate: Annotated[
+        float, typer.Option(help='Speed of the simulated machine; 1 is real time.')
+    ] = 1.0,
+    lockstep: Annotated[
+        bool,
+        typer.Option(help='Run the simulated machine as fast as all nodes answer, repeatably.'),
+    ] = False,
+    compose: Annotated[
+        bool, typer.Option(help='Put all nodes of a machine into one process.')
+    ] = False,
+    autostart: Annotated[
+        bool,
+        typer.Option(help='Activate the managed nodes; without it a lifecycle manager or you do.'),
+    ] = False,
+    feedrate: Annotated[
+        bool, typer.Option(help='Start the feedrate scheduler too, which runs tool paths.')
+    ] = False,
+    state_directory: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(
+            help='Where nodes keep what must survive a restart; left out, it survives restarts '
+            'of nodes but not the end of this command.'
+        ),
+    ] = None,
+    network: Annotated[
+        bool, typer.Option(help='Let other hosts of the network find the graph.')
+    ] = False,
+    takeover: Annotated[
+        bool,
+        typer.Option('--takeover', help='Start even where nodes of these names are at work.'),
+    ] = False,
+    json_file: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option('--json', help='Write how the run ended to this file.'),
+    ] = None,
+) -> None:
+    """Bring up and supervise the graph of one machine or several; Ctrl-C takes all of it down.
+
+    Nodes that die are started again, ever later, and given up after five times within two
+    minutes; the exit code is then 1. What they knew is kept, so that compensation goes on without
+    a step. A managed node that was active becomes active again, if --autostart says so.
+
+    With a simulated machine, a whole shift at 600 times real time, recorded:
+
+        fuzzycnc up --simulate T2 --rate 600 --model mill.json --autostart --record shift
+
+    For a real machine, whose temperatures and state other nodes publish:
+
+        fuzzycnc up --machine mill_1 --model mill_1.json --params /etc/fuzzycnc
+
+    Two machines, all nodes of each in one process:
+
+        fuzzycnc up --machine mill_1,mill_2 --compose --model mill.json
+    """
+    check_folder(json_file)
+    console = Terminal(stderr=True)
+    duties = words([simulate])
+    chosen = words([nodes]) or THERMAL
+    if lockstep and not duties and MACHINE not in chosen:
+        raise GraphError('--lockstep needs a simulated machine; add --simulate T2')
+    machines = tuple(dict.fromkeys(machine_name(name) for name in words([machine])))
+    if not machines:
+        raise GraphError('--machine: expected a name but found none')
+    check_ros('up')
+    if network:
+        open_to_network()
+    # Here, so that `fuzzycnc --help` works where ROS is not installed.
+    from fuzzycnc_ros.cli.live.parameter_check import check_files, check_parameters
+    from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
+
+    files = _parameter_files(params)
+    check_files(files)
+    started = time.monotonic()
+    with ExitStack() as stack:
+        if machine_file is not None:
+            folder = stack.enter_context(TemporaryDirectory(prefix='fuzzycnc-'))
+            files.insert(0, _of_machine(machine_file, Path(folder)))
+        # It listens while the parameters are checked.
+        monitor = stack.enter_context(closing(Monitor(machines)))
+        graphs = []
+        plans = []
+        bags = []
+        for name in machines:
+            # Each simulated machine makes its own time.
+            own_clock = ('/clock:=clock',) if len(machines) > 1 else ()
+            graph = stack.enter_context(GraphProcesses(name, params=files, remap=own_clock))
+            graphs.append(graph)
+            bag = record
+            if bag is not None and len(machines) > 1:
+                bag = bag.with_name(f'{bag.name}_{name.replace("/", "_")}')
+            bags += [str(bag)] if bag is not None else []
+            specs = node_specs(
+                nodes=chosen,
+                duties=duties,
+                model=model,
+                force_model=force_model,
+                record=bag,
+                lockstep=lockstep,
+                autostart=autostart,
+                state_directory=state_directory or graph.folder / 'state',
+                feedrate=feedrate,
+                machine_parameters={'rate': rate} if duties else None,
+            )
+            plans.append([tuple(specs)] if compose else [(spec,) for spec in specs])
+        check_parameters(graphs, plans)
+        if not takeover:
+            check_free(monitor, dict(zip(machines, plans, strict=True)))
+        console.print(BANNER, style='yellow', soft_wrap=True)
+        outcome = supervise(console, monitor, graphs, plans)
+    outcome['wall_s'] = round(time.monotonic() - started, 3)
+    console.print(
+        f'ended after {outcome["wall_s"]:.0f} s'
+        + (f'; recorded {", ".join(bags)}' if bags else ''),
+        soft_wrap=True,
+    )
+    write_json(json_file, outcome)
+    if outcome['exit_code']:
+        raise typer.Exit(int(outcome['exit_code']))
+
+
+def _of_machine(file: str, folder: Path) -> Path:
+    """Write the parameters that a machine file decides; return where."""
+    from fuzzycnc_ros.machine_file.parameters import parameter_text
+    from fuzzycnc_ros.machine_file.reader import read_machine_file
+
+    path = folder / 'machine.yaml'
+    path.write_text(parameter_text(read_machine_file(file)), encoding='utf-8')
+    return path
+
+
+def _parameter_files(folder: Path | None) -> list[Path]:
+    if folder is None:
+        return []
+    files = sorted(folder.glob('*.yaml'))
+    if not files:
+        raise GraphError(f'--params {folder}: expected files <node>.yaml but found none')
+    return files

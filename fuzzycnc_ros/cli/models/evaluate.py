@@ -1,0 +1,303 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc evaluate`: a model judged on recorded runs."""
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Optional
+
+import typer
+
+from fuzzycnc_ros.cli.console import (
+    JsonFile,
+    check_folder,
+    progress_bar,
+    remark,
+    say,
+    show,
+    write_json,
+    write_text,
+)
+from fuzzycnc_ros.cli.models.many_bags import (
+    Jobs,
+    ManyBags,
+    NamedBag,
+    Sorted,
+    find_bags,
+    jobs_of,
+    say_bad,
+    with_each,
+)
+from fuzzycnc_ros.cli.models.recorded_runs import (
+    Bridged,
+    as_predicted,
+    gap_document,
+    gap_lines,
+)
+from fuzzycnc_ros.cli.options import End, Report, Start
+from fuzzycnc_ros.cli.quantities import DURATIONS, quantity
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from fuzzycnc_ros.cli.workers import Progress
+    from fuzzycnc_ros.core.thermal import Evaluation, ThermalModel, ThermalRun
+    from fuzzycnc_ros.studies.page.remark import Remark
+    from fuzzycnc_ros.studies.thermal.probed_evaluation import ProbedEvaluation
+    from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
+
+
+class Judged(NamedTuple):
+    """What became of a bag, gaps in what the model reads; page and probed run if asked for."""
+
+    evaluation: 'Evaluation'
+    bridged: tuple[Bridged, ...]
+    page: 'CompensationRun | None' = None
+    probed: 'ProbedEvaluation | None' = None
+
+
+def evaluate(
+    bags: ManyBags,
+    model: Annotated[
+        Path, typer.Option(metavar='MODEL', help='Model file made by `fuzzycnc train`.')
+    ],
+    start: Start = None,
+    end: End = None,
+    probe_every: Annotated[
+        Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Option(
+            metavar='TIME',
+            show_default=False,
+            help='Also judge what probing the machine this often would leave, such as 60min.',
+        ),
+    ] = None,
+    jobs: Jobs = None,
+    report: Report = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Compare a model's predictions with what was measured, beside plain baselines.
+
+    All candidates of the model run from the bag's first sample, as they would on the machine;
+    what is left of the measured displacement is judged between --start and --end. Neither of them
+    moves the reference: temperatures and displacements stay referred to the bag's first samples.
+    Rows that the model was trained on prove nothing; what of them was judged is named.
+
+    A channel in which the default leaves more than there was without compensation is marked and
+    named. The exit code is 0 all the same: scripts test `worse_than_none` in the figures of
+    --json, a list of channels, over all bags; `judged` has it for each.
+
+    With --probe-every a second table shows what is left if the machine is probed that often, as
+    `thermal_predictor` would use the probes, beside the last probe held without any model.
+
+    Of several bags there is one table, with their median and the worst of them, and one of all
+    candidates. A bag that cannot be judged is named and left out; the command then ends with 1.
+    The figures do not depend on --jobs.
+
+        fuzzycnc evaluate thursday friday --model mill.json
+        fuzzycnc evaluate recordings 'archive/2026-*' --model mill.json --json figures.json
+        fuzzycnc evaluate spindle --model spindle.json --start 86865
+        fuzzycnc evaluate spindle --model spindle.json --probe-every 60min --report spindle.html
+    """
+    from fuzzycnc_ros.cli.models.train import default_text, problem_lines
+    from fuzzycnc_ros.core.thermal import load_model
+
+    processes = jobs_of(jobs)
+    every = None
+    if probe_every is not None:
+        every = quantity('--probe-every', probe_every, DURATIONS, example='60min')
+    for path in (report, json_file):
+        check_folder(path)
+    trained = load_model(model)
+    document = model.read_text(encoding='utf-8')
+    work = partial(
+        judge_bag,
+        model_text=document,
+        start=start,
+        end=end,
+        probe_every=every,
+        page=report is not None,
+    )
+    with progress_bar('evaluating') as tell:
+        found: Sorted[Judged] = with_each(work, find_bags(bags), processes, tell)
+    _show([item.evaluation for item in found.results], trained)
+    lines = [item for result in found.results for item in _remarks(result.evaluation, trained)]
+    for line in lines:
+        remark(line)
+    for item in found.results:
+        for text in gap_lines(item.evaluation.run, item.bridged, trained.interval):
+            say(text)
+    probed = [item.probed for item in found.results if item.probed is not None]
+    _show_probed(probed)
+    say_bad(found.bad)
+    say(f'default: {default_text(trained)}')
+    for text in problem_lines(trained):
+        say(text)
+    if report is not None:
+        pages = [item.page for item in found.results if item.page is not None]
+        _write_report(report, pages, lines, trained, document, probed)
+    write_json(json_file, _document(found, model, trained, document))
+    if found.bad:
+        raise typer.Exit(1)
+
+
+def judge_bag(
+    bag: NamedBag,
+    progress: 'Progress',
+    *,
+    model_text: str,
+    start: float | None,
+    end: float | None,
+    probe_every: float | None,
+    page: bool,
+) -> Judged:
+    """Judge a model on one bag; what a page needs besides is made only if there is one.
+
+    Raises
+    ------
+    ValueError
+        If the bag or its run cannot be used.
+    """
+    from fuzzycnc_ros.bags.runs import read_run
+    from fuzzycnc_ros.core.thermal import evaluate as judge
+    from fuzzycnc_ros.core.thermal import load_model
+
+    progress('evaluating', bag.name, 0, 1)
+    trained = load_model(model_text)
+    recorded = read_run(bag.path, stop=end, name=bag.name)
+    run, bridged = as_predicted(trained, recorded)
+    result = judge(trained, run, start=start, stop=end, recorded=recorded)
+    probed = None
+    if probe_every is not None:
+        from fuzzycnc_ros.studies.thermal.probed_evaluation import evaluate_probed
+
+        probed = evaluate_probed(trained, run, result, probe_every)
+    return Judged(result, bridged, _page(trained, run, result) if page else None, probed)
+
+
+def _show(judged: 'list[Evaluation]', model: 'ThermalModel') -> None:
+    """Print one run with all candidates, or a table of all runs and one of all candidates."""
+    from fuzzycnc_ros.cli.models.train import refused_names
+    from fuzzycnc_ros.studies.thermal.comparison import LEFT, residual_table
+    from fuzzycnc_ros.studies.thermal.many_runs import overall_table, runs_table
+
+    refused = refused_names(model)
+    if len(judged) > 1:
+        show(runs_table(judged))
+        say('')
+        show(overall_table(judged, refused))
+        return
+    (result,) = judged
+    title = f'{result.run}: {LEFT}'
+    show(residual_table(title, result.channel, result.rms, result.largest, refused))
+
+
+def _remarks(result: 'Evaluation', model: 'ThermalModel') -> 'list[Remark]':
+    """Return what a reader of the figures has to know."""
+    from fuzzycnc_ros.studies.thermal.judged import remarks_on, training_remark
+
+    window, *others = remarks_on(result)
+    trained_on = training_remark(result.run, result.trained_on, result.recognised, model.runs)
+    return [window, trained_on, *others]
+
+
+def _show_probed(probed: 'Sequence[ProbedEvaluation]') -> None:
+    """Print what probing leaves, if it was asked for."""
+    from fuzzycnc_ros.studies.thermal.probed import probed_lines, probed_table
+
+    if not probed:
+        return
+    say('')
+    show(probed_table(probed))
+    for line in probed_lines(probed):
+        say(line)
+
+
+def _document(
+    found: Sorted[Judged], file: Path, model: 'ThermalModel', text: str
+) -> dict[str, Any]:
+    """Return all figures."""
+    from fuzzycnc_ros.core.text_hash import text_hash
+    from fuzzycnc_ros.core.thermal.evaluation import pooled_rms
+    from fuzzycnc_ros.studies.thermal.comparison import judged_document, residual_document
+    from fuzzycnc_ros.studies.thermal.judged import worse_than_none
+    from fuzzycnc_ros.studies.thermal.many_runs import overall_document
+    from fuzzycnc_ros.studies.thermal.probed import probed_document
+
+    judged = [item.evaluation for item in found.results]
+    probed = [item.probed for item in found.results if item.probed is not None]
+    return {
+        'model': {
+            'file': str(file),
+            'hash': text_hash(text),
+            'default': dict(zip(model.channel, model.default, strict=True)),
+        },
+        'runs': {
+            result.run: residual_document(result.channel, result.rms, result.largest)
+            for result in judged
+        },
+        'overall': overall_document(judged),
+        'judged': {result.run: judged_document(result) for result in judged},
+        'worse_than_none': worse_than_none(model.channel, pooled_rms(judged)),
+        'samples': {
+            result.run: dict(zip(result.channel, result.samples, strict=True)) for result in judged
+        },
+        'in_domain': {result.run: result.in_domain for result in judged},
+        'bridged': {item.evaluation.run: gap_document(item.bridged) for item in found.results},
+        'probed': probed_document(probed) if probed else None,
+        'left_out': {item.bag.name: item.reason for item in found.bad},
+    }
+
+
+def _page(model: 'ThermalModel', run: 'ThermalRun', result: 'Evaluation') -> 'CompensationRun':
+    """Return the judged part of a run with the predictions of all candidates, for plots."""
+    from fuzzycnc_ros.core.thermal.training import at_interval
+    from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
+
+    even = at_interval(run, model.interval)
+    inside = even.inside(float(result.time[0]), float(result.time[-1]))
+    rise = model.rises(even)[inside]
+    label = {
+        member: number
+        for number, item in enumerate(model.selection.clusters)
+        for member in item.member
+    }
+    return CompensationRun(
+        name=run.name,
+        time=result.time,
+        sensor=even.sensor,
+        temperature=even.temperature[inside],
+        cluster=tuple(label.get(name, -1) for name in even.sensor),
+        chosen=model.inputs,
+        channel=even.channel,
+        measured=result.measured,
+        predicted={
+            name: values for name, values in result.predicted.items() if name != 'uncompensated'
+        },
+        default='default',
+        standard_deviation=model.standard_deviation(rise),
+        in_domain=model.in_domain(rise),
+    )
+
+
+def _write_report(
+    path: Path,
+    pages: list['CompensationRun'],
+    lines: list['Remark'],
+    model: 'ThermalModel',
+    text: str,
+    probed: 'Sequence[ProbedEvaluation]',
+) -> None:
+    from fuzzycnc_ros.studies.shift.shift_report import shift_report
+    from fuzzycnc_ros.studies.thermal.probed import probed_section
+    from fuzzycnc_ros.studies.thermal.report_page import render_html
+
+    data = shift_report(
+        pages,
+        model,
+        text,
+        title='A thermal model, judged on recorded runs',
+        sections=[probed_section(item) for item in probed],
+        judged=lines,
+    )
+    write_text(path, render_html(data))
+    say(f'{path}: the report; open it in a browser')

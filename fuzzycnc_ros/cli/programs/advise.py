@@ -1,0 +1,285 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc advise`: what to set so that a part program keeps a contour tolerance."""
+
+from dataclasses import replace
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Optional
+
+import typer
+
+from fuzzycnc_ros.cli.console import (
+    JsonFile,
+    check_folder,
+    progress_bar,
+    say,
+    show,
+    write_json,
+    write_text,
+)
+from fuzzycnc_ros.cli.options import Report
+from fuzzycnc_ros.cli.programs.program_files import (
+    STREAM,
+    check_output,
+    new_program,
+    open_program,
+    program_lines,
+)
+from fuzzycnc_ros.cli.programs.scheduling_machine import Machine, SchedulingMachine, read_machine
+from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.cli.unkept import say_unkept
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.feedrate.job.controller_program import PathMode
+    from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings
+    from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
+    from fuzzycnc_ros.core.feedrate.program import Program
+    from fuzzycnc_ros.studies.programs.advice import Advice
+    from fuzzycnc_ros.studies.programs.advice_page import AdviceFigures
+    from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
+
+SLACK = 3.0
+"""LinuxCNC may take that many times the simulated time, and `WAIT` [s] more."""
+WAIT = 60.0
+
+
+def advise(
+    program: Annotated[Path, typer.Argument(metavar='PROGRAM', help='Part program (G-code).')],
+    tolerance: Annotated[
+        Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Option(
+            metavar='LENGTH',
+            show_default=False,
+            help='Largest contour error, such as 20um; that of the machine file without it.',
+        ),
+    ] = None,
+    machine: Machine = None,
+    corners: Annotated[
+        str,
+        typer.Option(
+            metavar='none|feed|split',
+            help='Feeds refined until corners keep the tolerance too: not at all, by feed words, '
+            'or by cutting blocks near corners along the same path.',
+        ),
+    ] = 'feed',
+    blend: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            metavar='LENGTH',
+            show_default=False,
+            help='P of G64 before the program says so; without it G64 alone, as LinuxCNC starts.',
+        ),
+    ] = None,
+    units: Annotated[
+        str, typer.Option(metavar='mm|inch', help='Unit before the program says G20 or G21.')
+    ] = 'mm',
+    linuxcnc: Annotated[
+        bool,
+        typer.Option(
+            '--linuxcnc',
+            help='Run every remedy on the LinuxCNC that is installed here, without a screen and '
+            'in real time.',
+        ),
+    ] = False,
+    out: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(metavar='FILE', show_default=False, help='The program as recommended.'),
+    ] = None,
+    in_place: Annotated[
+        bool, typer.Option('--in-place', help='FILE may be the program itself.')
+    ] = False,
+    report: Report = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Show what keeps a contour tolerance on LinuxCNC, and recommend the fastest remedy.
+
+    What costs nothing comes first: a lower MAX_ACCELERATION and another P of G64. Then scheduled
+    feeds, mixtures of all, and feeds that are refined on the simulated controller. Each is judged
+    by time and contour error there: trapezoids of velocity within the limits of the axes,
+    look-ahead, merged lines and rounded corners as in LinuxCNC 2.9, and axes that follow with the
+    lags of the machine file. Exit code 1 if nothing keeps the tolerance.
+
+        fuzzycnc advise part.ngc --machine-file mill.yaml --tolerance 20um
+        fuzzycnc advise part.ngc --tolerance 20um --corners split --out best.ngc --report page.html
+    """
+    from fuzzycnc_ros.studies.programs.advice import CORNERS, Adviser, advised_program
+    from fuzzycnc_ros.studies.programs.advice_page import (
+        advice_document,
+        advice_table,
+        settings_lines,
+    )
+
+    known = read_machine(machine)
+    if tolerance is not None:
+        wanted = quantity('--tolerance', tolerance, LENGTHS, example='20um')
+        known = replace(known, scheduler=replace(known.scheduler, tolerance=wanted))
+    if corners not in CORNERS:
+        raise ValueError(f'--corners: expected {", ".join(CORNERS)} but found {corners!r}')
+    if units not in ('mm', 'inch'):
+        raise ValueError(f'--units: expected mm or inch but found {units!r}')
+    for path in (report, json_file):
+        check_folder(path)
+    if out is not None:
+        if str(out) == STREAM:
+            raise ValueError('--out: expected a file, since the table is on standard output')
+        check_output(program, out, in_place)
+    given = _read(program, units)
+    before = _mode(blend)
+    try:
+        adviser = Adviser(
+            given, known.scheduler.tolerance, _limits(known), known.contouring,
+            _settings(known, before), before, units,
+        )  # fmt: skip
+        with progress_bar('trying') as tell:
+            advice = adviser.advise(corners, tell)
+    except ValueError as error:
+        raise ValueError(f'{program}: {error}') from error
+    measured = _measured(given, advice, adviser.path, known, units) if linuxcnc else None
+    figures = _figures(str(program), advice, measured)
+    show(advice_table(figures))
+    notes = _notes(given, adviser.path)
+    for line in notes:
+        say(line)
+    if figures.verdict.warning:
+        say_unkept(figures.verdict.text)
+    else:
+        say(figures.verdict.text)
+    for line in settings_lines(figures):
+        say(line)
+    write_json(json_file, advice_document(figures))
+    if out is not None:
+        with new_program(out) as file:
+            file.write(advised_program(given, advice.remedies[figures.best], units))
+        say(f'{out}: the program as recommended')
+    if report is not None:
+        _write_report(report, figures, known, notes)
+        say(f'{report}: the report; open it in a browser')
+    if not figures.kept:
+        raise typer.Exit(1)
+
+
+def _read(program: Path, units: str) -> 'Program':
+    from fuzzycnc_ros.core.feedrate.program import read_program
+
+    with program_lines(program) as source, open_program(source) as file:
+        text = ''.join(file)
+    try:
+        return read_program(text, units)
+    except ValueError as error:
+        raise ValueError(f'{program}: {error}') from error
+
+
+def _mode(blend: str | None) -> 'PathMode':
+    """Return the path mode before the program says so."""
+    from fuzzycnc_ros.core.feedrate.job.controller_program import PathMode
+
+    if blend is None:
+        return PathMode(inf, 0.0)
+    length = quantity('--blend', blend, LENGTHS, example='0.01mm')
+    return PathMode(length, length)
+
+
+def _limits(machine: SchedulingMachine) -> 'ControllerLimits':
+    """Return the limits of the axes as LinuxCNC has them."""
+    from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
+
+    config = machine.scheduler
+    return ControllerLimits(
+        velocity=_three('axis_velocity', config.axis_velocity, config.path_velocity),
+        acceleration=_three(
+            'axis_acceleration', config.axis_acceleration, config.path_acceleration
+        ),
+        path_velocity=config.path_velocity,
+        period=machine.contouring.interpolation_period,
+    )
+
+
+def _three(name: str, values: tuple[float, ...], absent: float) -> tuple[float, float, float]:
+    """Return a limit of X, Y and Z: an axis without one has that of the path."""
+    found = [value or absent for value in values] or [absent]
+    x, y, z = (found * 3)[:3] if len(found) == 1 else (*found, *([absent] * 3))[:3]
+    if not min(x, y, z) > 0.0:
+        raise ValueError(f'{name}: expected limits above 0 but found {values}')
+    return x, y, z
+
+
+def _settings(machine: SchedulingMachine, before: 'PathMode') -> 'ProgramSettings':
+    """Return how feeds are scheduled for this controller."""
+    from fuzzycnc_ros.components.motion.program_request import program_settings
+
+    settings = program_settings(machine.scheduler)
+    if settings.blend or before.rounding == inf:
+        return settings
+    return replace(settings, blend=before.rounding)
+
+
+def _measured(
+    given: 'Program',
+    advice: 'Advice',
+    path: 'ProgramPath',
+    machine: SchedulingMachine,
+    units: str,
+) -> 'list[Judged]':
+    """Run every remedy on LinuxCNC."""
+    from fuzzycnc_ros.adapters.linuxcnc.recorder import PERIOD, recording
+    from fuzzycnc_ros.studies.programs.advice import advised_program
+
+    limits = _limits(machine)
+    found = []
+    with progress_bar('LinuxCNC') as tell, recording() as recorder:
+        for number, remedy in enumerate(advice.remedies):
+            tell(remedy.name, number, len(advice.remedies))
+            recorder.limit(limits.velocity, limits.acceleration)
+            recorder.origin()
+            recorder.limit(limits.velocity, remedy.acceleration)
+            text = advised_program(given, remedy, units)
+            samples = recorder.run(text, SLACK * remedy.judged.duration + WAIT)
+            found.append(path.judge(path.recorded(samples, PERIOD), machine.contouring))
+    return found
+
+
+def _figures(name: str, advice: 'Advice', measured: 'list[Judged] | None') -> 'AdviceFigures':
+    from fuzzycnc_ros.studies.programs.advice import best_of
+    from fuzzycnc_ros.studies.programs.advice_page import AdviceFigures, AdviceRow
+
+    rows = [
+        AdviceRow(
+            one.name,
+            one.acceleration,
+            'as programmed' if one.mode is None else one.mode.word,
+            one.judged,
+            None if measured is None else measured[index],
+        )
+        for index, one in enumerate(advice.remedies)
+    ]
+    best = advice.best if measured is None else best_of(measured, advice.tolerance)
+    return AdviceFigures(name, advice.tolerance, rows, best)
+
+
+def _notes(given: 'Program', path: 'ProgramPath') -> list[str]:
+    """Return what was left out."""
+    notes = [f'note: {note}' for note in given.notes[:8]]
+    if path.program.unknown:
+        notes.append(
+            f'left out: {path.program.unknown:,} motions of which the program does not tell '
+            'where they go or how fast'
+        )
+    return notes
+
+
+def _write_report(
+    report: Path, figures: 'AdviceFigures', machine: SchedulingMachine, notes: list[str]
+) -> None:
+    from fuzzycnc_ros.studies.page.sections import render_page
+    from fuzzycnc_ros.studies.programs.advice_page import advice_page
+
+    loop = machine.contouring
+    facts = {
+        'Program': figures.program,
+        'Tolerance': f'{1e6 * figures.tolerance:g} um',
+        'Contour constant of the loop': f'{loop.contour_constant:.4g} s²',
+        'Position loop': f'{loop.position_gain:g} 1/s',
+        'Velocity loop': f'{loop.velocity_bandwidth:g} rad/s',
+    }
+    write_text(report, render_page(advice_page(figures, facts, notes)))

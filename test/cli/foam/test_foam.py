@@ -1,0 +1,273 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc foam`: demo, train and learn, and what they refuse."""
+
+import json
+
+import numpy as np
+import pytest
+from foam_bags import Run, sample_run, write_bag
+
+from fuzzycnc_ros.cli.foam.command import COMMANDS
+from fuzzycnc_ros.cli.foam.samples import COLUMNS
+from fuzzycnc_ros.core.deformation import read_model
+from fuzzycnc_ros.core.deformation.offset_file import read_offsets
+from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack
+from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+
+TRACK = FoamTrack.parallelogram(np.radians(45.0))
+
+
+def write_samples(path, x, s, sheets=None):
+    header = [*COLUMNS, *([] if sheets is None else ['sheet'])]
+    lines = [','.join(header)]
+    for number, row in enumerate(np.column_stack([x, s])):
+        cells = [f'{value:.6g}' for value in row]
+        lines.append(','.join([*cells, *([] if sheets is None else [sheets[number]])]))
+    path.write_text('\n'.join(lines) + '\n')
+
+
+@pytest.fixture(scope='module')
+def samples():
+    return foam_samples(1)
+
+
+@pytest.fixture
+def model(fuzzycnc, tmp_path, samples):
+    from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
+
+    text = write_model(TSFuzzyNetwork(ridge=0.03).fit(*samples).model_)
+    (tmp_path / 'model.json').write_text(text)
+    return read_model(text)
+
+
+@pytest.mark.parametrize('name', COMMANDS)
+def test_every_manual_has_an_example_on_a_line_of_its_own(fuzzycnc, name):
+    outcome = fuzzycnc('foam', name, '--help')
+    assert outcome.code == 0
+    lines = [line.strip() for line in outcome.out.splitlines()]
+    assert any(line.startswith(f'fuzzycnc foam {name}') for line in lines)
+
+
+@pytest.mark.slow
+def test_demo(fuzzycnc, tmp_path):
+    outcome = fuzzycnc('foam', 'demo', '--runs', '2', '--json', 'out.json', '--report', 'p.html')
+    assert outcome.code == 0, outcome.err
+    document = json.loads((tmp_path / 'out.json').read_text())
+    assert document['runs'] == 2
+    assert len(document['tracks']) == 5
+    for track in document['tracks']:
+        none, after = track['methods']['none'], track['methods']['nts']
+        assert after['angle_error'] <= 0.25 * none['angle_error']
+        assert after['straightness'] <= 0.65 * none['straightness']
+        assert after['max_deviation'] <= 0.4 * none['max_deviation']
+        ramp = track['methods']['published']
+        assert ramp['angle_error'] < none['angle_error']
+        assert ramp['max_deviation'] > 0.85 * none['max_deviation']
+        assert none['commanded'] == track['nominal']
+        assert len(track['learning']['none']) == 4
+        assert track['learning']['none'][3]['angle_error'] <= 0.2 * none['angle_error']
+    assert (
+        f'{np.degrees(document["tracks"][0]["methods"]["nts"]["angle_error"]):.2f}' in outcome.out
+    )
+    assert '5.09' in outcome.out
+    assert (tmp_path / 'p.html').read_text().count('<svg') == 3
+
+
+@pytest.mark.slow
+def test_train_on_a_table(fuzzycnc, tmp_path, samples):
+    keep = (samples.x[:, 4] > 5.0) & (samples.x[:, 4] < 25.0)
+    write_samples(tmp_path / 's.csv', samples.x[keep], samples.s[keep])
+    outcome = fuzzycnc(
+        'foam', 'train', 's.csv', '--out', 'm.json', '--json', 'out.json', '--report', 'p.html'
+    )
+    assert outcome.code == 0, outcome.err
+    document = json.loads((tmp_path / 'out.json').read_text())
+    rms = {name: item['rms'] for name, item in document['errors'].items()}
+    used = rms['hidden layer (NTS), in use']
+    assert used <= 0.02 * 0.4
+    assert used < 0.7 * rms['ridge regression']
+    assert set(rms) == {
+        'hidden layer (NTS), in use', 'linear rules (STS)', 'ridge regression',
+        'MLP, 32 and 32 nodes', 'Gaussian process', 'gradient boosting',
+    }  # fmt: skip
+    by_thickness = document['errors']['gradient boosting']['by_thickness']
+    assert [float(key) for key in by_thickness] == pytest.approx([0.015, 0.02])
+    assert sum(item['lines'] + item['arcs'] for item in document['coverage']) == keep.sum()
+    assert f'{50.0 * used:.3f}' in outcome.out
+    model = read_model((tmp_path / 'm.json').read_text())
+    assert np.sqrt(np.mean((model.predict(samples.x[keep]) - samples.s[keep]) ** 2)) < 0.3
+    assert not model.accepts(samples.x[~keep]).any()
+    assert '<svg' in (tmp_path / 'p.html').read_text()
+
+
+def test_samples_of_one_sheet_stay_together(fuzzycnc, tmp_path, samples):
+    x, s = samples.x[:106:2], samples.s[:106:2]
+    write_samples(tmp_path / 's.csv', x, s, [f's{number % 7}' for number in range(len(x))])
+    options = ('--out', 'm.json', '--no-baselines', '--consequent', 'sts', '--json', 'out.json')
+    outcome = fuzzycnc('foam', 'train', 's.csv', *options)
+    assert outcome.code == 0, outcome.err
+    document = json.loads((tmp_path / 'out.json').read_text())
+    assert document['groups'] == 7
+    assert '53 samples in 7 groups of one sheet' in outcome.out
+    assert len(document['errors']) == 2
+    assert read_model((tmp_path / 'm.json').read_text()).network.inner is None
+
+
+def test_train_on_bags_is_as_on_the_samples_in_them(fuzzycnc, tmp_path, samples):
+    lines = samples.x[samples.x[:, 2] == 2.0][53::3]
+    write_bag(tmp_path / 'a', *(sample_run(row, n) for n, row in enumerate(lines[:20])))
+    write_bag(
+        tmp_path / 'b', *(sample_run(row, n) for n, row in enumerate(lines[20:])), Run(cut=9)
+    )
+    options = ('--out', 'm.json', '--no-baselines', '--json', 'out.json')
+    outcome = fuzzycnc('foam', 'train', 'a', 'b', *options)
+    assert outcome.code == 0, outcome.err
+    assert f'{len(lines)} samples from fresh starts, 0 by the fading' in outcome.out
+    assert 'left out: 1 paths that were not stitched to their end' in outcome.out
+    assert 'kind is constant and was left out' in outcome.out
+    document = json.loads((tmp_path / 'out.json').read_text())
+    assert document['errors']['hidden layer (NTS), in use']['rms'] <= 0.02 * 0.3
+
+
+def test_adapt_brings_a_model_to_another_friction(fuzzycnc, tmp_path, model):
+    write_bag(tmp_path / 'monday', Run(friction=0.35 * 1.3, seed=3))
+    outcome = fuzzycnc(
+        'foam', 'train', 'monday', '--adapt', 'model.json', '--out', 'm.json', '--json', 'out.json'
+    )
+    assert outcome.code == 0, outcome.err
+    document = json.loads((tmp_path / 'out.json').read_text())
+    assert document['samples'] == 4
+    assert document['rms'] < 0.7 * document['rms_before']
+    adapted = read_model((tmp_path / 'm.json').read_text())
+    assert adapted.gain.value.tolist() == document['gain']
+    assert (model.gain.value == 1.0).all()
+    write_bag(tmp_path / 'tuesday', Run(friction=0.35 * 5.0, seed=3))
+    outcome = fuzzycnc('foam', 'train', 'tuesday', '--adapt', 'model.json', '--out', 'n.json')
+    assert outcome.code == 0, outcome.err
+    assert 'gain of X: 1.000 -> 2.000, at its limit: train the model anew' in outcome.out
+
+
+def test_learn_straightens_a_track_in_three_cycles(fuzzycnc, tmp_path):
+    offset, errors = None, []
+    for cycle in range(4):
+        stitched = FoamSheet(15e-3, (0.15, 0.1)).stitch(
+            TRACK.points + (0.0 if offset is None else offset), 6e-3
+        )
+        errors.append(np.degrees(TRACK.measure(stitched).angle_error))
+        write_bag(tmp_path / f'run{cycle}', Run(offset=offset, seed=cycle))
+        outcome = fuzzycnc(
+            'foam', 'learn', f'run{cycle}', '--out', 'offsets.json', '--force', '--json', 'o.json'
+        )
+        assert outcome.code == 0, outcome.err
+        found = read_offsets((tmp_path / 'offsets.json').read_text())
+        assert (found.path_id, found.material) == ('track', 'foam')
+        np.testing.assert_array_equal(found.nominal, TRACK.points)
+        offset = found.offset
+    assert errors[0] > 5.0
+    assert errors[3] <= 0.5
+    document = json.loads((tmp_path / 'o.json').read_text())
+    assert document['runs'] == 1
+    assert document['max_deviation'] < 1e-3
+
+
+def test_learn_takes_the_mean_of_the_runs_of_a_cycle(fuzzycnc, tmp_path):
+    write_bag(tmp_path / 'a', Run(seed=1), Run(seed=2))
+    write_bag(tmp_path / 'b', Run(seed=3), Run(path_id='other'))
+    outcome = fuzzycnc(
+        'foam', 'learn', 'a', 'b', '--path', 'track', '--gain', '1', '--out', 'o.json'
+    )
+    assert outcome.code == 0, outcome.err
+    assert '3 runs of 81 points' in outcome.out
+    stitched = [
+        FoamSheet(15e-3, (0.15, 0.1)).stitch(TRACK.points, 6e-3, rng=np.random.default_rng(seed))
+        for seed in (1, 2, 3)
+    ]
+    found = read_offsets((tmp_path / 'o.json').read_text())
+    np.testing.assert_allclose(found.offset, TRACK.points - np.mean(stitched, axis=0), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ('runs', 'options', 'naming'),
+    [
+        ([Run(), Run(path_id='circle')], (), ['circle, track', '--path']),
+        ([Run()], ('--path', 'circle'), ['--path', "'circle'", 'track']),
+        ([Run(), Run(name='felt')], (), ["'foam'", "'felt'", 'track at 21.000 s']),
+        ([Run(), Run(thickness=20e-3)], (), ['thickness of 15 mm, not of 20 mm']),
+        ([Run(), Run(depth=5e-3)], (), ['feed depth of 6 mm, not of 5 mm']),
+        ([Run(), Run(nominal=TRACK.points + 1e-4)], (), ['other points', 'um']),
+        ([Run(), Run(offset=np.full((81, 2), 1e-3))], (), ['by up to 1.000 mm', 'last cycle']),
+        ([Run(cut=1)], (), ['stitched to its end', 'paths that were not stitched to their end']),
+        ([Run()], ('--gain', '0'), ['--gain', 'at most 1 but found 0']),
+        ([Run()], ('--gain', '1.5'), ['--gain', '1.5']),
+    ],
+)
+def test_learn_refuses_what_is_not_one_track(refused, tmp_path, runs, options, naming):
+    write_bag(tmp_path / 'bag', *runs)
+    refused('foam', 'learn', 'bag', '--out', 'o.json', *options, naming=naming)
+    assert not (tmp_path / 'o.json').exists()
+
+
+@pytest.mark.parametrize(
+    ('column', 'value', 'naming'),
+    [
+        ('depth_mm', '12.1', ['s.csv: line 3', 'at most 0.8', 'through the sheet']),
+        ('depth_mm', '0', ['line 3', 'depth more than 0 mm']),
+        ('type', '3', ['line 3', '1 (arc) or 2 (line)', 'found 3']),
+        ('step_mm', '-3', ['line 3', 'step more than 0 mm']),
+        ('thickness_mm', '0', ['line 3', 'thickness more than 0 mm']),
+        ('s_x_mm', 'nan', ['line 3', 'finite numbers', 'nan']),
+        ('s_y_mm', '', ['line 3', 'finite numbers']),
+        ('s_y_mm', '9' * 200_000, ['s.csv: expected a CSV file as text', 'field']),
+    ],
+)
+def test_train_refuses_bad_rows(refused, tmp_path, column, value, naming):
+    row = dict(zip(COLUMNS, ('45', '6', '2', '3', '15', '2.5', '1.9'), strict=True))
+    lines = [','.join(COLUMNS), ','.join(row.values()), ','.join((row | {column: value}).values())]
+    (tmp_path / 's.csv').write_text('\n'.join(lines) + '\n')
+    refused('foam', 'train', 's.csv', '--out', 'm.json', naming=naming)
+    assert not (tmp_path / 'm.json').exists()
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'naming'),
+    [
+        (('train', 'no.csv', '--out', 'm.json'), ['no.csv', 'nothing is there']),
+        (('train', 'no', '--out', 'm.json'), ['no', 'nothing is there']),
+        (('train', 'few.csv', '--out', 'm.json'), ['three different processes', 'found 1']),
+        (('train', 'few.csv', 'few.csv', '--out', 'm.json'), ['one .csv alone']),
+        (('train', 'odd.csv', '--out', 'm.json'), ['odd.csv: line 1', 'depth_mm']),
+        (('train', 'empty.csv', '--out', 'm.json'), ['rows below the header']),
+        (('train', 'few.csv', '--out', 'odd.csv'), ['odd.csv', 'exists', '--force']),
+        (('train', 'few.csv', '--out', 'm.json', '--consequent', 'x'), ['--consequent', "'x'"]),
+        (('train', 'few.csv', '--out', 'm.json', '--features', 'x'), ['--features', 'physical']),
+        (('train', 'few.csv', '--out', 'm.json', '--adapt', 'no.json'), ['no.json', 'model file']),
+        (
+            ('train', 'few.csv', '--out', 'm.json', '--adapt', 'few.csv'),
+            ['few.csv: model file: expected JSON'],
+        ),
+        (
+            ('train', 'few.csv', '--out', 'm.json', '--adapt', 'x', '--report', 'r.html'),
+            ['--report', '--adapt'],
+        ),
+        (('train',), ['fuzzycnc foam train --help']),
+        (('demo', '--runs', '0'), ['--runs', '1 or more']),
+        (('demo', '--seed', '-1'), ['--seed', '0 or more']),
+        (('learn', 'no', '--out', 'o.json'), ['no', 'nothing is there']),
+        (('learn', 'few.csv', '--out', 'no/o.json'), ['no/o.json', 'folder']),
+    ],
+)
+def test_bad_input_is_refused(refused, tmp_path, arguments, naming):
+    (tmp_path / 'few.csv').write_text(','.join(COLUMNS) + '\n' + '45,6,2,3,15,2.5,1.9\n' * 3)
+    (tmp_path / 'odd.csv').write_text('direction_deg,type\n45,2\n')
+    (tmp_path / 'empty.csv').write_text(','.join(COLUMNS) + '\n')
+    refused('foam', *arguments, naming=naming)
+    assert not (tmp_path / 'm.json').exists()
+
+
+def test_adapt_refuses_samples_that_the_model_is_not_for(refused, tmp_path, model):
+    write_samples(tmp_path / 's.csv', [[80.0, 6.0, 2.0, 3.0, 15.0]], [[1.0, 2.0]])
+    refused(
+        'foam', 'train', 's.csv', '--adapt', 'model.json', '--out', 'm.json',
+        naming=['model.json', 'found none among 1'],
+    )  # fmt: skip

@@ -1,0 +1,310 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded runs as they are on a shop floor: readings that are missing, probes taken in turn."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benches.predictor_bench import bench_with_model, errors_of, predict, recordings, trained
+from small_recordings import IMPORT, warm_up
+
+from fuzzycnc_ros.cli.models.evaluate import judge_bag
+from fuzzycnc_ros.cli.models.many_bags import NamedBag
+from fuzzycnc_ros.cli.models.recorded_runs import LINE, MATES, as_predicted
+from fuzzycnc_ros.core.thermal import ThermalDataError, load_model
+
+QUICK = ('--models', 'static_ridge,lag_ridge')
+
+
+def read_json(name):
+    return json.loads(Path(name).read_text())
+
+
+@pytest.fixture
+def recorded(fuzzycnc, tmp_path):
+    """Return a bag of the small recording with some cells, rows by column, left empty."""
+
+    def imported(name, lost, options=IMPORT, **warming):
+        columns = warm_up(**warming)
+        lines = [','.join(columns)]
+        for row, values in enumerate(zip(*columns.values(), strict=True)):
+            cells = (
+                '' if row in lost.get(column, ()) else f'{value:.6f}'
+                for column, value in zip(columns, values, strict=True)
+            )
+            lines.append(','.join(cells))
+        file = tmp_path / f'{name}.csv'
+        file.write_text('\n'.join(lines) + '\n')
+        outcome = fuzzycnc('import-csv', file, '--out', name, *options)
+        assert outcome.code == 0, outcome
+        return Path(name)
+
+    return imported
+
+
+SHORT = {'t2': range(40, 44), 't1': (90,)}
+LONG = {'t2': range(40, 70), 't3': range(60, 90)}
+WORDS = 't1, t2 read nothing in 2 gaps, the longest of 4 min after 2340 s'
+
+
+def gap_table(found, name='holed'):
+    return [(gap['sensor'], gap['samples'], gap['start_s'], gap['by']) for gap in found[name]]
+
+
+def test_short_gaps_are_bridged_and_said(fuzzycnc, here, recorded, bag):
+    bags = recorded('holed', SHORT), bag('whole', rows=100)
+    told = f'holed: {WORDS}; straight lines bridge them, as in the predictor\n'
+    for command in (
+        ('train', '--out', 'm.json', *QUICK),
+        ('compare', *QUICK),
+        ('curve', '--counts', '1,2'),
+    ):
+        outcome = fuzzycnc(*command, *bags, '--json', 'figures.json')
+        assert outcome.code == 0, outcome
+        assert outcome.out.count('read nothing') == 1
+        assert told in outcome.out
+        found = read_json('figures.json')['bridged']
+        assert gap_table(found) == [('t1', 1, 5340.0, LINE), ('t2', 4, 2340.0, LINE)]
+        assert found['whole'] == []
+
+
+def test_a_model_of_a_gappy_run_is_that_of_the_whole_one_but_for_the_gap(fuzzycnc, recorded):
+    found = {}
+    for name, lost in (('holed', SHORT), ('whole', {})):
+        out = f'{name}.json'
+        outcome = fuzzycnc('train', recorded(name, lost), '--out', out, *QUICK)
+        assert outcome.code == 0, outcome
+        found[name] = load_model(Path(out)).candidates['lag_ridge'].held_out_rms[0]
+    assert found['holed'] == pytest.approx(found['whole'], rel=0.1)
+
+
+def remedies(line):
+    """Return the options that a refusal offers, each as words of a command line."""
+    drop = line.split('leave out with ')[1].split(', or ')[0].split()
+    window = line.split('use the part with all readings, ')[1].split()
+    return drop, window
+
+
+@pytest.mark.parametrize(
+    'command',
+    [
+        ('train', '--out', 'm.json', *QUICK),
+        ('compare', *QUICK),
+        ('curve', '--counts', '1'),
+    ],
+)
+def test_a_long_gap_is_named_and_each_remedy_ends_it(fuzzycnc, here, refused, recorded, command):
+    bags = recorded('holed', LONG), recorded('other', {'t2': range(10, 35)}, rows=100)
+    if command[0] == 'compare':
+        bags = bags[:1]
+    line = refused(
+        *command, *bags,
+        naming=['t2', "'holed'", 'from 2340 to 4200 s', 't3', 'from 3540 to 5400 s', '20 min'],
+    )  # fmt: skip
+    drop, window = remedies(line)
+    assert drop == ['--drop-sensor', 't2,t3']
+    assert window == ['--end', '2340' if len(bags) == 1 else '540']
+    for options in (drop, window):
+        outcome = fuzzycnc(*command, *bags, *options, '--json', 'figures.json')
+        assert outcome.code == 0, outcome
+        if command[0] == 'train':
+            inputs = read_json('figures.json')['sensors']
+            assert inputs == (['t1'] if options is drop else ['t1', 't2', 't3'])
+            Path('m.json').unlink()
+
+
+def test_rows_that_all_sensors_lack_leave_a_window_only(refused, fuzzycnc, recorded):
+    lost = dict.fromkeys(('t1', 't2', 't3'), range(70, 100))
+    line = refused(
+        'train', recorded('holed', lost), '--out', 'm.json', naming=['t1', '4140', '--end 4140']
+    )
+    assert '--drop-sensor' not in line
+    assert fuzzycnc('train', 'holed', '--out', 'm.json', '--end', '4140', *QUICK).code == 0
+
+
+def test_a_bag_with_a_long_gap_leaves_the_others_to_compare(fuzzycnc, here, recorded, bag):
+    bags = recorded('holed', LONG), bag('a'), bag('b', rows=100)
+    outcome = fuzzycnc('compare', *bags, *QUICK, '--json', 'c.json')
+    assert outcome.code == 1, outcome
+    assert 'left out holed: runs: expected readings of every sensor' in outcome.out
+    assert list(read_json('c.json')['held_out']) == ['a', 'b']
+
+
+@pytest.mark.parametrize('command', [('train', '--out', 'm.json'), ('compare',), ('curve',)])
+def test_a_dropped_sensor_must_be_there(refused, bag, command):
+    refused(
+        *command, bag('a'), '--drop-sensor', 't1,oil', '--drop-sensor', 'water',
+        naming=['--drop-sensor', 't1, t2, t3', 'oil, water'],
+    )  # fmt: skip
+    refused(*command, 'a', '--drop-sensor', 't1,t2,t3', naming=['t1, t2, t3', 'left out'])
+    refused(*command, 'gone', '--drop-sensor', 't1', naming=['gone', 'nothing is there'])
+
+
+def test_a_sensor_that_one_run_lacks_can_be_dropped_from_the_others(fuzzycnc, recorded, bag):
+    options = ('--time', 't', '--temperature', 't1,t3', '--displacement', 'dz=Z:um')
+    bags = bag('a'), recorded('lacking', {}, options, rows=100)
+    outcome = fuzzycnc('train', *bags, '--out', 'm.json', '--drop-sensor', 't2', *QUICK)
+    assert outcome.code == 0, outcome
+    assert load_model(Path('m.json')).inputs == ('t1', 't3')
+
+
+def test_a_turned_run_and_a_single_value_are_named(fuzzycnc, here, table):
+    bags = []
+    for name, rows, sign in (('a', 120, 1.0), ('b', 100, -1.0), ('c', 110, 1.0)):
+        columns = warm_up(rows)
+        columns['dz'] = sign * columns['dz']
+        if name == 'c':
+            columns['t3'][50] += 7.0
+        fuzzycnc('import-csv', table(f'{name}.csv', columns), '--out', name, *IMPORT)
+        bags.append(name)
+    for command in (('train', '--out', 'm.json'), ('compare',)):
+        outcome = fuzzycnc(*command, *bags, *QUICK, '--json', 'figures.json')
+        assert outcome.code == 0, outcome
+        lone, turned = read_json('figures.json')['warnings']
+        assert re.match(r'c: t3 is 29\.\d+ degC at 3000 s, alone between 22\.\d+ and 22\.', lone)
+        assert re.match(
+            r'b: dz moves against the temperatures \(-[01]\.\d\d\), but with them in a, c '
+            r'\(\+[01]\.\d\d\); .* import b anew with the other sign of the axis',
+            turned,
+        )
+        assert f'warning: {lone}\n' in outcome.out
+        assert f'warning: {turned}\n' in outcome.out
+
+
+# evaluate
+
+
+def test_evaluate_needs_no_sensor_that_the_model_does_not_read(fuzzycnc, recorded, bag):
+    options = ('--out', 'm.json', '--drop-sensor', 't2', *QUICK)
+    assert fuzzycnc('train', bag('training'), *options).code == 0
+    figures = []
+    for name, lost in (('whole', {}), ('holed', {'t2': range(120)})):
+        outcome = fuzzycnc('evaluate', recorded(name, lost), '--model', 'm.json', '--json', 'e')
+        assert outcome.code == 0, outcome
+        assert 'read nothing' not in outcome.out
+        figures.append(read_json('e')['runs'][name])
+    assert figures[0] == figures[1]
+
+
+def test_evaluate_says_what_stands_in(fuzzycnc, recorded, model):
+    run = recorded('holed', LONG)
+    outcome = fuzzycnc('evaluate', run, '--model', model, '--json', 'e', '--report', 'e.html')
+    assert outcome.code == 0, outcome
+    assert (
+        'holed: t2, t3 read nothing in 2 gaps, the longest of 30 min after 2340 s; '
+        'other sensors stand in, as in the predictor\n'
+    ) in outcome.out
+    found = read_json('e')['bridged']
+    assert gap_table(found) == [('t2', 30, 2340.0, MATES), ('t3', 30, 3540.0, MATES)]
+    assert read_json('e')['runs']['holed']['default']['dz']['rms_um'] < 1.0
+
+
+def test_samples_of_the_training_are_recognised_beside_their_gaps(fuzzycnc, recorded):
+    path = recorded('holed', SHORT)
+    assert fuzzycnc('train', path, '--out', 'm.json', *QUICK).code == 0
+    options = {'start': None, 'end': None, 'probe_every': None, 'page': False}
+    text = Path('m.json').read_text()
+    bag = NamedBag(path, 'again')
+    judged = judge_bag(bag, lambda *news: None, model_text=text, **options)
+    assert len(judged.bridged) == 2
+    assert judged.evaluation.trained_on == {'holed': 1.0}
+
+
+def test_evaluate_refuses_what_the_predictor_could_not_read(fuzzycnc, refused, recorded, bag):
+    options = ('--out', 'm.json', '--drop-sensor', 't2,t3', '--model', 'lag_ridge')
+    assert fuzzycnc('train', bag('training'), *options).code == 0
+    line = refused(
+        'evaluate', recorded('holed', {'t1': range(40, 70)}), '--model', 'm.json',
+        naming=["'holed'", 't1', 'from 2340 to 4200 s', '--drop-sensor t1'],
+    )  # fmt: skip
+    end = line.split('--end ')[1].split(',')[0]
+    assert fuzzycnc('evaluate', 'holed', '--model', 'm.json', '--end', end).code == 0
+
+
+def holed_run(lost):
+    run = recordings()['T2']
+    temperature = run.temperature.copy()
+    for name, rows in lost.items():
+        temperature[list(rows), run.sensor.index(name)] = np.nan
+    return replace(run, temperature=temperature)
+
+
+def test_what_evaluate_judges_is_what_the_predictor_says():
+    model = trained()
+    whole = recordings()['T2']
+    lost = {model.inputs[0]: range(60, 150), model.inputs[1]: (100, 101)}
+    filled, gaps = as_predicted(model, holed_run(lost))
+    assert {gap.by for gap in gaps} == {MATES}
+    bench = bench_with_model()
+    found = []
+    for row in range(len(whole.time)):
+        bad = [name for name, rows in lost.items() if row in rows]
+        found += predict(bench, whole, [row], bad)
+    said = 1e6 * model.predict(filled)
+    assert np.abs(errors_of(found[3:]) - said[3:]).max() < 1e-6
+    assert np.abs(said - 1e6 * model.predict(whole)).max() > 0.05
+
+
+def test_a_line_goes_over_samples_that_all_sensors_lack():
+    model = trained()
+    run = recordings()['T2']
+    rows = range(100, 119)
+    filled, gaps = as_predicted(model, holed_run(dict.fromkeys(run.sensor, rows)))
+    assert {gap.by for gap in gaps} == {LINE}
+    bench = bench_with_model()
+    found = predict(bench, run, (row for row in range(200) if row not in rows))
+    assert len(found) == 181
+    said = model.predict(filled)[[row for row in range(200) if row not in rows]] * 1e6
+    assert np.abs(errors_of(found[3:]) - said[3:]).max() < 1e-6
+    with pytest.raises(ThermalDataError, match='nor sensors that can stand in'):
+        as_predicted(model, holed_run(dict.fromkeys(run.sensor, range(100, 121))))
+
+
+# Probes taken in turn
+
+
+@pytest.fixture
+def in_turn(fuzzycnc, tmp_path):
+    """Return a bag of a machine whose Y and Z are probed in turn, Y twice as often."""
+
+    def imported(name, rows=120):
+        columns = warm_up(rows)
+        lines = ['t,t1,t2,t3,dy,dz']
+        for row, values in enumerate(zip(*columns.values(), strict=True)):
+            *head, dz = (f'{value:.6f}' for value in values)
+            dy = f'{0.5 * values[-1] + 2.0 * np.sin(row / 20.0):.6f}'
+            lines.append(','.join([*head, '' if row % 3 == 2 else dy, dz if row % 3 == 2 else '']))
+        file = tmp_path / f'{name}.csv'
+        file.write_text('\n'.join(lines) + '\n')
+        channels = '--displacement', 'dy=Y:um,dz=Z:um'
+        outcome = fuzzycnc('import-csv', file, '--out', name, *IMPORT[:4], *channels)
+        assert outcome.code == 0, outcome
+        return Path(name)
+
+    return imported
+
+
+def test_channels_that_are_probed_in_turn_are_judged_each_on_its_own(fuzzycnc, here, in_turn, bag):
+    bags = in_turn('a'), in_turn('b', 99)
+    clusters = '--sensors', 'clusters', '--clusters', '2'
+    names = '--models', 'static_ridge,lag_ridge,stable_grey'
+    train = fuzzycnc('train', *bags, '--out', 'm.json', *clusters, *names)
+    assert train.code == 0, train
+    options = ('--model', 'm.json', '--json', 'e.json')
+    outcome = fuzzycnc('evaluate', 'a', *options)
+    assert 'samples: 80 of dy, 40 of dz; ' in outcome.out
+    found = read_json('e.json')
+    assert found['samples'] == {'a': {'dy': 80, 'dz': 40}}
+    assert found['runs']['a']['default']['dz']['rms_um'] < 0.3
+    outcome = fuzzycnc('evaluate', 'a', 'b', *options)
+    assert outcome.code == 0, outcome
+    (row,) = [line.split() for line in outcome.out.splitlines() if line.startswith('b ')]
+    assert row[3] == '66/33'
+    compare = fuzzycnc('compare', *bags, *QUICK, '--json', 'c.json')
+    assert compare.code == 0, compare
+    assert read_json('c.json')['held_out']['b']['samples'] == {'dy': 66, 'dz': 33}
+    assert fuzzycnc('curve', *bags, '--counts', '1,2').code == 0
