@@ -42,8 +42,7 @@ class Listener:
         import rclpy
         from rclpy.executors import SingleThreadedExecutor
 
-        from fuzzycnc_ros.ros.messages import message_class
-        from fuzzycnc_ros.ros.qos import publisher_qos, subscription_qos
+        from fuzzycnc_ros.ros.topics import message_class, publisher_qos, subscription_qos
         from fuzzycnc_ros.runtime.component import Durability
         from fuzzycnc_ros.runtime.records import Compensation, CompensationApplied, MachineState
 
@@ -74,7 +73,7 @@ class Listener:
 
     def command(self, offset: float) -> None:
         """Command an offset of Z [m]."""
-        from fuzzycnc_ros.ros.messages import RCLPY
+        from fuzzycnc_ros.ros.topics import RCLPY
         from fuzzycnc_ros.runtime.convert import encode
         from fuzzycnc_ros.runtime.records import SECOND, Compensation
 
@@ -144,7 +143,7 @@ def measure(listener: Listener, seconds: float) -> tuple[np.ndarray, np.ndarray]
 def main() -> None:
     """Measure once and print a table."""
     from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation
-    from fuzzycnc_ros.ros.environment import prepare_environment
+    from fuzzycnc_ros.ros.processes import prepare_environment
 
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
     prepare_environment()

@@ -32,9 +32,8 @@ from fuzzycnc_ros.cli.live.graph_processes import COMPOSED, GraphProcesses, Node
 from fuzzycnc_ros.cli.live.up import THERMAL
 from fuzzycnc_ros.core.machine.duties import DUTIES, simulate_duty
 from fuzzycnc_ros.core.thermal import train_model
-from fuzzycnc_ros.ros.environment import prepare_environment
-from fuzzycnc_ros.ros.messages import RCLPY, message_class
-from fuzzycnc_ros.ros.qos import publisher_qos, subscription_qos
+from fuzzycnc_ros.ros.processes import prepare_environment
+from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, subscription_qos
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode

@@ -31,8 +31,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from fuzzycnc_ros.cli.live.free_domain import own_domain
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, NodeSpec
-from fuzzycnc_ros.ros.messages import message_class
-from fuzzycnc_ros.ros.qos import subscription_qos
+from fuzzycnc_ros.ros.topics import message_class, subscription_qos
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import decode
 from fuzzycnc_ros.runtime.enums import ServoStatus

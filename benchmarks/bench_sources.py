@@ -95,8 +95,7 @@ def measure(
     from rclpy.executors import SingleThreadedExecutor
 
     from fuzzycnc_ros.cli.live.graph_processes import NodeSpec, parameter_file, ros_arguments
-    from fuzzycnc_ros.ros.messages import message_class
-    from fuzzycnc_ros.ros.qos import subscription_qos
+    from fuzzycnc_ros.ros.topics import message_class, subscription_qos
     from fuzzycnc_ros.runtime.component import STREAM
     from fuzzycnc_ros.runtime.convert import decode
     from fuzzycnc_ros.runtime.records import SECOND, Temperatures
@@ -140,7 +139,7 @@ def measure(
 
 def main() -> int:
     """Print all cases; fail if one is not sustained."""
-    from fuzzycnc_ros.ros.environment import prepare_environment
+    from fuzzycnc_ros.ros.processes import prepare_environment
 
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
     prepare_environment()

@@ -13,11 +13,10 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from fuzzycnc_ros.adapters.controller import Controller
-from fuzzycnc_ros.adapters.controller_bridge import ControllerBridge
-from fuzzycnc_ros.adapters.controller_bridge_config import ControllerBridgeConfig
+from fuzzycnc_ros.adapters.controller_bridge import ControllerBridge, ControllerBridgeConfig
 from fuzzycnc_ros.adapters.link import LinkError
-from fuzzycnc_ros.ros.managed import ManagedComponentNode
-from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.ros.clocks import wall_timer
+from fuzzycnc_ros.ros.lifecycle import ManagedComponentNode
 from fuzzycnc_ros.runtime.component import Answer
 from fuzzycnc_ros.runtime.records import nanoseconds
 

@@ -9,13 +9,14 @@ the read-back, never the command.
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from fuzzycnc_ros.adapters.controller_bridge_config import ControllerBridgeConfig
-from fuzzycnc_ros.adapters.controller_status import Readout
+from fuzzycnc_ros.adapters.controller import Readout
 from fuzzycnc_ros.components.thermal.compensator import AXES, describe
+from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.machine.offset_input import OffsetInput, OffsetInputConfig
 from fuzzycnc_ros.runtime.component import (
     Answer,
@@ -36,6 +37,43 @@ from fuzzycnc_ros.runtime.records import (
     Names,
     nanoseconds,
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControllerBridgeConfig(Config):
+    """Parameters that every bridge to a controller has."""
+
+    autostart: bool = param(
+        False, '-', 'Configure and activate at start; otherwise a lifecycle manager does'
+    )
+    axes: tuple[str, ...] = param(('X', 'Y', 'Z'), '-', 'Axes that take offsets')
+    offset_max: float = param(60e-6, 'm', 'Largest offset of an axis', low=1e-6, high=1e-3)
+    slew_max: float = param(5e-6, 'm/s', 'Fastest change of an offset', low=1e-9, high=1e-3)
+    lead_max: float = param(
+        5.0, 's', 'How far ahead of the machine a command may be stamped', low=0.0, high=3600.0
+    )
+    validity_max: float = param(
+        180.0,
+        's',
+        'How long after its stamp a command acts at most, whatever it says itself: three times '
+        'the period of its source',
+        low=0.01,
+        high=7200.0,
+    )
+    adopt_time: float = param(
+        120.0,
+        's',
+        'How long offsets that stand at the activation are kept while no command comes',
+        low=0.0,
+        high=7200.0,
+    )
+    cycle_period: float = param(
+        0.005, 's', 'Time between two looks at the controller', low=0.001, high=0.1
+    )
+    report_period: float = param(
+        0.2, 's', 'Time between two reports while nothing changes', low=0.01, high=10.0
+    )
+
 
 CLOSE = 0.2e-6
 """Difference of two offsets that counts as none [m]; LinuxCNC leaves 0.3 nm."""

@@ -18,7 +18,7 @@ from fuzzycnc_ros.cli.background_output import background_output
 from fuzzycnc_ros.cli.console import complain
 from fuzzycnc_ros.cli.live.graph_processes import GraphError
 from fuzzycnc_ros.core.visible import visible
-from fuzzycnc_ros.ros.ending import interruptible
+from fuzzycnc_ros.ros.processes import interruptible
 
 EPILOG = (
     'Exit codes: 0 done; 1 done, and something differs; 2 refused, with one line on standard '

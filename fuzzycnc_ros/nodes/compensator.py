@@ -9,7 +9,7 @@ lets its last command expire.
 
 from fuzzycnc_ros.components.thermal.compensator import Compensator
 from fuzzycnc_ros.ros import run
-from fuzzycnc_ros.ros.managed import ManagedComponentNode
+from fuzzycnc_ros.ros.lifecycle import ManagedComponentNode
 
 
 def make() -> ManagedComponentNode:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from fuzzycnc_ros.ros import run
-from fuzzycnc_ros.ros.visible_log import tell_error
+from fuzzycnc_ros.ros.run import tell_error
 
 _MACHINE = 'simulated_machine'
 

@@ -18,9 +18,8 @@ from fuzzycnc_ros.components.soft.deformation_compensator import (
 )
 from fuzzycnc_ros.core.deformation import model_file, offset_file
 from fuzzycnc_ros.ros import run
-from fuzzycnc_ros.ros.files import file_text
-from fuzzycnc_ros.ros.managed import ManagedComponentNode
-from fuzzycnc_ros.ros.parameters import ParameterError, changed, refusal
+from fuzzycnc_ros.ros.lifecycle import ManagedComponentNode
+from fuzzycnc_ros.ros.parameters import ParameterError, changed, file_text, refusal
 from fuzzycnc_ros.runtime.component import Answer
 
 Request = Callable[[str, Mapping[str, Any]], Answer]

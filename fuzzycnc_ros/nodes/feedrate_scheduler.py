@@ -18,10 +18,10 @@ from fuzzycnc_msgs.srv import ScheduleProgram
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.host import DEADLINE_POLL
-from fuzzycnc_ros.ros.managed import ManagedComponentNode
-from fuzzycnc_ros.ros.messages import RCLPY
-from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.ros.lifecycle import ManagedComponentNode
+from fuzzycnc_ros.ros.topics import RCLPY
 from fuzzycnc_ros.runtime.component import Answer
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.host_records import DeadlineFired

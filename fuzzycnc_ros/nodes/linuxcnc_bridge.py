@@ -4,8 +4,7 @@
 
 from fuzzycnc_ros.adapters.bridge_node import ControllerBridgeNode
 from fuzzycnc_ros.adapters.controller import Controller
-from fuzzycnc_ros.adapters.linuxcnc.bridge import LinuxcncBridge
-from fuzzycnc_ros.adapters.linuxcnc.bridge_config import LinuxcncBridgeConfig
+from fuzzycnc_ros.adapters.linuxcnc.bridge import LinuxcncBridge, LinuxcncBridgeConfig
 from fuzzycnc_ros.adapters.linuxcnc.control import Linuxcnc, LinuxcncError, linuxcnc_runs
 from fuzzycnc_ros.adapters.linuxcnc.status import (
     ControllerLimits,

@@ -27,12 +27,11 @@ from fuzzycnc_ros.bags.playback import (
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.bag_node import BagNode, bag_refused, closed_on_failure, pattern
-from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.ros.qos import publisher_qos, routes_matched
+from fuzzycnc_ros.ros.run import tell_error
 from fuzzycnc_ros.ros.sequencer import Sequencer
-from fuzzycnc_ros.ros.timers import wall_timer
-from fuzzycnc_ros.ros.visible_log import tell_error
+from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, routes_matched
 from fuzzycnc_ros.runtime.component import STREAM, Health, Level
 from fuzzycnc_ros.runtime.host_config import PlayerConfig
 from fuzzycnc_ros.runtime.records import SECOND, nanoseconds

@@ -25,12 +25,17 @@ from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.visible import visible
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.bag_node import BagNode, bag_refused, closed_on_failure, pattern
-from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.ros.qos import create_publisher, create_subscription, routes_matched
-from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.ros.run import tell_error
+from fuzzycnc_ros.ros.topics import (
+    RCLPY,
+    create_publisher,
+    create_subscription,
+    message_class,
+    routes_matched,
+)
 from fuzzycnc_ros.ros.turn_taker import TurnTaker
-from fuzzycnc_ros.ros.visible_log import tell_error
 from fuzzycnc_ros.runtime.component import STREAM, Health, Level
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.host_config import RecorderConfig

@@ -16,11 +16,10 @@ from pathlib import Path
 from fuzzycnc_ros.components.servo.servo_controller import ServoController
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.host import DEADLINE_POLL
-from fuzzycnc_ros.ros.managed import ManagedComponentNode
-from fuzzycnc_ros.ros.messages import RCLPY
-from fuzzycnc_ros.ros.qos import create_subscription, subscription_qos
-from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.ros.lifecycle import ManagedComponentNode
+from fuzzycnc_ros.ros.topics import RCLPY, create_subscription, subscription_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.host_records import DeadlineFired

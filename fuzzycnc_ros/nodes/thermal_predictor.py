@@ -32,10 +32,9 @@ from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.core.thermal.model_document import SIZE_MAX
 from fuzzycnc_ros.ros import run
-from fuzzycnc_ros.ros.files import file_text
+from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.host import ComponentNode
-from fuzzycnc_ros.ros.parameters import ParameterError, changed, refusal
-from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.ros.parameters import ParameterError, changed, file_text, refusal
 
 POLL = 0.05
 """Wall time [s] between two looks at a training."""

@@ -12,7 +12,7 @@ from rclpy.node import Node
 
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.core.config import Config
-from fuzzycnc_ros.ros.diagnostics import diagnostic_array
+from fuzzycnc_ros.ros.health import diagnostic_array
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
 from fuzzycnc_ros.runtime.component import Health
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from rclpy.node import Node
 
-from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.ros.clocks import wall_timer
 
 PERIOD = 0.2
 """Wall time [s] between two looks at the graph."""

@@ -16,26 +16,24 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from fuzzycnc_ros.ros.activity import Activity
+from fuzzycnc_ros.ros.clocks import SteadyClock, wall_timer
 from fuzzycnc_ros.ros.command_watch import CommandWatch
-from fuzzycnc_ros.ros.diagnostics import diagnostic_array, input_health
-from fuzzycnc_ros.ros.messages import RCLPY
+from fuzzycnc_ros.ros.health import Activity, diagnostic_array, input_health
 from fuzzycnc_ros.ros.parameters import ParameterError, changed, declare, refusal
-from fuzzycnc_ros.ros.qos import (
+from fuzzycnc_ros.ros.state_file import StateDirectory, StateFileError
+from fuzzycnc_ros.ros.topics import (
+    RCLPY,
     create_publisher,
     create_subscription,
     routes_matched,
     subscription_qos,
     unmatched,
 )
-from fuzzycnc_ros.ros.state_file import StateDirectory, StateFileError
-from fuzzycnc_ros.ros.steady_clock import SteadyClock
-from fuzzycnc_ros.ros.timers import wall_timer
 from fuzzycnc_ros.ros.turn_taker import TurnTaker
-from fuzzycnc_ros.runtime.command_sources import REQUEST
 from fuzzycnc_ros.runtime.component import (
     HISTORY,
     LATCHED,
+    REQUEST,
     Answer,
     Component,
     Durability,

@@ -3,6 +3,7 @@
 """ROS parameters from a component's configuration record, declared once."""
 
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -166,3 +167,28 @@ def _descriptor(item: Any) -> ParameterDescriptor:
             FloatingPointRange(from_value=float(meta['low']), to_value=float(meta['high']))
         ]
     return descriptor
+
+
+def file_text(file: str, size_max: int) -> str:
+    """Return the text of a file, of at most one character more than is allowed.
+
+    Parameters
+    ----------
+    file : str
+        Its name; `~` is the home folder.
+    size_max : int
+        Largest document that its reader takes [characters].  One more is refused by the reader;
+        an endless file ends here.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be read.
+    """
+    try:
+        with Path(file).expanduser().open(encoding='utf-8') as opened:
+            return opened.read(size_max + 1)
+    except OSError as error:
+        raise ValueError(error.strerror) from error
+    except RuntimeError as error:  # a home folder that nobody has
+        raise ValueError(str(error)) from error

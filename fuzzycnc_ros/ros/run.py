@@ -4,19 +4,42 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.rcutils_logger import RcutilsLogger, _internal_callers
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 
 from fuzzycnc_ros.bags.uninterrupted import uninterrupted
+from fuzzycnc_ros.core.visible import visible
 from fuzzycnc_ros.ros.arguments import initialise
-from fuzzycnc_ros.ros.ending import REFUSED, Wish, interruptible
-from fuzzycnc_ros.ros.environment import prepare_environment
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.ros.visible_log import spell_out_logs, tell_error
+from fuzzycnc_ros.ros.processes import REFUSED, Wish, interruptible, prepare_environment
+
+
+def tell_error(error: object) -> None:
+    """Write a line on standard error."""
+    print(f'error: {visible(" ".join(str(error).split()))}', file=sys.stderr, flush=True)
+
+
+def spell_out_logs() -> None:
+    """Have all loggers of this process spell control characters out.
+
+    rclpy has no formatter of its own to set, and a logger is made inside every node.
+    """
+    if RcutilsLogger.log is not _log:
+        # It tells callers apart by their place, and leaves the files of this list out.
+        _internal_callers.append(__file__)
+        RcutilsLogger.log = _log
+
+
+_plain_log = RcutilsLogger.log
+
+
+def _log(self: Any, message: Any, severity: Any, **settings: Any) -> Any:
+    return _plain_log(self, visible(str(message)), severity, **settings)
 
 
 class Served(Protocol):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rclpy.serialization import deserialize_message, serialize_message
 
-from fuzzycnc_ros.ros.messages import RCLPY, message_class
+from fuzzycnc_ros.ros.topics import RCLPY, message_class
 from fuzzycnc_ros.runtime.component import Output
 from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.runtime.records import Record

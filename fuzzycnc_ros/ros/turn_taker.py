@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 
-from fuzzycnc_ros.ros.messages import RCLPY
-from fuzzycnc_ros.ros.qos import create_publisher, create_subscription, subscription_qos
-from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.ros.clocks import wall_timer
+from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, create_subscription, subscription_qos
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.runtime.host_records import MachineTick, TickAnswer

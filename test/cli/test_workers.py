@@ -18,7 +18,7 @@ SCRIPT = """
 import json, os, sys, time
 from pathlib import Path
 from fuzzycnc_ros.cli.workers import in_workers
-from fuzzycnc_ros.ros.ending import interruptible
+from fuzzycnc_ros.ros.processes import interruptible
 
 def work(piece, progress):
     if piece == 'bad':

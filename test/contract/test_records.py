@@ -172,7 +172,7 @@ def rclpy_target() -> Target:
     """Return the target that builds rclpy's messages."""
     pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
     pytest.importorskip('fuzzycnc_msgs.msg', reason='fuzzycnc_msgs is not built: run `make test`')
-    from fuzzycnc_ros.ros.messages import RCLPY
+    from fuzzycnc_ros.ros.topics import RCLPY
 
     return RCLPY
 

@@ -9,7 +9,7 @@ PACKAGE = Path(__file__).parents[2] / 'fuzzycnc_ros'
 PRINTS = {
     'cli/console.py': 'lines and tables',
     'cli/main.py': 'errors',
-    'ros/visible_log.py': 'errors of nodes',
+    'ros/run.py': 'errors of nodes',
     'nodes/player.py': 'JSON',
     'nodes/recorder.py': 'what came of a recording',
     'nodes/simulated_body.py': 'JSON',

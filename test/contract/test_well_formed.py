@@ -12,6 +12,7 @@ import pytest
 from rules import for_each
 
 from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.runtime.merge import EPOCH_MAX, PARALLEL, misfit
 from fuzzycnc_ros.runtime.records import (
     AxisCommand,
     CompensationApplied,
@@ -20,7 +21,6 @@ from fuzzycnc_ros.runtime.records import (
     Temperatures,
     TrajectoryState,
 )
-from fuzzycnc_ros.runtime.well_formed import EPOCH_MAX, PARALLEL, misfit
 
 ANSWERED = {
     'AxisCommand',

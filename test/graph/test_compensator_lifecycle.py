@@ -15,8 +15,7 @@ from lifecycle_msgs.msg import State, Transition
 from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_ros.bags.replay import replay
-from fuzzycnc_ros.ros.messages import RCLPY, message_class
-from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import CompensationState

@@ -21,8 +21,7 @@ from fuzzycnc_ros.core.deformation.stitch_path import Primitive
 from fuzzycnc_ros.core.machine import FoamTrack
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
 from fuzzycnc_ros.core.text_hash import text_hash
-from fuzzycnc_ros.ros.messages import RCLPY, message_class
-from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import LATCHED
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.records import (

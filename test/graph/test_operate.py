@@ -11,8 +11,7 @@ import pytest
 
 from fuzzycnc_ros.cli.live import operate
 from fuzzycnc_ros.cli.main import run
-from fuzzycnc_ros.ros.messages import RCLPY, message_class
-from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import AppliedStatus

@@ -7,7 +7,7 @@ import pytest
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
 
-from fuzzycnc_ros.ros.messages import RCLPY
+from fuzzycnc_ros.ros.topics import RCLPY
 from fuzzycnc_ros.runtime.enums import Status
 from fuzzycnc_ros.runtime.records import SECOND, Temperatures
 

@@ -77,7 +77,7 @@ def state(stamp, epoch):
 )
 def test_whole_numbers_stay_whole(kind, epoch, arc_length):
     """What is no number is another field: whole numbers cannot say it."""
-    from fuzzycnc_ros.ros.messages import RCLPY
+    from fuzzycnc_ros.ros.topics import RCLPY
 
     change = falsified(PATH_FIELDS['trajectory_state'], kind)
     change(state(0, 3))
@@ -111,7 +111,7 @@ def test_routes_are_disturbed_by_seed():
 def test_only_the_messages_of_one_topic_are_falsified():
     from rclpy.serialization import deserialize_message, serialize_message
 
-    from fuzzycnc_ros.ros.messages import RCLPY, message_class
+    from fuzzycnc_ros.ros.topics import RCLPY, message_class
 
     payload = bytes(serialize_message(encode(command(TICK), RCLPY)))
     fault = Falsify('compensation', falsified(FIELDS['compensation'], 'jump'))

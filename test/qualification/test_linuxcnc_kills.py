@@ -17,8 +17,7 @@ import pytest
 from equipment.linuxcnc_machine import LinuxcncMachine, exclusive
 from equipment.linuxcnc_offsets import OffsetTrace, fastest
 
-from fuzzycnc_ros.ros.messages import RCLPY, message_class
-from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import AppliedStatus

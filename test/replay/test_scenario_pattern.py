@@ -10,7 +10,7 @@ from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.pattern_programme import parse_patterns
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.soft.deformation_compensator_config import (
+from fuzzycnc_ros.components.soft.deformation_compensator import (
     DeformationCompensatorConfig,
 )
 from fuzzycnc_ros.core.deformation import (

@@ -8,7 +8,7 @@ import pytest
 from processes import wait_for
 
 from fuzzycnc_ros.bags.uninterrupted import Interrupted
-from fuzzycnc_ros.ros.ending import interruptible
+from fuzzycnc_ros.ros.processes import interruptible
 
 
 class Finalised:

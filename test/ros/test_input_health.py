@@ -10,7 +10,7 @@ from benches.component_bench import applied, readings
 
 from fuzzycnc_ros.components.thermal.compensator import Compensator
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.ros.diagnostics import input_health
+from fuzzycnc_ros.ros.health import input_health
 from fuzzycnc_ros.runtime.component import Level
 from fuzzycnc_ros.runtime.merge import Merger
 from fuzzycnc_ros.runtime.records import SECOND, ThermalReference

@@ -4,7 +4,7 @@
 
 import pytest
 
-from fuzzycnc_ros.ros.steady_clock import STEP, SteadyClock
+from fuzzycnc_ros.ros.clocks import STEP, SteadyClock
 
 SECOND = 1_000_000_000
 

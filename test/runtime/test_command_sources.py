@@ -10,7 +10,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
 )
-from fuzzycnc_ros.runtime.command_sources import REQUEST
+from fuzzycnc_ros.runtime.component import REQUEST
 from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.records import SECOND, Compensation, nanoseconds
 

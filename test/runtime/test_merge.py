@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.runtime.component import LATCHED, Component, Emission, Input, Output
-from fuzzycnc_ros.runtime.merge import Merger
+from fuzzycnc_ros.runtime.merge import STAMP_MAX, Merger
 from fuzzycnc_ros.runtime.records import SECOND, Record
-from fuzzycnc_ros.runtime.well_formed import STAMP_MAX
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,9 +16,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.ros.environment import prepare_environment
-from fuzzycnc_ros.ros.messages import message_class
-from fuzzycnc_ros.ros.qos import publisher_qos, routes_matched, subscription_qos
+from fuzzycnc_ros.ros.processes import prepare_environment
+from fuzzycnc_ros.ros.topics import message_class, publisher_qos, routes_matched, subscription_qos
 from fuzzycnc_ros.ros.turn_taker import TurnTaker
 from fuzzycnc_ros.runtime.component import STREAM
 

@@ -45,10 +45,9 @@ from fuzzycnc_ros.bags.replay import ROSBAGS
 from fuzzycnc_ros.cli.live.graph_processes import NodeSpec, parameter_file, ros_arguments
 from fuzzycnc_ros.cli.live.up import node_specs
 from fuzzycnc_ros.core.thermal import train_model
-from fuzzycnc_ros.ros.environment import prepare_environment
-from fuzzycnc_ros.ros.messages import message_class
-from fuzzycnc_ros.ros.qos import subscription_qos
+from fuzzycnc_ros.ros.processes import prepare_environment
 from fuzzycnc_ros.ros.run import run
+from fuzzycnc_ros.ros.topics import message_class, subscription_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift

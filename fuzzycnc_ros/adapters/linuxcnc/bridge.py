@@ -3,20 +3,48 @@
 """Component `linuxcnc_bridge`: offsets into a running LinuxCNC, and what it really applies."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from fuzzycnc_ros.adapters.controller_bridge import CLOSE, SETTLING, ControllerBridge
-from fuzzycnc_ros.adapters.linuxcnc.bridge_config import LinuxcncBridgeConfig
-from fuzzycnc_ros.adapters.linuxcnc.offset_register import OffsetRegisters, RegisterPhase
+from fuzzycnc_ros.adapters.controller_bridge import (
+    CLOSE,
+    SETTLING,
+    ControllerBridge,
+    ControllerBridgeConfig,
+)
 from fuzzycnc_ros.adapters.linuxcnc.status import (
     ControllerLimits,
     ControllerOutput,
     ControllerStatus,
+    OffsetRegisters,
+    RegisterPhase,
 )
 from fuzzycnc_ros.components.thermal.compensator import describe
+from fuzzycnc_ros.core.config import param
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.records import Bools, nanoseconds
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinuxcncBridgeConfig(ControllerBridgeConfig):
+    """Parameters of `linuxcnc_bridge`."""
+
+    axes: tuple[str, ...] = param(
+        ('X', 'Y', 'Z'), '-', 'Axes that take offsets, as in the HAL file'
+    )
+    offset_max: float = param(
+        60e-6, 'm', 'Largest offset of an axis; below that of the HAL file', low=1e-6, high=1e-3
+    )
+    slew_max: float = param(
+        5e-6, 'm/s', 'Fastest change of an offset; below the HAL file', low=1e-9, high=1e-3
+    )
+    cycle_period: float = param(
+        0.005, 's', 'Time between two looks at LinuxCNC', low=0.001, high=0.1
+    )
+    interpreter: str = param(
+        '/usr/bin/python3', '-', "Python that LinuxCNC's modules hal and linuxcnc are built for"
+    )
 
 
 class LinuxcncBridge(ControllerBridge[ControllerStatus, ControllerOutput]):

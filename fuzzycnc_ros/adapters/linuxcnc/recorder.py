@@ -18,7 +18,7 @@ import numpy as np
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
 from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation, exclusive
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.ros.ending import child_set_up
+from fuzzycnc_ros.ros.processes import child_set_up
 
 PERIOD = 1e-3
 """Servo period [s]."""

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError, linuxcnc_runs
-from fuzzycnc_ros.ros.ending import child_set_up
+from fuzzycnc_ros.ros.processes import child_set_up
 
 PYTHON = '/usr/bin/python3'
 START_TIMEOUT = 40.0

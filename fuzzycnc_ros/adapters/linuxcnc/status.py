@@ -3,8 +3,11 @@
 """What passes between the bridge and LinuxCNC in one cycle, in SI units."""
 
 from dataclasses import dataclass
+from enum import Enum
 
-from fuzzycnc_ros.adapters.controller_status import Readout
+import numpy as np
+
+from fuzzycnc_ros.adapters.controller import Readout
 from fuzzycnc_ros.runtime.records import Floats
 
 
@@ -53,3 +56,97 @@ class ControllerOutput:
     """Whole numbers, parallel to the axes."""
     rezero: bool = False
     """Hold the registers at zero, whatever the counts do."""
+
+
+SURE = 4
+"""Servo periods for which a base must have been seen while the counts stood still: the register
+follows the counts one period later, and on a busy computer a period may last long."""
+TOLERANCE = 2.0
+"""Base that is none [counts]."""
+
+
+class RegisterPhase(Enum):
+    """What is done about the bases."""
+
+    SETTLING = 'settling'
+    FOLLOWING = 'following'
+    RAMPING = 'ramping'
+    CLEARING = 'clearing'
+
+
+class OffsetRegisters:
+    """Find counts that bring the registers to wanted offsets.
+
+    Parameters
+    ----------
+    size : int
+        Number of axes.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.phase = RegisterPhase.SETTLING
+        self.base = np.zeros(size)
+        """Offset at counts of zero [m]; followed only while the way back is gone."""
+        self._seen = np.zeros(size)
+        self._counts = np.zeros(size)
+        self._tick = 0
+        self._scale = np.zeros(size)
+        self._cycles = 0
+
+    @property
+    def settled(self) -> bool:
+        """Whether the bases are known: for some periods nothing has moved the counts."""
+        return self._cycles >= SURE
+
+    def restart(self) -> None:
+        """Hold the counts as they stand until the bases are known."""
+        self.phase = RegisterPhase.SETTLING
+
+    def look(self, status: ControllerStatus) -> None:
+        """Follow the bases without doing anything about them."""
+        found = status.register - status.scale * status.counts
+        near = np.abs(found - self._seen) <= TOLERANCE * np.abs(status.scale)
+        if not (np.all(near) and np.array_equal(status.counts, self._counts)):
+            self._cycles = 0
+        elif status.tick != self._tick:
+            self._cycles += 1
+        self._seen, self._counts, self._tick = found, status.counts, status.tick
+
+    def observe(self, status: ControllerStatus) -> bool:
+        """Look at a cycle; return whether a base was found now, which the offsets have to leave.
+
+        While the registers do not follow the counts nothing is concluded.
+        """
+        rescaled = not np.array_equal(status.scale, self._scale)
+        self._scale = status.scale
+        self.look(status)
+        if not status.led or rescaled:
+            self._cycles = 0
+            self.restart()
+            return False
+        tolerance = TOLERANCE * np.abs(status.scale)
+        if self.phase is RegisterPhase.CLEARING:
+            if not np.any(status.counts):
+                self._cycles = 0
+                self.restart()
+        elif self.phase is RegisterPhase.RAMPING:
+            if self.settled:
+                self.base = self._seen.copy()
+            away = np.maximum(np.abs(status.register), np.abs(status.applied))
+            if np.all(away <= tolerance):
+                self.phase = RegisterPhase.CLEARING
+        elif self.settled:
+            if np.any(np.abs(self._seen) > tolerance):
+                self.phase, self.base = RegisterPhase.RAMPING, self._seen.copy()
+                return True
+            self.phase, self.base = RegisterPhase.FOLLOWING, np.zeros_like(self.base)
+        return False
+
+    def output(self, wanted: Floats, status: ControllerStatus) -> ControllerOutput:
+        """Return what to write so that the registers go to `wanted` [m]."""
+        if self.phase is RegisterPhase.SETTLING:
+            return ControllerOutput(counts=status.counts.copy())
+        if self.phase is RegisterPhase.CLEARING:
+            return ControllerOutput(counts=np.zeros_like(wanted), rezero=True)
+        counts = (wanted - self.base) / status.scale
+        return ControllerOutput(counts=np.rint(counts) + 0.0)

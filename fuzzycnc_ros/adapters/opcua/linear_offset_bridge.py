@@ -11,8 +11,8 @@ from fuzzycnc_ros.adapters.controller_bridge import (
     CLOSE,
     SETTLING,
     ControllerBridge,
+    ControllerBridgeConfig,
 )
-from fuzzycnc_ros.adapters.controller_bridge_config import ControllerBridgeConfig
 from fuzzycnc_ros.adapters.opcua.hand_shake import HandShake, WriterWatch
 from fuzzycnc_ros.adapters.opcua.offset_lines import LineOrders, Lines, LineStatus
 from fuzzycnc_ros.components.thermal.compensator import describe

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fuzzycnc_ros.adapters.controller_status import Readout
+from fuzzycnc_ros.adapters.controller import Readout
 from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import Bools, Floats
 

@@ -11,8 +11,8 @@ from rclpy.node import Node
 from fuzzycnc_ros.adapters.readings.source import Readings, Source
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisitionConfig
+from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.ros.timers import wall_timer
 from fuzzycnc_ros.runtime.records import SECOND, Floats
 
 FIRST_STAMP = SECOND

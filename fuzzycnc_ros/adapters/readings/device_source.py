@@ -25,10 +25,9 @@ from fuzzycnc_ros.adapters.readings.polling import Polled, Poller
 from fuzzycnc_ros.adapters.readings.reading_sets import ReadingSets
 from fuzzycnc_ros.adapters.readings.source import Readings, Source
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisitionConfig
-from fuzzycnc_ros.ros.messages import RCLPY
+from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.ros.qos import create_publisher
-from fuzzycnc_ros.ros.timers import wall_timer
+from fuzzycnc_ros.ros.topics import RCLPY, create_publisher
 from fuzzycnc_ros.runtime.component import STREAM, Health, Level
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import SpeedStatus

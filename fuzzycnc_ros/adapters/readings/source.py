@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from rclpy.node import Node
 
-from fuzzycnc_ros.ros.messages import RCLPY
-from fuzzycnc_ros.ros.qos import create_publisher
+from fuzzycnc_ros.ros.topics import RCLPY, create_publisher
 from fuzzycnc_ros.runtime.component import STREAM, Health
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import Status

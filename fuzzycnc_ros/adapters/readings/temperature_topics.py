@@ -14,7 +14,7 @@ from sensor_msgs.msg import Temperature
 from fuzzycnc_ros.adapters.readings.source import Readings, Source
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisitionConfig
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.ros.qos import SUBSCRIPTION_DEPTH
+from fuzzycnc_ros.ros.topics import SUBSCRIPTION_DEPTH
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.convert import stamp_of
 from fuzzycnc_ros.runtime.records import nanoseconds

@@ -24,8 +24,7 @@ from fuzzycnc_ros.cli.console import (
 )
 from fuzzycnc_ros.cli.live.graph_processes import GraphError
 from fuzzycnc_ros.cli.live.machine_names import machine_name
-from fuzzycnc_ros.ros.ending import child_set_up
-from fuzzycnc_ros.ros.environment import prepare_environment
+from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
 
 STOP_TIMEOUT = 30.0
 """Time [s] that the recorder gets to close its bag."""

@@ -14,8 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from fuzzycnc_ros.ros.ending import child_set_up
-from fuzzycnc_ros.ros.environment import prepare_environment
+from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
 
 STOP_TIMEOUT = 10.0
 """Wall time [s] that a node gets to end by itself before it is killed."""

@@ -16,8 +16,8 @@ from fuzzycnc_ros.cli.console import check_new
 from fuzzycnc_ros.cli.live.graph_processes import GraphError, GraphProcesses, NodeSpec
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.arguments import understood
-from fuzzycnc_ros.ros.environment import RANGE, prepare_environment
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
+from fuzzycnc_ros.ros.processes import RANGE, prepare_environment
 from fuzzycnc_ros.ros.state_file import StateDirectory, StateFileError
 from fuzzycnc_ros.runtime.host_config import HostConfig, RecorderConfig
 

@@ -14,7 +14,7 @@ from fuzzycnc_ros.cli.live.graph_processes import (
     NodeSpec,
     process_name,
 )
-from fuzzycnc_ros.ros.ending import REFUSED
+from fuzzycnc_ros.ros.processes import REFUSED
 
 TIME_SOURCES = ('simulated_machine', 'simulated_body', 'player')
 """Nodes that make machine time: a run is over when its one ends, and cannot be resumed."""

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from fuzzycnc_ros.cli.live.operator_client import Operator
-from fuzzycnc_ros.ros.messages import message_class
+from fuzzycnc_ros.ros.topics import message_class
 from fuzzycnc_ros.runtime.component import Level
 from fuzzycnc_ros.runtime.host_records import NodeConfiguration
 

@@ -16,7 +16,7 @@ from fuzzycnc_ros.cli.live.graph_processes import GraphError, GraphProcesses, No
 from fuzzycnc_ros.cli.live.machine_names import machine_name
 from fuzzycnc_ros.cli.live.supervision_run import check_free, supervise
 from fuzzycnc_ros.cli.terminal import Terminal
-from fuzzycnc_ros.ros.environment import open_to_network
+from fuzzycnc_ros.ros.processes import open_to_network
 
 BANNER = (
     'fuzzycnc is not a safety function (ISO 13849): emergency stop, limit switches and drive '

@@ -26,9 +26,9 @@ from fuzzycnc_ros.components.machine.simulated_machine_duties import MACHINE_DUT
 from fuzzycnc_ros.components.machine.simulated_machine_warmth import Warmth
 from fuzzycnc_ros.components.machine.stitching import Stitching
 from fuzzycnc_ros.core.machine.duties import Duty, DutyBlock
-from fuzzycnc_ros.runtime.command_sources import REQUEST
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
+    REQUEST,
     Answer,
     Emission,
     Health,

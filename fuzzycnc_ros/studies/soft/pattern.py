@@ -15,8 +15,8 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
 )
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.soft.deformation_compensator import DeformationCompensator
-from fuzzycnc_ros.components.soft.deformation_compensator_config import (
+from fuzzycnc_ros.components.soft.deformation_compensator import (
+    DeformationCompensator,
     DeformationCompensatorConfig,
 )
 from fuzzycnc_ros.runtime.graph import Sink

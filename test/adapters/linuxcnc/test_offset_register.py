@@ -5,8 +5,12 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.adapters.linuxcnc.offset_register import SURE, OffsetRegisters, RegisterPhase
-from fuzzycnc_ros.adapters.linuxcnc.status import ControllerStatus
+from fuzzycnc_ros.adapters.linuxcnc.status import (
+    SURE,
+    ControllerStatus,
+    OffsetRegisters,
+    RegisterPhase,
+)
 from fuzzycnc_ros.runtime.enums import MachineMode
 
 SCALE = 1e-8

@@ -14,7 +14,7 @@ from fuzzycnc_ros.cli.live.supervision import RestartPolicy, State, Supervisor
 from fuzzycnc_ros.cli.live.supervision_view import View, row, table
 from fuzzycnc_ros.cli.live.up import THERMAL, node_specs
 from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.ros import environment
+from fuzzycnc_ros.ros import processes
 from fuzzycnc_ros.runtime.component import Level
 
 POLICY = RestartPolicy(delay=0.5, delay_max=4.0, restarts_max=5, window=100.0)
@@ -352,21 +352,21 @@ def test_elsewhere_only_changes_are_written():
 @pytest.fixture
 def plain_environment(monkeypatch):
     """Nothing said about who may find whom."""
-    for name in (*environment.CHOSEN, 'FASTRTPS_DEFAULT_PROFILES_FILE'):
+    for name in (*processes.CHOSEN, 'FASTRTPS_DEFAULT_PROFILES_FILE'):
         monkeypatch.setenv(name, '')
         monkeypatch.delenv(name)
     return monkeypatch
 
 
 def test_discovery_stays_on_this_host(plain_environment):
-    environment.prepare_environment()
+    processes.prepare_environment()
     assert os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'LOCALHOST'
     assert Path(os.environ['FASTRTPS_DEFAULT_PROFILES_FILE']).is_file()
 
 
 def test_discovery_is_opened_on_request(plain_environment):
-    environment.open_to_network()
-    environment.prepare_environment()
+    processes.open_to_network()
+    processes.prepare_environment()
     assert os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'SUBNET'
 
 
@@ -375,6 +375,6 @@ def test_discovery_is_opened_on_request(plain_environment):
 )
 def test_what_the_user_has_chosen_stands(plain_environment, name):
     plain_environment.setenv(name, '10.0.0.7')
-    environment.open_to_network()
-    environment.prepare_environment()
+    processes.open_to_network()
+    processes.prepare_environment()
     assert 'ROS_AUTOMATIC_DISCOVERY_RANGE' not in os.environ

@@ -21,8 +21,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.components.motion.tool_paths import tool_path_segments
-from fuzzycnc_ros.components.soft.deformation_compensator import DeformationCompensator
-from fuzzycnc_ros.components.soft.deformation_compensator_config import (
+from fuzzycnc_ros.components.soft.deformation_compensator import (
+    DeformationCompensator,
     DeformationCompensatorConfig,
 )
 from fuzzycnc_ros.core.deformation import (

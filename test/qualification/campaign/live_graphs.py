@@ -27,7 +27,7 @@ from fuzzycnc_ros.cli.live.graph_processes import GraphError, GraphProcesses, No
 from fuzzycnc_ros.cli.live.operator_client import parameter_request, refusals
 from fuzzycnc_ros.cli.live.supervision import RestartPolicy, Supervisor
 from fuzzycnc_ros.cli.live.up import node_specs
-from fuzzycnc_ros.ros.qos import create_subscription, publisher_qos, subscription_qos
+from fuzzycnc_ros.ros.topics import create_subscription, publisher_qos, subscription_qos
 from fuzzycnc_ros.runtime.component import HISTORY
 from fuzzycnc_ros.runtime.convert import decode
 from fuzzycnc_ros.runtime.host_records import RecorderProgress

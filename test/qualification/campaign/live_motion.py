@@ -21,8 +21,7 @@ from campaign.scenario import Stage
 from fuzzycnc_ros.cli.live.graph_processes import NodeSpec
 from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
-from fuzzycnc_ros.ros.messages import RCLPY, message_class
-from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.records import (

@@ -8,7 +8,7 @@ from campaign.evidence import Evidence, Window
 from campaign.measured import Measured, largest
 from campaign.path_verdict import measure_path
 from campaign.scenario import Scenario
-from fuzzycnc_ros.components.soft.deformation_compensator_config import (
+from fuzzycnc_ros.components.soft.deformation_compensator import (
     DeformationCompensatorConfig,
 )
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag

@@ -17,9 +17,10 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
 from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.ros.messages import RCLPY, message_class
-from fuzzycnc_ros.ros.qos import (
+from fuzzycnc_ros.ros.topics import (
+    RCLPY,
     create_subscription,
+    message_class,
     publisher_qos,
     subscription_qos,
 )

@@ -9,8 +9,7 @@ import numpy as np
 import rclpy
 
 from campaign.relay import record_types
-from fuzzycnc_ros.ros.messages import RCLPY, message_class
-from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import AppliedStatus

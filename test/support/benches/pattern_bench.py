@@ -9,8 +9,8 @@ import numpy as np
 from benches.component_bench import Bench
 from kept import kept
 
-from fuzzycnc_ros.components.soft.deformation_compensator import DeformationCompensator
-from fuzzycnc_ros.components.soft.deformation_compensator_config import (
+from fuzzycnc_ros.components.soft.deformation_compensator import (
+    DeformationCompensator,
     DeformationCompensatorConfig,
 )
 from fuzzycnc_ros.components.soft.stitch_patterns import stitch_pattern

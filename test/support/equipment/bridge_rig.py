@@ -8,8 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from lifecycle_msgs.msg import Transition
 
-from fuzzycnc_ros.ros.messages import RCLPY, message_class
-from fuzzycnc_ros.ros.qos import publisher_qos
+from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import AppliedStatus

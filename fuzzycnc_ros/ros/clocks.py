@@ -8,6 +8,10 @@ once.  This one follows it slowly, never goes back, and tells when the wall cloc
 
 import time
 from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
 
 STEP = 1_000_000_000
 """Difference to the monotonic clock that is a step [ns]; less is followed slowly."""
@@ -62,3 +66,8 @@ class SteadyClock:
             clock, after = self._clock(), self._monotonic()
             if after - before < TOGETHER:
                 return clock, after
+
+
+def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Any:
+    """Call back every `period` seconds of wall time, whatever the node's clock says."""
+    return node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))

@@ -3,14 +3,28 @@
 """Topics of a node: QoS (docs/architecture.md says why these depths) and whether routes stand."""
 
 from collections.abc import Callable, Collection, Mapping
+from functools import cache
+from importlib import import_module
 from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from fuzzycnc_ros.ros.messages import message_class
 from fuzzycnc_ros.runtime.component import HISTORY, LATCHED, Durability
+from fuzzycnc_ros.runtime.convert import Target
+
+
+@cache
+def message_class(type_name: str) -> Any:
+    """Return the class of `package/kind/Name`."""
+    package, kind, name = type_name.split('/')
+    return getattr(import_module(f'{package}.{kind}'), name)
+
+
+RCLPY = Target(message_class, numpy_arrays=False)
+"""Builds rclpy's messages."""
+
 
 PUBLISHER_DEPTH = 2000
 """A publisher serves its slowest reader: a recorder that pauses for two seconds."""
