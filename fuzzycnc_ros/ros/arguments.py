@@ -16,8 +16,6 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
-from fuzzycnc_ros.machine_file.parameters import parameter_text
-from fuzzycnc_ros.machine_file.reader import read_machine_file
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 MACHINE_FILE = '--machine-file'
@@ -65,6 +63,10 @@ def with_machine(arguments: Sequence[str], folder: Path) -> list[str]:
             continue
         if not sign and place + 1 == end:
             raise ParameterError(f'{MACHINE_FILE}: expected a file but found none')
+        # Here, as few nodes are started with one, and it is a third of what they would load.
+        from fuzzycnc_ros.machine_file.parameters import parameter_text
+        from fuzzycnc_ros.machine_file.reader import read_machine_file
+
         file = value if sign else words[place + 1]
         try:
             text = parameter_text(read_machine_file(file))

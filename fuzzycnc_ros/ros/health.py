@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A component's health as `/diagnostics`."""
+"""A component's health, and how much its node does and how long it takes, as `/diagnostics`."""
 
 import time
 from collections.abc import Iterable, Mapping

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""ROS parameters from a component's configuration record, declared once."""
+"""ROS parameters from a component's configuration record, declared once; files that they name."""
 
 from dataclasses import fields, replace
 from pathlib import Path

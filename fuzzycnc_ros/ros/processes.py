@@ -1,6 +1,10 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""How processes end: by a signal, whatever they inherited, and with their parent."""
+"""Processes of nodes and commands: the middleware's environment, and how they end.
+
+They end by a signal, whatever they inherited, and with their parent.  No ROS is imported, so that
+the environment can be set before rclpy is.
+"""
 
 import ctypes
 import os

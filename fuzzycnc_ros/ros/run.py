@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start nodes, spin them, end cleanly."""
+"""Start nodes, spin them, end cleanly; what they say, with control characters spelt out."""
 
 import sys
 from collections.abc import Callable, Sequence

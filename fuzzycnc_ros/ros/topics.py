@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of a node: QoS (docs/architecture.md says why these depths) and whether routes stand."""
+"""Topics of a node: message classes, QoS (docs/architecture.md says why these depths), routes."""
 
 from collections.abc import Callable, Collection, Mapping
 from functools import cache
