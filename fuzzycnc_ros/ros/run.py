@@ -16,6 +16,7 @@ from fuzzycnc_ros.bags.uninterrupted import uninterrupted
 from fuzzycnc_ros.core.visible import visible
 from fuzzycnc_ros.ros.arguments import initialise
 from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.ros.presence import Presence
 from fuzzycnc_ros.ros.processes import REFUSED, Wish, interruptible, prepare_environment
 
 
@@ -92,6 +93,7 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
     # The multi-threaded and the events executor stalled or hung in trials on Jazzy.
     executor: SingleThreadedExecutor | None = None
     refused = 0
+    presence = Presence()
     try:
         with uninterrupted():  # what is half made could not be stopped
             initialise(arguments)
@@ -99,6 +101,7 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
             for make in makers:
                 host = make()
                 hosts.append(host)
+                presence.hold(host.node.get_namespace(), host.node.get_name())
                 executor.add_node(host.node)
                 host.start()
             # They wake an executor that waits, and end the context.
@@ -121,5 +124,6 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
         if executor is not None:
             executor.shutdown()
         rclpy.try_shutdown()
+        presence.leave()
     # Only now: what a node holds may fail to be written to its end.
     return max([refused, *(host.exit_code for host in hosts)])

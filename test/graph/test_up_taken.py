@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc up` where others are at work already."""
 
+import contextlib
 import os
 import signal
 import sys
@@ -37,6 +38,14 @@ def started(command):
     return command
 
 
+def there(pid):
+    """Whether a process lives."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, 0)
+        return True
+    return False
+
+
 def refusal(command):
     """Wait for the end of a command that is refused; return its one line."""
     assert command.wait() == 2, command.output
@@ -62,6 +71,16 @@ def test_two_machines_of_one_name(up):
     assert 'found /mill/simulated_machine at work' in line
 
 
+def test_of_two_that_start_at_once_one_is_refused(up):
+    """Neither could find the other in the graph yet."""
+    both = [up(name, '--nodes', NODES) for name in ('first', 'second')]
+    wait_for(lambda: any(item.process.poll() is not None for item in both), 'one has ended')
+    late = next(item for item in both if item.process.poll() is not None)
+    assert 'at work' in refusal(late)
+    (early,) = (item for item in both if item is not late)
+    started(early)
+
+
 def test_who_is_in_nobodys_way_may_join(up, tmp_path):
     started(up('first', '--nodes', 'compensator', '--record', str(tmp_path / 'first_bag')))
     others = ('--nodes', 'sensor_selector', '--record', str(tmp_path / 'second_bag'))
@@ -81,4 +100,5 @@ def test_what_was_killed_locks_nobody_out(up, dead):
     if dead == 'nodes':
         for node in nodes:
             os.kill(node, signal.SIGKILL)
+    wait_for(lambda: not any(map(there, nodes)), 'the nodes have ended')
     started(up('second', '--nodes', NODES))

@@ -22,6 +22,7 @@ from fuzzycnc_ros.cli.live.supervision_view import View
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
+    from fuzzycnc_ros.ros.presence import Presence
 
 ACTIVE_TIMEOUT = 20.0
 """Wall time [s] until a managed node must be active."""
@@ -43,16 +44,19 @@ Plan = Sequence[tuple[NodeSpec, ...]]
 """Processes of one machine, each with one node or several composed ones."""
 
 
-def check_free(monitor: 'Monitor', plans: Mapping[str, Plan]) -> None:
+def check_free(monitor: 'Monitor', presence: 'Presence', plans: Mapping[str, Plan]) -> None:
     """Refuse to start nodes beside others of the same name, or beside another machine.
 
-    Who is in the graph only may be dead: what was killed stays there for 20 s more.  So those
-    count that go on speaking.
+    On this computer those count whose processes live; this command is one of them from here on.
+    Elsewhere, who is in the graph only may be dead: what was killed stays there for 20 s more.  So
+    those count that go on speaking.
 
     Parameters
     ----------
     monitor : Monitor
         Listens to these machines.
+    presence : Presence
+        Holds the locks of the nodes that are to be started.
     plans : mapping of str to Plan
         What is to be started, by machine.
 
@@ -64,20 +68,24 @@ def check_free(monitor: 'Monitor', plans: Mapping[str, Plan]) -> None:
     # Here, so that `fuzzycnc --help` works where ROS is not installed.
     from fuzzycnc_ros.cli.live.operator_client import SETTLED
 
-    taken = {
-        (machine, name)
-        for machine, plan in plans.items()
-        for name in _in_the_way({spec.name for group in plan for spec in group})
+    wanted = {
+        machine: {spec.name for group in plan for spec in group} for machine, plan in plans.items()
     }
+    own = [(machine, name) for machine, names in wanted.items() for name in names]
+    taken = {(machine, name) for machine, names in wanted.items() for name in _in_the_way(names)}
     monitor.spin_until(SETTLED)
-    while (present := monitor.present() & taken) and monitor.age < DECIDED:
+    living = presence.claim(own, taken)
+    # Killed nodes end by themselves, within moments of the command that started them.
+    while (living or monitor.present() & taken) and monitor.age < DECIDED:
         monitor.spin()
+        living = living and presence.claim(own, taken)
     now = time.monotonic()
-    speaking = sorted(key for key in present if now - monitor.view(*key).heard_at < SPOKE)
-    if speaking:
+    heard = {key for key in monitor.present() if now - monitor.view(*key).heard_at < SPOKE}
+    found = sorted(living | (heard & taken))
+    if found:
         raise GraphError(
-            f'expected nobody at {", ".join(sorted({machine for machine, _ in speaking}))} but '
-            f'found {", ".join(f"/{machine}/{node}" for machine, node in speaking)} at work in '
+            f'expected nobody at {", ".join(sorted({machine for machine, _ in found}))} but '
+            f'found {", ".join(f"/{machine}/{node}" for machine, node in found)} at work in '
             f'ROS domain {os.environ.get("ROS_DOMAIN_ID") or 0}: end them, choose another '
             '--machine or ROS_DOMAIN_ID, or add --takeover to run beside them'
         )

@@ -241,6 +241,7 @@ def up(
     # Here, so that `fuzzycnc --help` works where ROS is not installed.
     from fuzzycnc_ros.cli.live.parameter_check import check_files, check_parameters
     from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
+    from fuzzycnc_ros.ros.presence import Presence
 
     files = _parameter_files(params)
     check_files(files)
@@ -278,7 +279,8 @@ def up(
             plans.append([tuple(specs)] if compose else [(spec,) for spec in specs])
         check_parameters(graphs, plans)
         if not takeover:
-            check_free(monitor, dict(zip(machines, plans, strict=True)))
+            presence = stack.enter_context(Presence())
+            check_free(monitor, presence, dict(zip(machines, plans, strict=True)))
         console.print(BANNER, style='yellow', soft_wrap=True)
         outcome = supervise(console, monitor, graphs, plans)
     outcome['wall_s'] = round(time.monotonic() - started, 3)
