@@ -58,9 +58,13 @@ test-all: test test-slow ## `make test` and `make test-slow`
 qualify: setup ## Fault campaign, soak, LinuxCNC, many machines; wants an idle computer
 	@$(TESTS) qualify $(ARGS)
 
-.PHONY: faults soak
-faults soak: setup ## Part of it with options: the fault campaign, the soak (ARGS=--help)
-	@$(ROS) '$(BIN)/python' test/qualification $@ $(ARGS)
+.PHONY: faults
+faults: setup ## The fault campaign with options, see ARGS=--help
+	@$(ROS) '$(BIN)/python' test/qualification faults $(ARGS)
+
+.PHONY: soak
+soak: setup ## The soak with options, see ARGS=--help
+	@$(ROS) '$(BIN)/python' test/qualification soak $(ARGS)
 
 .PHONY: lint
 lint: setup ## Style, format, spelling, types

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """All components by node name, in the order of their turns."""
 
-from fuzzycnc_ros.adapters.linuxcnc.bridge import LinuxcncBridge
-from fuzzycnc_ros.adapters.opcua.bridge import OpcuaBridge
+from typing import Any
+
+from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge
+from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge
 from fuzzycnc_ros.components.machine.simulated_body import SimulatedBody
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachine
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
@@ -18,7 +20,7 @@ from fuzzycnc_ros.runtime.component import Component
 MACHINES = (SimulatedMachine.NAME, LinuxcncBridge.NAME, OpcuaBridge.NAME, SimulatedBody.NAME)
 """What stands for a machine, the last one beside a bridge; no recording can give it back."""
 
-COMPONENTS: dict[str, type[Component]] = {
+COMPONENTS: dict[str, type[Component[Any]]] = {
     item.NAME: item
     for item in (
         SimulatedMachine,

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from fuzzycnc_ros.adapters.controller import Controller
-from fuzzycnc_ros.adapters.controller_bridge import ControllerBridge, ControllerBridgeConfig
+from fuzzycnc_ros.adapters.controller_bridge import ControllerBridge
 from fuzzycnc_ros.adapters.link import LinkError
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.lifecycle import ManagedComponentNode
@@ -27,13 +27,13 @@ CLAIM_AGAIN = 1.0
 class ControllerBridgeNode(ManagedComponentNode, ABC):
     """Serve a bridge and its connection to the controller."""
 
-    component: ControllerBridge[Any, Any]
+    component: ControllerBridge[Any, Any, Any]
     RETRY_FIRST: ClassVar[float]
     """Wall time [s] from a try to connect to the next; it doubles with each that fails."""
     RETRY_MAX: ClassVar[float]
     """Longest such time [s]."""
 
-    def __init__(self, component_type: type[ControllerBridge[Any, Any]]) -> None:
+    def __init__(self, component_type: type[ControllerBridge[Any, Any, Any]]) -> None:
         super().__init__(component_type)
         self._controller: Controller[Any, Any, Any] | None = None
         self._claimed = False
@@ -48,13 +48,6 @@ class ControllerBridgeNode(ManagedComponentNode, ABC):
             )
         else:
             self._timer = wall_timer(self.node, self._wait(), self._on_timer)
-
-    @property
-    def config(self) -> ControllerBridgeConfig:
-        """The configuration in force."""
-        config = self.component.configuration
-        assert isinstance(config, ControllerBridgeConfig)
-        return config
 
     @abstractmethod
     def _open(self) -> Controller[Any, Any, Any]:
@@ -99,13 +92,13 @@ class ControllerBridgeNode(ManagedComponentNode, ABC):
             self.component.take_control()
         return answer
 
-    def _heard(self, topic: str, sequence_number: int) -> None:
+    def on_heard(self, topic: str, sequence_number: int) -> None:
         """Act on a command at once."""
-        super()._heard(topic, sequence_number)
+        super().on_heard(topic, sequence_number)
         if not self.settings.lockstep:
             # A command says when it takes effect; it is handed over as it comes.
             newest = self.merger.counts['compensation'].newest
-            self._work(max(self.merger.time, newest or 0))
+            self.work(max(self.merger.time, newest or 0))
             self._on_timer()
 
     def _on_timer(self) -> None:
@@ -129,8 +122,8 @@ class ControllerBridgeNode(ManagedComponentNode, ABC):
         if status is None:
             return
         self._pause = self.RETRY_FIRST
-        self._follow_clock()
-        self.publish(self.component.observe(self._now(), status))
+        self.follow_clock()
+        self.publish(self.component.observe(self.now(), status))
         if self.component.wants_control and time.monotonic() - self._claim_at > CLAIM_AGAIN:
             trouble = self._claim(controller)
             if trouble:
@@ -163,8 +156,8 @@ class ControllerBridgeNode(ManagedComponentNode, ABC):
         if self._controller is not None:
             self._controller.close()
         self._controller, self._claimed = None, False
-        self._follow_clock()
-        self.publish(self.component.lose(self._now(), self._why))
+        self.follow_clock()
+        self.publish(self.component.lose(self.now(), self._why))
 
     def _claim(self, controller: Controller[Any, Any, Any]) -> str:
         """Become the writer; say why not."""

@@ -86,11 +86,12 @@ STEPS_MAX = 2.0
 SETTLING = 2.0
 """How long a controller may take to go where it is told [s] before that is reported."""
 
+ConfigT = TypeVar('ConfigT', bound=ControllerBridgeConfig)
 StatusT = TypeVar('StatusT', bound=Readout)
 OrdersT = TypeVar('OrdersT')
 
 
-class ControllerBridge(Component, ABC, Generic[StatusT, OrdersT]):
+class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, OrdersT]):
     """Guard the offsets, say what the controller shall do, tell what is applied.
 
     Subclasses bring the controller to the offsets that the guard allows, by `observe`, and say
@@ -107,9 +108,8 @@ class ControllerBridge(Component, ABC, Generic[StatusT, OrdersT]):
     )
     MANAGED = True
     MACHINE_SIDE = True
-    _config: ControllerBridgeConfig
 
-    def __init__(self, config: ControllerBridgeConfig | None = None) -> None:
+    def __init__(self, config: ConfigT | None = None) -> None:
         super().__init__(config)
         self._axes = self._config.axes
         unknown = [axis for axis in self._axes if axis not in AXES]
@@ -208,7 +208,7 @@ class ControllerBridge(Component, ABC, Generic[StatusT, OrdersT]):
             self._applied(AppliedStatus.REFUSED, why, self._left(), nothing > 0.0),
         )
 
-    def renewed(self, step: int) -> 'tuple[ControllerBridge[StatusT, OrdersT], list[Emission]]':
+    def renewed(self, step: int) -> tuple[Component[ConfigT], list[Emission]]:
         """Go on through a step of the clock [ns]: the controller and its offsets know of none."""
         self._ahead -= step
         return self, []

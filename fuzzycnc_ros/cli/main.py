@@ -96,7 +96,11 @@ COMMANDS: Commands = {
 
 APPLICATION = Application('fuzzycnc', HELP, COMMANDS, watching=('demo', 'up', 'record'))
 run = APPLICATION.run
-main = APPLICATION.main
+
+
+def main() -> None:
+    """Run the command line of this process."""
+    APPLICATION.main()
 
 
 if __name__ == '__main__':

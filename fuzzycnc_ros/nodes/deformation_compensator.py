@@ -14,7 +14,6 @@ from rclpy.parameter import Parameter
 
 from fuzzycnc_ros.components.soft.deformation_compensator import (
     DeformationCompensator,
-    DeformationCompensatorConfig,
 )
 from fuzzycnc_ros.core.deformation import model_file, offset_file
 from fuzzycnc_ros.ros import run
@@ -47,7 +46,7 @@ class DeformationCompensatorNode(ManagedComponentNode):
         use_files(self.component, self.request)
         super().start()
 
-    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Take other files, from the next pattern on; all that is set at once, or nothing."""
         files = {item.name: str(item.value) for item in parameters if item.name in FILES}
         try:
@@ -60,7 +59,7 @@ class DeformationCompensatorNode(ManagedComponentNode):
             problem = _load(name, file, self.request)
             if problem:
                 return refusal(f'{name}: {problem}')
-        return super()._on_parameters(parameters)
+        return super().on_parameters(parameters)
 
 
 def use_files(component: DeformationCompensator, request: Request | None = None) -> None:
@@ -79,7 +78,6 @@ def use_files(component: DeformationCompensator, request: Request | None = None)
         If a file cannot be read or is none of its kind.
     """
     config = component.configuration
-    assert isinstance(config, DeformationCompensatorConfig)
     ask = request or (lambda name, arguments: component.on_request(name, arguments, 0))
     for name, file in (('model', config.model), ('offsets', config.offsets)):
         problem = _load(name, file, ask) if file else ''

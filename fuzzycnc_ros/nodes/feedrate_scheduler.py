@@ -16,15 +16,11 @@ from rclpy.parameter import Parameter
 
 from fuzzycnc_msgs.srv import ScheduleProgram
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
-from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.host import DEADLINE_POLL
 from fuzzycnc_ros.ros.lifecycle import ManagedComponentNode
-from fuzzycnc_ros.ros.topics import RCLPY
 from fuzzycnc_ros.runtime.component import Answer
-from fuzzycnc_ros.runtime.convert import encode
-from fuzzycnc_ros.runtime.host_records import DeadlineFired
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 LAG = 0.02
@@ -40,22 +36,22 @@ class FeedrateSchedulerNode(ManagedComponentNode):
         super().__init__(FeedrateScheduler)
         self.node.create_service(ScheduleProgram, 'schedule_program', self._on_program)
         config = self.component.configuration
-        assert isinstance(config, FeedrateSchedulerConfig)
         # A part must leave well before its start.
         often = 0.25 * min(config.lead, config.chunk)
         if not self.settings.lockstep and often < DEADLINE_POLL:
-            wall_timer(self.node, often, self._poll_deadline)
+            wall_timer(self.node, often, self.on_poll)
 
     def request(self, name: str, arguments: Mapping[str, Any]) -> Answer:
         """Carry out a request at the present machine time."""
         self._work_to_now(note=True)
         return super().request(name, arguments)
 
-    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Take live parameters at the present machine time."""
         self._work_to_now(note=True)
-        return super()._on_parameters(parameters)
+        return super().on_parameters(parameters)
 
-    def _poll_deadline(self) -> None:
+    def on_poll(self) -> None:
         """Real time: work up to now."""
         self._work_to_now()
 
@@ -63,16 +59,11 @@ class FeedrateSchedulerNode(ManagedComponentNode):
         """Work up to now in real time, and write down how far if something follows from it."""
         if self.settings.lockstep:
             return
-        now = self._now() - nanoseconds(LAG)
+        now = self.now() - nanoseconds(LAG)
         emissions = self.merger.advance(max(now, self.merger.time))
         self.publish(emissions)
         if emissions or note:
-            record = DeadlineFired(
-                stamp=self.merger.time,
-                frame_id=self.component.frame('machine'),
-                node=self.node.get_name(),
-            )
-            self._deadlines.publish(encode(record, RCLPY))
+            self.note_deadline(self.merger.time)
 
     def _on_program(
         self, request: ScheduleProgram.Request, response: ScheduleProgram.Response

@@ -4,8 +4,8 @@
 
 from fuzzycnc_ros.adapters.bridge_node import ControllerBridgeNode
 from fuzzycnc_ros.adapters.controller import Controller
-from fuzzycnc_ros.adapters.linuxcnc.bridge import LinuxcncBridge, LinuxcncBridgeConfig
 from fuzzycnc_ros.adapters.linuxcnc.control import Linuxcnc, LinuxcncError, linuxcnc_runs
+from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge
 from fuzzycnc_ros.adapters.linuxcnc.status import (
     ControllerLimits,
     ControllerOutput,
@@ -39,14 +39,13 @@ class LinuxcncBridgeNode(ControllerBridgeNode):
     def _open(self) -> LinuxcncController:
         if not linuxcnc_runs():
             raise LinuxcncError('LinuxCNC does not run here')
-        config = self.config
-        assert isinstance(config, LinuxcncBridgeConfig)
+        config = self.component.configuration
         controller = Linuxcnc(config.axes, config.interpreter)
         self.node.get_logger().info('connected to LinuxCNC')
         return controller
 
     def _wait(self) -> float:
-        period = self.config.cycle_period
+        period = self.component.configuration.cycle_period
         return min(period, SOON) if self.component.moving else period
 
     def _before_activation(self, controller: LinuxcncController) -> str:

@@ -13,11 +13,11 @@ from pathlib import Path
 from fuzzycnc_ros.adapters.bridge_node import ControllerBridgeNode
 from fuzzycnc_ros.adapters.controller import Controller
 from fuzzycnc_ros.adapters.link import LinkError
-from fuzzycnc_ros.adapters.opcua.bridge import OpcuaBridge, OpcuaBridgeConfig
 from fuzzycnc_ros.adapters.opcua.control import ControlFile, OpcUaControl
 from fuzzycnc_ros.adapters.opcua.control_file import check_axes, read_control
 from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
 from fuzzycnc_ros.adapters.opcua.offset_lines import LineLimits, LineOrders, LineStatus
+from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge
 from fuzzycnc_ros.adapters.opcua.session import library_trouble
 from fuzzycnc_ros.adapters.threaded import ThreadedController
 from fuzzycnc_ros.ros import run
@@ -44,8 +44,7 @@ class OpcuaBridgeNode(ControllerBridgeNode):
 
     def _read_file(self) -> ControlFile | None:
         """Return what the control file says; None without one, which is told in every cycle."""
-        config = self.config
-        assert isinstance(config, OpcuaBridgeConfig)
+        config = self.component.configuration
         if not config.control_file:
             return None
         if library_trouble():
@@ -66,11 +65,11 @@ class OpcuaBridgeNode(ControllerBridgeNode):
             raise LinkError('parameter control_file: expected a file of a control but it is empty')
         return ThreadedController(
             lambda: OpcUaControl(file, self._name, read_credentials),
-            self.config.cycle_period,
+            self.component.configuration.cycle_period,
         )
 
     def _wait(self) -> float:
-        return min(LOOK, self.config.cycle_period)
+        return min(LOOK, self.component.configuration.cycle_period)
 
     def _before_activation(self, controller: LineController) -> str:
         return self.component.refusal()

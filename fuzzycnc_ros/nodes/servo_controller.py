@@ -14,16 +14,11 @@ import os
 from pathlib import Path
 
 from fuzzycnc_ros.components.servo.servo_controller import ServoController
-from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.host import DEADLINE_POLL
 from fuzzycnc_ros.ros.lifecycle import ManagedComponentNode
-from fuzzycnc_ros.ros.topics import RCLPY, create_subscription, subscription_qos
-from fuzzycnc_ros.runtime.component import Durability
-from fuzzycnc_ros.runtime.convert import encode
-from fuzzycnc_ros.runtime.host_records import DeadlineFired
-from fuzzycnc_ros.runtime.records import Record, nanoseconds
+from fuzzycnc_ros.runtime.records import nanoseconds
 
 POLL = 0.01
 """Wall time [s] between two looks at the deadline in real time."""
@@ -35,11 +30,12 @@ class ServoControllerNode(ManagedComponentNode):
     """Serve the controller of the axes."""
 
     component: ServoController
+    keeps_newest = True
 
     def __init__(self) -> None:
         super().__init__(ServoController)
         if not self.settings.lockstep and POLL < DEADLINE_POLL:
-            wall_timer(self.node, POLL, self._poll_deadline)
+            wall_timer(self.node, POLL, self.on_poll)
 
     def start(self) -> None:
         """Announce the configuration; in real time, get out of the way of what may hold us up."""
@@ -49,7 +45,6 @@ class ServoControllerNode(ManagedComponentNode):
         gc.collect()
         gc.freeze()  # what is there by now is not looked through again
         config = self.component.configuration
-        assert isinstance(config, ServoControllerConfig)
         if config.realtime_priority:
             self._prefer(config.realtime_priority)
 
@@ -68,31 +63,13 @@ class ServoControllerNode(ManagedComponentNode):
             )
             self.node.get_logger().warning(self.troubles['priority'])
 
-    def _subscribe(self, name: str, record_type: type[Record], durability: Durability) -> None:
-        """Keep the newest axis state alone in real time: an older one is of no use any more."""
-        if self.settings.lockstep or not self.component.input(name).driving:
-            super()._subscribe(name, record_type, durability)
-            return
-        topic = self.node.resolve_topic_name(name)
-        newest = subscription_qos(durability)
-        newest.depth = 1
-        handler = self._input_handler(name, topic, record_type)
-        self._subscriptions[topic] = create_subscription(
-            self.node, record_type.TYPE, name, handler, newest
-        )
-
-    def _poll_deadline(self) -> None:
+    def on_poll(self) -> None:
         """Real time: count the axis states that have not come, and write it down."""
-        deadline, present = self.component.next_deadline, self._now() - nanoseconds(LAG)
+        deadline, present = self.component.next_deadline, self.now() - nanoseconds(LAG)
         if deadline is None or deadline > present:
             return
         self.publish(self.merger.advance(max(present, self.merger.time)))
-        record = DeadlineFired(
-            stamp=self.merger.time,
-            frame_id=self.component.frame('machine'),
-            node=self.node.get_name(),
-        )
-        self._deadlines.publish(encode(record, RCLPY))
+        self.note_deadline(self.merger.time)
 
 
 def make() -> ServoControllerNode:

@@ -13,7 +13,7 @@ import time
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from fuzzycnc_ros.components.machine.simulated_body import SimulatedBody, SimulatedBodyConfig
+from fuzzycnc_ros.components.machine.simulated_body import SimulatedBody
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.host import ComponentNode
@@ -32,7 +32,6 @@ class SimulatedBodyNode(ComponentNode):
     def __init__(self, node: Node) -> None:
         super().__init__(node, SimulatedBody)
         config = self.component.configuration
-        assert isinstance(config, SimulatedBodyConfig)
         self._rate = config.rate
         self._clock = node.create_publisher(ClockMessage, '/clock', publisher_qos(STREAM))
         self._pace: Pace | None = None
@@ -49,7 +48,7 @@ class SimulatedBodyNode(ComponentNode):
         """Whether the time is over."""
         return self._done
 
-    def _now(self) -> int:
+    def now(self) -> int:
         """Return machine time, which this node makes; its own clock is the wall's."""
         return self.merger.time
 
@@ -68,7 +67,7 @@ class SimulatedBodyNode(ComponentNode):
         if self._pace.due(stamp) <= now:
             self._pace.count(stamp, now)
             self._tell_time(stamp)
-            self._work(stamp)
+            self.work(stamp)
             self._ticks += 1
             self.publish(self.component.tick())
         else:

@@ -12,7 +12,6 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 
 from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
-    SimulatedMachineConfig,
 )
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer
@@ -41,7 +40,6 @@ class SimulatedMachineNode(ComponentNode):
     def __init__(self, node: Node) -> None:
         super().__init__(node, SimulatedMachine)
         config = self.component.configuration
-        assert isinstance(config, SimulatedMachineConfig)
         self._clock = node.create_publisher(ClockMessage, '/clock', publisher_qos(STREAM))
         self._done = False
         self._ticks = 0
@@ -60,7 +58,7 @@ class SimulatedMachineNode(ComponentNode):
                 finished=self._finish,
                 recorder=config.lockstep_recorder,
                 answer_timeout=config.answer_timeout,
-                reads=tuple(self._subscriptions),
+                reads=self.reads,
             )
         else:
             recorder = ('recorder',) if config.lockstep_recorder else ()
@@ -74,11 +72,12 @@ class SimulatedMachineNode(ComponentNode):
         """Whether the programme is over."""
         return self._done
 
-    def _now(self) -> int:
+    def now(self) -> int:
         """Return machine time, which this node makes; its own clock is the wall's."""
         return self.merger.time
 
-    def _heard(self, topic: str, sequence_number: int) -> None:
+    def on_heard(self, topic: str, sequence_number: int) -> None:
+        """Count the message in lock-step; in real time act on it at once."""
         if self.sequencer is not None:
             self.sequencer.received(topic, sequence_number)
         elif self._pace is not None:
@@ -87,7 +86,7 @@ class SimulatedMachineNode(ComponentNode):
     def _take_at_once(self, pace: Pace) -> None:
         """Real time: look at what came in, as it may bring the next tick forward."""
         before = self.component.next_tick
-        self._work(self.merger.time)
+        self.work(self.merger.time)
         after, now = self.component.next_tick, time.monotonic()
         if before is not None and after is not None and after < before:
             if pace.due(after) < now:
@@ -101,13 +100,13 @@ class SimulatedMachineNode(ComponentNode):
         )
 
     def _tick(self) -> int | None:
-        self._work(self.merger.time)
+        self.work(self.merger.time)
         stamp = self.component.next_tick
         if stamp is None:
             return None
         self._ticks += 1
         self._tell_time(stamp)
-        self._work(stamp)
+        self.work(stamp)
         self.publish(self.component.tick())
         return stamp
 
@@ -128,7 +127,6 @@ class SimulatedMachineNode(ComponentNode):
             if first is None or not self._gate.open():
                 return
             config = self.component.configuration
-            assert isinstance(config, SimulatedMachineConfig)
             self._pace = Pace(config.rate, first, now, SLIP_DRIVEN if self._driven else SLIP)
         if self._driven and self._lets_commands_in(self._pace, now):
             self._wake(0.0)
@@ -157,7 +155,6 @@ class SimulatedMachineNode(ComponentNode):
         one from the future.
         """
         config, following = self.component.configuration, self.component.next_tick
-        assert isinstance(config, SimulatedMachineConfig)
         begin = 0 if following is None else following - nanoseconds(config.tick_period)
         if begin <= stamp:
             return

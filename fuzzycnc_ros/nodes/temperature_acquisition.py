@@ -8,7 +8,6 @@ from fuzzycnc_msgs.srv import SetThermalReference
 from fuzzycnc_ros.adapters.readings.open_source import open_source
 from fuzzycnc_ros.components.thermal.temperature_acquisition import (
     TemperatureAcquisition,
-    TemperatureAcquisitionConfig,
 )
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.host import ComponentNode
@@ -22,7 +21,6 @@ class TemperatureAcquisitionNode(ComponentNode):
     def __init__(self, node: Node) -> None:
         super().__init__(node, TemperatureAcquisition)
         config = self.component.configuration
-        assert isinstance(config, TemperatureAcquisitionConfig)
         if self.settings.lockstep and config.source != 'topic':
             # A driver brings readings when it has them; turns cannot announce them.
             raise ParameterError(

@@ -138,7 +138,7 @@ class ThermalPredictorNode(ComponentNode):
         self._server.destroy()
         super().stop()
 
-    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Let the model of another file take over; the other parameters as every node."""
         files = [item.value for item in parameters if item.name == 'model']
         # A file that is named again may have been trained anew.
@@ -153,12 +153,11 @@ class ThermalPredictorNode(ComponentNode):
             answer = self.request('use_model', {'model': text})
             if not answer.success:
                 return refusal(f'model: {file}: {answer.message}')
-        return super()._on_parameters(parameters)
+        return super().on_parameters(parameters)
 
     @property
     def _settings(self) -> ThermalPredictorConfig:
         config = self.component.configuration
-        assert isinstance(config, ThermalPredictorConfig)
         return config
 
     def _on_goal(self, request: TrainThermalModel.Goal) -> GoalResponse:
@@ -237,7 +236,6 @@ def use_files(component: ThermalPredictor) -> None:
         If it cannot be read or is none.
     """
     config = component.configuration
-    assert isinstance(config, ThermalPredictorConfig)
     if not config.model:
         return
     try:

@@ -42,8 +42,7 @@ class BagNode(Generic[C]):
     def __init__(self, node: Node, record: type[C]) -> None:
         self.node = node
         (config,) = declare(node, record)
-        assert isinstance(config, record)
-        self._config: C = config
+        self._config = config
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
 
     def _publish_health(self, health: Sequence[Health]) -> None:

@@ -80,10 +80,9 @@ class ComponentNode:
         If a parameter is unknown, of the wrong type or out of bounds.
     """
 
-    def __init__(self, node: Node, component_type: type[Component]) -> None:
+    def __init__(self, node: Node, component_type: type[Component[Any]]) -> None:
         self.node = node
         host, config = declare(node, HostConfig, component_type.CONFIG)
-        assert isinstance(host, HostConfig)
         self.settings = host
         try:
             self.component = component_type(config)
@@ -116,9 +115,9 @@ class ComponentNode:
         if host.lockstep and self.takes_turns:
             self.turns = TurnTaker(
                 node,
-                self._work,
+                self.work,
                 lambda: self.component.next_deadline,
-                reads=lambda: tuple(self._subscriptions),
+                reads=lambda: self.reads,
                 writes=tuple(self._published),
                 matched=self.matched,
             )
@@ -137,10 +136,10 @@ class ComponentNode:
             )
             # Waking up for nothing would be half of what an idle machine costs.
             if component_type.next_deadline is not Component.next_deadline:
-                wall_timer(node, DEADLINE_POLL, self._poll_deadline)
+                wall_timer(node, DEADLINE_POLL, self.on_poll)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         wall_timer(node, 1.0, self.report)
-        node.add_on_set_parameters_callback(self._on_parameters)
+        node.add_on_set_parameters_callback(self.on_parameters)
         self._restore()
 
     makes_time = False
@@ -148,6 +147,9 @@ class ComponentNode:
 
     takes_turns = True
     """Whether the node works in turns in lock-step; the machine itself gives them."""
+
+    keeps_newest = False
+    """Whether in real time only the newest driving message counts: an older one is of no use."""
 
     exit_code = 0
     """What the process ends with."""
@@ -192,10 +194,10 @@ class ComponentNode:
 
     def report(self) -> None:
         """Publish the health of the component and its inputs on /diagnostics."""
-        self._follow_clock()
+        self.follow_clock()
         if not self.component.MACHINE_SIDE:
             self._commands.look()
-        now = self.merger.time if self.settings.lockstep else self._now()
+        now = self.merger.time if self.settings.lockstep else self.now()
         health = [
             *self.component.health(),
             *self._host_health(),
@@ -259,6 +261,11 @@ class ComponentNode:
         )
 
     @property
+    def reads(self) -> tuple[str, ...]:
+        """Absolute topics that the node reads."""
+        return tuple(self._subscriptions)
+
+    @property
     def published(self) -> dict[str, int]:
         """Messages published on each of the component's outputs so far, by absolute topic."""
         return self._published
@@ -284,12 +291,12 @@ class ComponentNode:
     def _subscribe(self, name: str, record_type: type[Record], durability: Durability) -> None:
         topic = self.node.resolve_topic_name(name)
         handler = self._input_handler(name, topic, record_type)
+        lockstep = self.settings.lockstep
+        qos = subscription_qos(durability, lockstep=lockstep)
+        if self.keeps_newest and not lockstep and self.component.input(name).driving:
+            qos.depth = 1
         self._subscriptions[topic] = create_subscription(
-            self.node,
-            record_type.TYPE,
-            name,
-            handler,
-            subscription_qos(durability, lockstep=self.settings.lockstep),
+            self.node, record_type.TYPE, name, handler, qos
         )
 
     def _input_handler(
@@ -298,7 +305,7 @@ class ComponentNode:
         drives = self.component.input(name).driving
 
         def on_message(message: Any, info: Any) -> None:
-            self._follow_clock()
+            self.follow_clock()
             number = info['publication_sequence_number']
             record = decode(record_type, message)
             doubt = self._doubt_of(name, topic, number)
@@ -307,11 +314,11 @@ class ComponentNode:
                 and not self._from_the_future(name, record)
                 and self.merger.push(name, record)
             )
-            self._heard(topic, number)
+            self.on_heard(topic, number)
             if drives:
                 self._sent_at = info['source_timestamp']
             if not self.settings.lockstep and drives and accepted:
-                self._work(record.stamp)
+                self.work(record.stamp)
 
         return on_message
 
@@ -321,7 +328,7 @@ class ComponentNode:
         Taken, it would have the node work up to that time and drop all that comes until then.
         Where machine time has not begun nothing is known to be ahead of it.
         """
-        now, most = self._now(), nanoseconds(self.settings.stamp_ahead_max)
+        now, most = self.now(), nanoseconds(self.settings.stamp_ahead_max)
         if self.settings.lockstep or not (now and most) or record.stamp <= now + most:
             return False
         return self._refuse(
@@ -355,12 +362,13 @@ class ComponentNode:
         """Have the operator see what has happened, though it is over."""
         self._notices[name] = time.monotonic(), text
 
-    def _heard(self, topic: str, sequence_number: int) -> None:
+    def on_heard(self, topic: str, sequence_number: int) -> None:
         """Note in lock-step that a message has come in."""
         if self.turns is not None:
             self.turns.received(topic, sequence_number)
 
-    def _work(self, stamp: int) -> None:
+    def work(self, stamp: int) -> None:
+        """Have the component work up to a stamp [ns], and publish what it emits."""
         self.publish(self.merger.advance(stamp))
         if self._sent_at:
             self._activity.worked(self._sent_at)
@@ -375,13 +383,14 @@ class ComponentNode:
         else:
             self.node.get_logger().info(answer.message)
 
-    def _now(self) -> int:
+    def now(self) -> int:
+        """Return the present machine time [ns]."""
         return self._clock_now() if self._steady is None else self._steady.now()
 
     def _clock_now(self) -> int:
         return int(self.node.get_clock().now().nanoseconds)
 
-    def _follow_clock(self) -> None:
+    def follow_clock(self) -> None:
         """Begin a new series of stamps where the clock has been set."""
         step = 0 if self.settings.lockstep or self._steady is None else self._steady.step()
         if not step:
@@ -393,28 +402,33 @@ class ComponentNode:
         self._notice('clock', f'{text}; what was known by stamps from before is forgotten')
         before = self.component
         self.component, emissions = before.renewed(step)
-        self.merger = Merger(self.component, time=self._now())
+        self.merger = Merger(self.component, time=self.now())
         self.publish(emissions)
         anew = self.component is not before and self.component.MANAGED
         if anew and self._lifecycle_state == 'active':
             self.request('activate', {})
         self.announce()
 
-    def _poll_deadline(self) -> None:
-        """Real time: fire a deadline that no input has fired, and write it down."""
-        self._follow_clock()
+    def on_poll(self) -> None:
+        """Real time, from time to time: fire a deadline that no input has fired."""
+        self.follow_clock()
         deadline = self.component.next_deadline
-        if deadline is None or deadline > self._now():
+        if deadline is None or deadline > self.now():
             return
-        self._work(deadline)
+        self.work(deadline)
+        self.note_deadline(deadline)
+
+    def note_deadline(self, stamp: int) -> None:
+        """Write down for replay that the component worked up to a stamp [ns] without an input."""
         record = DeadlineFired(
-            stamp=deadline,
+            stamp=stamp,
             frame_id=self.component.frame('machine'),
             node=self.node.get_name(),
         )
         self._deadlines.publish(encode(record, RCLPY))
 
-    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Take live parameters; what it refuses stays as it was."""
         try:
             config = changed(self.component.configuration, parameters)
             self.component.reconfigure(config)

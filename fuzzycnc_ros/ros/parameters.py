@@ -4,7 +4,7 @@
 
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, overload
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -18,6 +18,9 @@ from rclpy.parameter import Parameter
 
 from fuzzycnc_ros.core.config import Config
 
+A = TypeVar('A', bound=Config)
+B = TypeVar('B', bound=Config)
+
 CLOCK = 'use_sim_time'
 """Parameter of ROS by which a node chooses its clock."""
 KEEPS_ITS_CLOCK = (
@@ -28,6 +31,14 @@ KEEPS_ITS_CLOCK = (
 
 class ParameterError(ValueError):
     """A parameter is unknown, of the wrong type or out of bounds; the text names it."""
+
+
+@overload
+def declare(node: Node, only: type[A], /) -> tuple[A]: ...
+
+
+@overload
+def declare(node: Node, one: type[A], other: type[B], /) -> tuple[A, B]: ...
 
 
 def declare(node: Node, *records: type[Config]) -> tuple[Config, ...]:

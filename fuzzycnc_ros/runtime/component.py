@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar, cast
 
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.runtime.records import Record, nanoseconds
@@ -70,7 +70,9 @@ def _is_names(value: Any) -> bool:
     return names and all(isinstance(item, str) for item in value)
 
 
-ComponentT = TypeVar('ComponentT', bound='Component')
+ConfigT = TypeVar('ConfigT', bound=Config)
+ComponentT = TypeVar('ComponentT', bound='Component[Any]')
+RecordT = TypeVar('RecordT', bound=Record)
 
 
 class Durability(Enum):
@@ -88,7 +90,7 @@ STREAM, LATCHED, HISTORY = Durability.STREAM, Durability.LATCHED, Durability.HIS
 
 
 @dataclass(frozen=True)
-class Input:
+class Input(Generic[RecordT]):
     """One input of a component.
 
     Attributes
@@ -112,7 +114,7 @@ class Input:
     """
 
     name: str
-    record: type[Record]
+    record: type[RecordT]
     durability: Durability = STREAM
     driving: bool = False
     max_age: float = float('inf')
@@ -166,8 +168,8 @@ class Answer:
     emissions: tuple[Emission, ...] = ()
 
 
-class Component:
-    """Base of all components.
+class Component(Generic[ConfigT]):
+    """Base of all components, generic in its configuration.
 
     Subclasses set the class attributes and write `on_<input>` for their driving input.  Such a
     method may also exist for a side input, to take note of it; only driving inputs, deadlines
@@ -178,28 +180,31 @@ class Component:
     """Node, module, executable and parameter file."""
     SUMMARY: ClassVar[str]
     """One sentence for the tables of the docs."""
-    CONFIG: ClassVar[type[Config]]
-    INPUTS: ClassVar[tuple[Input, ...]] = ()
+    CONFIG: ClassVar[type[Config]]  # a class variable cannot name ConfigT
+    INPUTS: ClassVar[tuple[Input[Any], ...]] = ()
     OUTPUTS: ClassVar[tuple[Output, ...]] = ()
     MANAGED: ClassVar[bool] = False
     """Whether the node has a managed lifecycle."""
     MACHINE_SIDE: ClassVar[bool] = False
     """Whether something moves by what it is told."""
 
-    def __init__(self, config: Config | None = None) -> None:
-        self._config = self.CONFIG() if config is None else config
+    def __init__(self, config: ConfigT | None = None) -> None:
+        self._config: ConfigT = cast('ConfigT', self.CONFIG()) if config is None else config
         self._newest: dict[str, Record] = {}
         self.sources = CommandSources(item.name for item in self.INPUTS if item.sole)
         self.machine = 'machine'
         """Name of the machine, the first part of every frame id; the host sets it."""
 
     @property
-    def configuration(self) -> Config:
+    def configuration(self) -> ConfigT:
         """The configuration in force."""
         return self._config
 
-    def reconfigure(self, config: Config) -> None:
+    def reconfigure(self, config: ConfigT) -> None:
         """Take a configuration whose live parameters changed."""
+        if not isinstance(config, self.CONFIG):
+            found = type(config).__name__
+            raise TypeError(f'expected {self.CONFIG.__name__} but found {found}')
         self._config = config
 
     @property
@@ -232,7 +237,7 @@ class Component:
                 return Answer(False, str(error))
         return Answer(False, f'{self.NAME} knows no request {name}')
 
-    def renewed(self, step: int) -> tuple['Component', list[Emission]]:
+    def renewed(self, step: int) -> tuple['Component[ConfigT]', list[Emission]]:
         """Return what goes on after the clock has stepped, and what it says at once.
 
         Stamps begin a new series then, so what rests on times of the old one is forgotten; the
@@ -267,18 +272,23 @@ class Component:
         """Text of the model file in use, empty if there is none."""
         return ''
 
-    def newest(self, name: str, stamp: int) -> Record | None:
+    def newest(self, source: 'Input[RecordT]', stamp: int) -> RecordT | None:
         """Return the newest record of a side input that is not too old at `stamp` [ns]."""
-        record = self._newest.get(name)
+        record = self.last(source)
         if record is None:
             return None
-        age_max = self.input(name).max_age
+        age_max = source.max_age
         if age_max != float('inf') and stamp - record.stamp > nanoseconds(age_max):
             return None
         return record
 
+    def last(self, source: 'Input[RecordT]') -> RecordT | None:
+        """Return the newest record of an input, however old."""
+        record = self._newest.get(source.name)
+        return record if isinstance(record, source.record) else None
+
     @classmethod
-    def input(cls, name: str) -> Input:
+    def input(cls, name: str) -> 'Input[Any]':
         """Return the declaration of an input."""
         return next(item for item in cls.INPUTS if item.name == name)
 
@@ -292,7 +302,7 @@ class Component:
         return f'{self.machine}/{part}'
 
 
-class TickingComponent(Component, ABC):
+class TickingComponent(Component[ConfigT], ABC):
     """A component that makes machine time, tick by tick, for all others of its graph."""
 
     @property

@@ -3,6 +3,7 @@
 """A graph of components in one process, without DDS: the same ticks, turns and merge as live."""
 
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -40,8 +41,8 @@ class InProcessGraph:
 
     def __init__(
         self,
-        machine: TickingComponent,
-        components: Sequence[Component],
+        machine: TickingComponent[Any],
+        components: Sequence[Component[Any]],
         *,
         sink: Sink | None = None,
         name: str = 'mill',

@@ -128,7 +128,7 @@ class InputCount:
 class Merger:
     """Order the inputs of one component by stamp and fire its deadlines in between."""
 
-    component: Component
+    component: Component[Any]
     time: int = 0
     """Machine time [ns] up to which the component has worked."""
     counts: dict[str, InputCount] = field(default_factory=dict)

@@ -24,7 +24,7 @@ CLOCK_STEP = 'clock_step'
 
 
 def configuration_record(
-    component: Component, stamp: int, lifecycle_state: str = 'active'
+    component: Component[Any], stamp: int, lifecycle_state: str = 'active'
 ) -> NodeConfiguration:
     """Return what a component runs with at machine time `stamp` [ns]."""
     model = component.model_text
@@ -42,7 +42,7 @@ def configuration_record(
 
 
 def event_record(
-    component: Component, stamp: int, name: str, arguments: Mapping[str, Any]
+    component: Component[Any], stamp: int, name: str, arguments: Mapping[str, Any]
 ) -> NodeEvent:
     """Return a request that changed a component at machine time `stamp` [ns]."""
     return NodeEvent(

@@ -153,7 +153,7 @@ def test_no_ros_is_imported():
         'import sys\n'
         "sys.modules['rclpy'] = sys.modules['fuzzycnc_msgs'] = None\n"
         'from fuzzycnc_ros.bags import reader, recorder, repair, writer, canonical, runs\n'
-        'from fuzzycnc_ros.bags import csv as _\n'
+        'from fuzzycnc_ros.bags import csv_import as _\n'
         "assert not {'rosbags', 'mcap', 'zstandard', 'yaml'} & set(sys.modules)\n"
         'from fuzzycnc_ros.bags.typestore import type_hash\n'
         f"print(type_hash('{TEMPERATURES}'))\n"

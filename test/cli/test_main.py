@@ -10,7 +10,8 @@ import pytest
 from processes import HANG, start, wait_for
 
 from fuzzycnc_ros import __version__
-from fuzzycnc_ros.cli.main import COMMANDS, manual
+from fuzzycnc_ros.cli.application import manual
+from fuzzycnc_ros.cli.main import COMMANDS
 
 
 def test_help_lists_every_command_with_its_whole_summary(fuzzycnc):

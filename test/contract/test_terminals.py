@@ -8,7 +8,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[2] / 'fuzzycnc_ros'
 PRINTS = {
     'cli/console.py': 'lines and tables',
-    'cli/main.py': 'errors',
+    'cli/application.py': 'errors',
     'ros/run.py': 'errors of nodes',
     'nodes/player.py': 'JSON',
     'nodes/recorder.py': 'what came of a recording',

@@ -4,6 +4,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -55,14 +56,16 @@ class LineBridgeConfig(ControllerBridgeConfig):
     )
 
 
-class LineBridge(ControllerBridge[LineStatus, LineOrders]):
+LineConfigT = TypeVar('LineConfigT', bound=LineBridgeConfig)
+
+
+class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[LineConfigT]):
     """Guard the lines at the ends of the travel, hand them over, tell what is applied."""
 
     CONTROLLER = 'the control'
     CONFIG = LineBridgeConfig
-    _config: LineBridgeConfig
 
-    def __init__(self, config: LineBridgeConfig | None = None) -> None:
+    def __init__(self, config: LineConfigT | None = None) -> None:
         self._theirs = np.inf  # the slew limit of the control [m/s]
         super().__init__(config)
         size = len(self._axes)

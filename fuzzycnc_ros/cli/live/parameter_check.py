@@ -93,11 +93,9 @@ def _check(name: str, arguments: list[str], context: rclpy.Context) -> None:
     try:
         if name == 'recorder':
             (recorder,) = declare(node, RecorderConfig)
-            assert isinstance(recorder, RecorderConfig)
             check_new(Path(recorder.output))
             return
         host, config = declare(node, HostConfig, COMPONENTS[name].CONFIG)
-        assert isinstance(host, HostConfig)
         component = COMPONENTS[name](config)
         StateDirectory(host.state_directory, node.get_fully_qualified_name())
         use_files = getattr(import_module(f'fuzzycnc_ros.nodes.{name}'), 'use_files', None)

@@ -73,7 +73,7 @@ class SimulatedBodyConfig(Config):
     start_timeout: float = _of_the_machine('start_timeout')
 
 
-class SimulatedBody(Component):
+class SimulatedBody(Component[SimulatedBodyConfig]):
     """Warm up by the spindle of a controller, be moved by its offsets, measure both."""
 
     NAME = 'simulated_body'
@@ -90,7 +90,6 @@ class SimulatedBody(Component):
         Output('displacement', Displacement),
         Output('sensor_readings', Temperatures),
     )
-    _config: SimulatedBodyConfig
 
     def __init__(self, config: SimulatedBodyConfig | None = None) -> None:
         super().__init__(config)

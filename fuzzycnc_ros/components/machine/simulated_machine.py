@@ -73,7 +73,7 @@ _NO_DUTY = Duty('none', (DutyBlock(0.0, DAY),), base=20.0, amplitude=2.0, phase_
 """A machine that only follows paths stands in its shop with the spindle at rest."""
 
 
-class SimulatedMachine(TickingComponent):
+class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
     """Run duties on the simulated mill, apply compensation, follow trajectories, drive axes."""
 
     NAME = 'simulated_machine'
@@ -103,7 +103,6 @@ class SimulatedMachine(TickingComponent):
         Output('stitch_pattern', StitchPattern, LATCHED),
         Output('stitched_path', StitchedPath),
     )
-    _config: SimulatedMachineConfig
 
     def __init__(self, config: SimulatedMachineConfig | None = None) -> None:
         super().__init__(config)
@@ -295,8 +294,8 @@ class SimulatedMachine(TickingComponent):
 
     def _go(self, move: str) -> None:
         """Have driven axes make a move."""
-        assert isinstance(self._motion, ServoMotion)
-        self._motion.go(move)
+        if isinstance(self._motion, ServoMotion):
+            self._motion.go(move)
 
     def _warm(self, stamp: int) -> None:
         """Move temperatures and offsets on by a tick period."""

@@ -19,7 +19,6 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSch
 from fuzzycnc_ros.components.motion.program_request import ScheduledProgram, schedule_text
 from fuzzycnc_ros.components.motion.tool_path_checks import PATH_AXES
 from fuzzycnc_ros.components.motion.tool_paths import ToolPathSegments, tool_path_segments
-from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,
@@ -63,21 +62,18 @@ class Waiting:
     """Whether it was made just now, so that nobody can have run it."""
 
 
-class FeedrateScheduler(Component):
+class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
     """Run the tool paths that arrive, one at a time."""
 
     NAME = 'feedrate_scheduler'
     SUMMARY = 'Chooses the feed along tool paths and streams their trajectory. Managed lifecycle.'
     CONFIG = FeedrateSchedulerConfig
-    INPUTS = (
-        Input('axis_state', AxisState, max_age=60.0, quiet=True),
-        Input('machine_state', MachineState, max_age=600.0),
-        Input('trajectory_state', TrajectoryState, quiet=True),
-        Input('tool_path', ToolPath, LATCHED, driving=True),
-    )
+    AXES = Input('axis_state', AxisState, max_age=60.0, quiet=True)
+    MACHINE = Input('machine_state', MachineState, max_age=600.0)
+    FOLLOWED = Input('trajectory_state', TrajectoryState, quiet=True)
+    INPUTS = (AXES, MACHINE, FOLLOWED, Input('tool_path', ToolPath, LATCHED, driving=True))
     OUTPUTS = (Output('trajectory', Trajectory), Output('feed_schedule', FeedSchedule))
     MANAGED = True
-    _config: FeedrateSchedulerConfig
 
     def __init__(self, config: FeedrateSchedulerConfig | None = None) -> None:
         super().__init__(config)
@@ -112,10 +108,8 @@ class FeedrateScheduler(Component):
         self._time = max(self._time, record.stamp)
         yield from super().receive(name, record)
 
-    def reconfigure(self, config: Config) -> None:
+    def reconfigure(self, config: FeedrateSchedulerConfig) -> None:
         """Take new live parameters; they act from the next part on that is sent."""
-        if not isinstance(config, FeedrateSchedulerConfig):
-            raise TypeError(f'expected FeedrateSchedulerConfig but found {type(config).__name__}')
         if self._run is not None and not self._run.complete:
             self._run.change(config)
         super().reconfigure(config)
@@ -274,13 +268,13 @@ class FeedrateScheduler(Component):
             self._say(Level.WARN, f'{name} waits: {obstacle}')
             return
         self._waiting = None
-        state = self._newest['trajectory_state']
-        assert isinstance(state, TrajectoryState)
-        if not waiting.fresh and state.path_id == name:
+        state = self.last(self.FOLLOWED)
+        epoch = 0 if state is None else state.epoch
+        if not waiting.fresh and state is not None and state.path_id == name:
             self._say(Level.WARN, f'{name} was begun before; send it anew to run it again')
             return
-        if self._epoch == 0 or state.epoch > self._epoch:
-            self._epoch = state.epoch + 1
+        if self._epoch == 0 or epoch > self._epoch:
+            self._epoch = epoch + 1
         header = Header(name, self._epoch, self.frame('workpiece'))
         try:
             run = PathRun(
@@ -310,22 +304,22 @@ class FeedrateScheduler(Component):
     def _place(self, segments: ToolPathSegments, stamp: int) -> tuple[Floats, str]:
         """Return where the axes rest, X, Y and Z [m], and what a start has to wait for."""
         place = np.zeros(3)
-        machine = self.newest('machine_state', stamp)
-        if not isinstance(machine, MachineState):
+        machine = self.newest(self.MACHINE, stamp)
+        if machine is None:
             return place, 'no fresh machine_state'
         refusal = _refusal(machine)
         if refusal:
             return place, refusal
-        state = self._newest.get('trajectory_state')
-        if not isinstance(state, TrajectoryState):
+        state = self.last(self.FOLLOWED)
+        if state is None:
             return place, 'no trajectory_state: what the machine follows is unknown'
         if state.status == TrajectoryStatus.FOLLOWING:
             return place, f'the machine still follows {state.path_id}'
         rest_since = self._moved_until
         if state.status in _BAD_ENDS and state.epoch:
             rest_since = max(rest_since, self._told_since + nanoseconds(SETTLED))
-        axes = self.newest('axis_state', stamp)
-        if not isinstance(axes, AxisState):
+        axes = self.newest(self.AXES, stamp)
+        if axes is None:
             return place, 'no fresh axis_state: where the axes are is unknown'
         if axes.stamp < rest_since:
             return place, 'no axis_state since the end of the last motion'

@@ -25,7 +25,6 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     trajectory_limits,
 )
 from fuzzycnc_ros.components.servo.setpoints import ServoLead
-from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.runtime.component import (
     Answer,
     Component,
@@ -53,7 +52,7 @@ LATENESS = 0.5
 _MOVING = (MachineMode.ON, MachineMode.RUNNING)
 
 
-class ServoController(Component):
+class ServoController(Component[ServoControllerConfig]):
     """Control the positions of the axes of a machine."""
 
     NAME = 'servo_controller'
@@ -67,7 +66,6 @@ class ServoController(Component):
     )
     OUTPUTS = (Output('axis_command', AxisCommand), Output('servo_state', ServoState))
     MANAGED = True
-    _config: ServoControllerConfig
 
     def __init__(self, config: ServoControllerConfig | None = None) -> None:
         super().__init__(config)
@@ -103,10 +101,8 @@ class ServoController(Component):
             return None
         return self._at + self._period + self._tolerance
 
-    def reconfigure(self, config: Config) -> None:
+    def reconfigure(self, config: ServoControllerConfig) -> None:
         """Take new live parameters; they act on the next motion that is commanded."""
-        if not isinstance(config, ServoControllerConfig):
-            raise TypeError(f'expected ServoControllerConfig but found {type(config).__name__}')
         super().reconfigure(config)
 
     def on_machine_state(self, state: MachineState) -> None:

@@ -7,9 +7,9 @@ later sets off a path that was loaded before.  What the model was not trained fo
 compensated, and said.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -108,16 +108,24 @@ _LIMITED = (
 )
 
 
+ContentT = TypeVar('ContentT')
+
+
 @dataclass(frozen=True)
-class Source:
+class Source(Generic[ContentT]):
     """A file that offsets come from: its content, text and hash."""
 
-    content: DeformationModel | StitchOffsets
+    content: ContentT
     text: str
     hash: str
 
 
-class DeformationCompensator(Component):
+def _source(read: Callable[[str], ContentT], text: str) -> Source[ContentT] | None:
+    """Read the text of a file; none if it is empty."""
+    return Source(read(text), text, text_hash(text)) if text else None
+
+
+class DeformationCompensator(Component[DeformationCompensatorConfig]):
     """Shift the stitches of patterns so that the relaxed sheet shows them where they belong."""
 
     NAME = 'deformation_compensator'
@@ -135,13 +143,12 @@ class DeformationCompensator(Component):
         Output('tool_path', ToolPath, LATCHED),
     )
     MANAGED = True
-    _config: DeformationCompensatorConfig
 
     def __init__(self, config: DeformationCompensatorConfig | None = None) -> None:
         super().__init__(config)
         self._active = False
-        self._model: Source | None = None
-        self._offsets: Source | None = None
+        self._model: Source[DeformationModel] | None = None
+        self._offsets: Source[StitchOffsets] | None = None
         self._handled = (-1, '')  # stamp and name of the newest pattern that was taken
         self._level, self._text = Level.OK, 'inactive'
         self._values: dict[str, str] = {}
@@ -179,14 +186,14 @@ class DeformationCompensator(Component):
             return super().on_request(name, arguments, stamp)
         what = name.removeprefix('use_')
         text = str(arguments[what])
+        source: Source[Any] | None = None
         try:
-            source = self._source(what, text) if text else None
+            if what == 'model':
+                source = self._model = _source(read_model, text)
+            else:
+                source = self._offsets = _source(read_offsets, text)
         except ValueError as error:
             return Answer(False, str(error))
-        if what == 'model':
-            self._model = source
-        else:
-            self._offsets = source
         said = f'using the {what} {source.hash[:8]}' if source else f'using no {what}'
         return Answer(True, f'{said}, from the next pattern on')
 
@@ -207,11 +214,6 @@ class DeformationCompensator(Component):
         self._values, self._unused = {}, ''
         return Answer(True, state)
 
-    @staticmethod
-    def _source(what: str, text: str) -> Source:
-        content = read_model(text) if what == 'model' else read_offsets(text)
-        return Source(content, text, text_hash(text))
-
     def _compensate(self, pattern: StitchPattern) -> Iterator[Emission]:
         """Yield the compensated path of a pattern and its tool path."""
         material = self._sheet(pattern)
@@ -220,6 +222,7 @@ class DeformationCompensator(Component):
         path = StitchPath.of_primitives(primitives)
         material.check(path)
         learnt = self._learnt(pattern, material, path.points)
+        source: Source[Any] | None
         if learnt is not None:
             found, source = self._with_offsets(path, material, learnt), self._offsets
         else:
@@ -267,7 +270,6 @@ class DeformationCompensator(Component):
         if self._offsets is None:
             return None
         offsets = self._offsets.content
-        assert isinstance(offsets, StitchOffsets)
         self._unused = offsets.mismatch(pattern.path_id, material.name, points)
         return None if self._unused else offsets.offset
 
@@ -291,7 +293,6 @@ class DeformationCompensator(Component):
         if self._model is None:
             return CompensatedPath.unchanged(path.points)
         model, gain = self._model.content, np.array(self._config.gain)
-        assert isinstance(model, DeformationModel)
 
         def predict(x: Floats) -> Floats:
             return np.asarray(gain * model.predict(x))

@@ -101,20 +101,20 @@ def describe(axes: Names, values: Floats, chosen: Bools | None = None) -> str:
     )
 
 
-class Compensator(Component):
+class Compensator(Component[CompensatorConfig]):
     """Follow the thermal error within limits; hold, ramp and expire without it."""
 
     NAME = 'compensator'
     SUMMARY = 'The only source of offsets: clamped, rate-limited, expiring. Managed lifecycle.'
     CONFIG = CompensatorConfig
+    MACHINE = Input('machine_state', MachineState, max_age=600.0, sole=True)
     INPUTS = (
-        Input('machine_state', MachineState, max_age=600.0, sole=True),
+        MACHINE,
         Input('compensation_applied', CompensationApplied, sole=True),
         Input('thermal_error', ThermalError, driving=True, sole=True),
     )
     OUTPUTS = (Output('compensation', Compensation),)
     MANAGED = True
-    _config: CompensatorConfig
 
     def __init__(self, config: CompensatorConfig | None = None) -> None:
         super().__init__(config)
@@ -156,10 +156,8 @@ class Compensator(Component):
                 f'period = {config.period} s, or every offset expires on the machine'
             )
 
-    def reconfigure(self, config: Config) -> None:
+    def reconfigure(self, config: CompensatorConfig) -> None:
         """Take new limits; they act from the next update on, within the slew limit."""
-        if not isinstance(config, CompensatorConfig):
-            raise TypeError(f'expected CompensatorConfig but found {type(config).__name__}')
         self._check(config)
         super().reconfigure(config)
 
@@ -357,8 +355,8 @@ class Compensator(Component):
         """Say why an error must not be followed; empty if it may."""
         if self._doubt:
             return self._doubt
-        machine = self.newest('machine_state', error.stamp)
-        if not isinstance(machine, MachineState):
+        machine = self.newest(self.MACHINE, error.stamp)
+        if machine is None:
             return 'no fresh machine_state'
         if not (machine.offsets_allowed and machine.homed):
             return 'machine does not allow offsets' if machine.homed else 'machine is not homed'

@@ -61,7 +61,7 @@ class SensorSelectorConfig(Config):
     seed: int = param(0, '-', 'Seed of the clustering', low=0, high=2**31 - 1)
 
 
-class SensorSelector(Component):
+class SensorSelector(Component[SensorSelectorConfig]):
     """Cluster the sensors of calibration runs and choose one per cluster."""
 
     NAME = 'sensor_selector'
@@ -72,7 +72,6 @@ class SensorSelector(Component):
         Input('temperatures', Temperatures, driving=True),
     )
     OUTPUTS = (Output('sensor_selection', SensorSelection, LATCHED, persistent=True),)
-    _config: SensorSelectorConfig
 
     def __init__(self, config: SensorSelectorConfig | None = None) -> None:
         super().__init__(config)

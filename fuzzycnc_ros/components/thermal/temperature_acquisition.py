@@ -114,7 +114,7 @@ class TemperatureAcquisitionConfig(Config):
     )
 
 
-class TemperatureAcquisition(Component):
+class TemperatureAcquisition(Component[TemperatureAcquisitionConfig]):
     """Check, average and publish the readings; set the thermal reference at a cold start."""
 
     NAME = 'temperature_acquisition'
@@ -129,7 +129,6 @@ class TemperatureAcquisition(Component):
         Output('thermal_reference', ThermalReference, LATCHED, persistent=True),
         Output('temperatures', Temperatures),
     )
-    _config: TemperatureAcquisitionConfig
 
     def __init__(self, config: TemperatureAcquisitionConfig | None = None) -> None:
         super().__init__(config)

@@ -19,7 +19,6 @@ from fuzzycnc_ros.components.thermal.sample_memory import Heard, SampleMemory
 from fuzzycnc_ros.components.thermal.spindle_speed import OWN, STATE, SpeedSources, speed_told
 from fuzzycnc_ros.components.thermal.thermal_history import ModelHistory, losses_of
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
-from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.core.thermal import ModelMismatchError, ThermalModel
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
@@ -52,7 +51,7 @@ __all__ = ['ThermalPredictor', 'ThermalPredictorConfig']
 NO_MODEL = 'no model; set the parameter model or call train_thermal_model'
 
 
-class ThermalPredictor(Component):
+class ThermalPredictor(Component[ThermalPredictorConfig]):
     """Step the model with each sample; correct it by probes; let a new one take over softly."""
 
     NAME = 'thermal_predictor'
@@ -72,7 +71,6 @@ class ThermalPredictor(Component):
         Output('thermal_error', ThermalError),
         Output('predictor_state', PredictorState, LATCHED, persistent=True),
     )
-    _config: ThermalPredictorConfig
 
     def __init__(self, config: ThermalPredictorConfig | None = None) -> None:
         super().__init__(config)
@@ -97,7 +95,7 @@ class ThermalPredictor(Component):
         """Text of the model file that was asked for last."""
         return self._swap.wanted.text if self._swap.wanted is not None else ''
 
-    def reconfigure(self, config: Config) -> None:
+    def reconfigure(self, config: ThermalPredictorConfig) -> None:
         """Take live parameters; they act from the next sample on."""
         super().reconfigure(config)
         for history in self._swap.models:

@@ -63,7 +63,6 @@ def run_positioning(
     controllers = ServoController(servo)
     settings = machine or SimulatedMachineConfig()
     config = controllers.configuration
-    assert isinstance(config, ServoControllerConfig)
     axes = settings.servo_axes or config.axes
     driven = SimulatedMachine(replace(settings, duties=(), moves=tuple(moves), servo_axes=axes))
     log = PositioningLog()

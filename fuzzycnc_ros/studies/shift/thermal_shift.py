@@ -194,7 +194,6 @@ def run_shift(
     selector.run_reader = calibration.read if calibration is not None else read_run
     compensator = Compensator(configured(CompensatorConfig, given))
     limits = compensator.configuration
-    assert isinstance(limits, CompensatorConfig)
     log = ShiftLog()
     graph = judged_graph(
         machine,

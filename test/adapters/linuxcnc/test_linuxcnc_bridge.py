@@ -11,7 +11,7 @@ from benches.linuxcnc_rig import CYCLE, HOLD, RATE, SCALE, SLEW, Controller, Rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.adapters.linuxcnc.bridge import LinuxcncBridge, LinuxcncBridgeConfig
+from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge, LinuxcncBridgeConfig
 from fuzzycnc_ros.adapters.linuxcnc.status import ControllerLimits
 from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import nanoseconds

@@ -12,7 +12,7 @@ from benches.line_control import LineControl
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.adapters.opcua.bridge import OpcuaBridge, OpcuaBridgeConfig
+from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
 from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import Compensation, nanoseconds
 

@@ -6,7 +6,7 @@ import numpy as np
 from benches.bridge_bench import BridgeRig
 from benches.component_bench import Bench
 
-from fuzzycnc_ros.adapters.linuxcnc.bridge import LinuxcncBridge, LinuxcncBridgeConfig
+from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge, LinuxcncBridgeConfig
 from fuzzycnc_ros.adapters.linuxcnc.status import ControllerStatus
 from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.records import nanoseconds

@@ -47,7 +47,7 @@ class LinuxcncBridgeConfig(ControllerBridgeConfig):
     )
 
 
-class LinuxcncBridge(ControllerBridge[ControllerStatus, ControllerOutput]):
+class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, ControllerOutput]):
     """Guard the offsets, bring LinuxCNC's registers there, tell what is applied."""
 
     NAME = 'linuxcnc_bridge'
@@ -57,7 +57,6 @@ class LinuxcncBridge(ControllerBridge[ControllerStatus, ControllerOutput]):
     )
     CONTROLLER = 'LinuxCNC'
     CONFIG = LinuxcncBridgeConfig
-    _config: LinuxcncBridgeConfig
 
     def __init__(self, config: LinuxcncBridgeConfig | None = None) -> None:
         super().__init__(config)

@@ -20,7 +20,7 @@ class OpcuaBridgeConfig(LineBridgeConfig):
     )
 
 
-class OpcuaBridge(LineBridge):
+class OpcuaBridge(LineBridge[OpcuaBridgeConfig]):
     """The bridge to a control that takes lines, behind OPC UA."""
 
     NAME = 'opcua_bridge'
@@ -29,4 +29,3 @@ class OpcuaBridge(LineBridge):
         'into variables of a control by OPC UA, and its read-back. Managed lifecycle.'
     )
     CONFIG = OpcuaBridgeConfig
-    _config: OpcuaBridgeConfig
