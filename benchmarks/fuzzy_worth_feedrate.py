@@ -38,7 +38,8 @@ from fuzzycnc_ros.core.feedrate.job.program_schedule import (
     schedule_program,
 )
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
-from fuzzycnc_ros.core.feedrate.program import Program, ProgramReader
+from fuzzycnc_ros.core.feedrate.program.blocks import Program
+from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader
 from fuzzycnc_ros.core.feedrate.schedulers.fuzzy_rules import CURVATURE_SETS
 from fuzzycnc_ros.core.feedrate.schedulers.plain import Scheduler
 from fuzzycnc_ros.core.feedrate.schedulers.refinement import (

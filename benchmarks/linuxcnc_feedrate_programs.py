@@ -18,10 +18,10 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.job.program_schedule import schedule_program
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.program import read_program, write_program
+from fuzzycnc_ros.core.feedrate.program.reader import read_program
 from fuzzycnc_ros.core.feedrate.program.sampling import sample_path
 from fuzzycnc_ros.core.feedrate.program.segments import Segment
-from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds
+from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds, write_program
 from fuzzycnc_ros.core.machine.contour import Contour
 
 POINTS = 2000

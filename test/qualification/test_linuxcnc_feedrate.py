@@ -14,7 +14,7 @@ from equipment.linuxcnc_trace import Recorder, cut_of, judge
 
 from fuzzycnc_ros.cli.main import run
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
-from fuzzycnc_ros.core.feedrate.program import strip_feeds
+from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds
 from fuzzycnc_ros.core.machine.contour import Contour
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.qualify]

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.job.controller_program import PathMode
     from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings
     from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
-    from fuzzycnc_ros.core.feedrate.program import Program
+    from fuzzycnc_ros.core.feedrate.program.blocks import Program
     from fuzzycnc_ros.studies.programs.advice import Advice
     from fuzzycnc_ros.studies.programs.advice_page import AdviceFigures
     from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
@@ -160,7 +160,7 @@ def advise(
 
 
 def _read(program: Path, units: str) -> 'Program':
-    from fuzzycnc_ros.core.feedrate.program import read_program
+    from fuzzycnc_ros.core.feedrate.program.reader import read_program
 
     with program_lines(program) as source, open_program(source) as file:
         text = ''.join(file)

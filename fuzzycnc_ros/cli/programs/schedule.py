@@ -37,7 +37,8 @@ from fuzzycnc_ros.cli.unkept import say_unkept
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings
-    from fuzzycnc_ros.core.feedrate.program import Block, Program, ProgramReader
+    from fuzzycnc_ros.core.feedrate.program.blocks import Block, Program
+    from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader
     from fuzzycnc_ros.studies.programs.program_judge import Judged
     from fuzzycnc_ros.studies.programs.schedule_tables import ScheduleFigures
     from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
@@ -150,7 +151,7 @@ def schedule(
             --machine params/feedrate_scheduler.yaml --out fast.ngc --report fast.html
     """
     from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramScheduler
-    from fuzzycnc_ros.core.feedrate.program import ProgramReader
+    from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader
     from fuzzycnc_ros.studies.programs.schedule_tables import (
         ScheduleFigures,
         schedule_document,
@@ -254,7 +255,8 @@ def _counted(
     scheduled: 'Iterable[tuple[Block, float | None]]', words: Words, rest: float
 ) -> Iterator[str]:
     """Yield the lines of the program with its new feeds; count the words that changed."""
-    from fuzzycnc_ros.core.feedrate.program import FeedTally, write_blocks
+    from fuzzycnc_ros.core.feedrate.program.tally import FeedTally
+    from fuzzycnc_ros.core.feedrate.program.writer import write_blocks
 
     tally = FeedTally()
     held: dict[int, Block] = {}
@@ -306,7 +308,7 @@ class Stretch:
 
 def _stretch(source: Path, reader: 'ProgramReader', count: int, total: int) -> Stretch:
     """Read the beginning of a program again."""
-    from fuzzycnc_ros.core.feedrate.program import Program
+    from fuzzycnc_ros.core.feedrate.program.blocks import Program
 
     with open_program(source) as file:
         blocks = list(islice(reader.blocks(file), count))

@@ -9,7 +9,6 @@ from itertools import pairwise
 from fuzzycnc_ros.components.machine.path_programme import Programme
 from fuzzycnc_ros.components.motion.tool_paths import curve_tool_path, program_tool_path
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
-from fuzzycnc_ros.core.feedrate.program import read_program
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.records import ToolPath, nanoseconds
 
@@ -140,6 +139,9 @@ class JobProgramme(Programme):
         self._program: ToolPath | None = None
         length = 0.0
         if any(job.kind == PROGRAM for job in jobs):
+            # Here, as few machines cut a program, and reading one takes 20 modules.
+            from fuzzycnc_ros.core.feedrate.program.reader import read_program
+
             found = read_program(program)
             self._program = program_tool_path(found)
             length = sum(segment.length for segment in found.segments)

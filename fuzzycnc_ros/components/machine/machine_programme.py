@@ -2,13 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the parameters of `simulated_machine` say of jobs, paths, patterns and the sheet."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from fuzzycnc_ros.components.machine.job_programme import JobProgramme, path_jobs, timed_jobs
-from fuzzycnc_ros.components.machine.pattern_programme import PatternProgramme
 from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
 from fuzzycnc_ros.components.machine.simulated_machine_duties import MACHINE_DUTIES
 from fuzzycnc_ros.core.machine.foam_sheet import FoamSheet
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.components.machine.pattern_programme import PatternProgramme
 
 
 def machine_sheet(config: SimulatedMachineConfig) -> FoamSheet:
@@ -70,6 +75,9 @@ def machine_programme(
             'patterns: expected neither paths nor servo_axes on a machine that stitches but found '
             f'{", ".join((*config.paths, *config.servo_axes))}'
         )
+    # Here, as few machines stitch.
+    from fuzzycnc_ros.components.machine.pattern_programme import PatternProgramme
+
     return PatternProgramme(
         config.patterns,
         sheet=machine_sheet(config),

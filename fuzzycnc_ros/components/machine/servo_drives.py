@@ -4,8 +4,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
-from fuzzycnc_ros.core.servo.params import velocity_lag
+from fuzzycnc_ros.core.machine.axis_plant import AxisPlant, velocity_lag
 from fuzzycnc_ros.runtime.records import AxisCommand
 
 

@@ -20,7 +20,7 @@ from fuzzycnc_ros.components.motion.tool_paths import (
 from fuzzycnc_ros.core.feedrate.path.curves import trident
 from fuzzycnc_ros.core.feedrate.planner.planned_motion import PlannedSamples
 from fuzzycnc_ros.core.feedrate.planner.planner import Planner, PlannerSettings
-from fuzzycnc_ros.core.feedrate.program import LineSegment
+from fuzzycnc_ros.core.feedrate.program.segments import LineSegment
 from fuzzycnc_ros.core.feedrate.reference.nodes import NodePlan, with_nodes
 from fuzzycnc_ros.core.feedrate.reference.reference_path import PathBuilder, ReferencePath
 from fuzzycnc_ros.core.feedrate.schedulers.plain import Scheduler

@@ -11,7 +11,8 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
 )
 from fuzzycnc_ros.components.motion.tool_paths import program_tool_path
 from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings, schedule_program
-from fuzzycnc_ros.core.feedrate.program import read_program, write_program
+from fuzzycnc_ros.core.feedrate.program.reader import read_program
+from fuzzycnc_ros.core.feedrate.program.writer import write_program
 from fuzzycnc_ros.runtime.records import ToolPath
 
 

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tool paths as they travel on topics: made of curves and programs, and turned into motion."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,18 +20,19 @@ from fuzzycnc_ros.components.motion.tool_path_checks import (
     path_columns,
 )
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.program import (
+from fuzzycnc_ros.core.feedrate.program.segments import (
     ArcSegment,
     DwellSegment,
     LineSegment,
     NurbsSegment,
-    Program,
-    Role,
+    Point,
     Segment,
 )
-from fuzzycnc_ros.core.feedrate.program.segments import Point
 from fuzzycnc_ros.runtime.enums import Junction, SegmentKind
 from fuzzycnc_ros.runtime.records import Floats, ToolPath
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.feedrate.program.blocks import Program
 
 
 class ToolPathSegments(Sequence[Segment]):
@@ -199,6 +202,9 @@ def program_tool_path(
         other axes, feeds per revolution, or places that are not known.  The message names the
         line.
     """
+    # Here, as a machine without programs does without their reader.
+    from fuzzycnc_ros.core.feedrate.program.blocks import Role
+
     for block in program.blocks:
         segment = block.segment
         moves = block.role in (Role.RAPID, Role.KEPT, Role.SEALED)

@@ -13,9 +13,8 @@ from math import exp, inf, sqrt
 
 import numpy as np
 
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.machine.axis_plant import LinearAxis, velocity_lag
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
-from fuzzycnc_ros.core.servo.params import velocity_lag
 
 WINDOW = 5
 """Periods over which motion is compared: long against a count, short against 20 ms."""

@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.path.path_curvature import curvature
     from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
     from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-    from fuzzycnc_ros.core.feedrate.program import ProgramError, read_program, write_program
+    from fuzzycnc_ros.core.feedrate.program.lexer import ProgramError
+    from fuzzycnc_ros.core.feedrate.program.reader import read_program
+    from fuzzycnc_ros.core.feedrate.program.writer import write_program
     from fuzzycnc_ros.core.feedrate.reference.reference_path import PathBuilder, ReferencePath
     from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
     from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler

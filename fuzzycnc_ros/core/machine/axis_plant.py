@@ -144,6 +144,18 @@ class LinearAxis:
         return held[:size, :size], held[:size, size], held[:size, size + 1]
 
 
+def velocity_lag(axis: LinearAxis) -> float:
+    """Return the time constant of an axis' mechanics [s]."""
+    velocity = axis.states.index('velocity')
+    return -1.0 / float(axis.a[velocity, velocity])
+
+
+def response_lag(axis: LinearAxis) -> float:
+    """Return the lags of drive and sensor together [s]."""
+    lags = [-1.0 / float(rate) for rate in np.diag(axis.a) if rate]
+    return sum(lags) - velocity_lag(axis)
+
+
 class DutyDelay:
     """Dead time between the duty that is commanded and the one that drives.
 

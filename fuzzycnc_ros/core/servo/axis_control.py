@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.machine.axis_plant import LinearAxis, response_lag, velocity_lag
 from fuzzycnc_ros.core.machine.lathe_axis import LatheAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
@@ -31,8 +31,6 @@ from fuzzycnc_ros.core.servo.observer import ObserverNoise
 from fuzzycnc_ros.core.servo.params import (
     VariableUniverseParams,
     default_crossover,
-    response_lag,
-    velocity_lag,
 )
 from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
 from fuzzycnc_ros.core.servo.surface import ContractedSurface, Law

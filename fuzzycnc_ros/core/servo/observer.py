@@ -15,8 +15,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
-from fuzzycnc_ros.core.servo.params import velocity_lag
+from fuzzycnc_ros.core.machine.axis_plant import LinearAxis, velocity_lag
 from fuzzycnc_ros.core.servo.predictor import predictor
 
 

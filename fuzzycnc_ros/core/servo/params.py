@@ -10,7 +10,7 @@ from math import isfinite
 
 import numpy as np
 
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.machine.axis_plant import LinearAxis, response_lag, velocity_lag
 from fuzzycnc_ros.core.servo.rule_table import RuleTable, published_rules
 
 _DAMPING = 1.32
@@ -210,18 +210,6 @@ class VariableUniverseParams:
             ServoParamsWarning,
             stacklevel=3,
         )
-
-
-def velocity_lag(axis: LinearAxis) -> float:
-    """Return the time constant of an axis' mechanics [s]."""
-    velocity = axis.states.index('velocity')
-    return -1.0 / float(axis.a[velocity, velocity])
-
-
-def response_lag(axis: LinearAxis) -> float:
-    """Return the lags of drive and sensor together [s]."""
-    lags = [-1.0 / float(rate) for rate in np.diag(axis.a) if rate]
-    return sum(lags) - velocity_lag(axis)
 
 
 def default_crossover(axis: LinearAxis) -> float:

@@ -23,7 +23,9 @@ from fuzzycnc_ros.core.feedrate.job.controller_program import (
 from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings, schedule_program
 from fuzzycnc_ros.core.feedrate.job.split_program import check_same_path, split_program
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
-from fuzzycnc_ros.core.feedrate.program import Program, read_program, write_program
+from fuzzycnc_ros.core.feedrate.program.blocks import Program
+from fuzzycnc_ros.core.feedrate.program.reader import read_program
+from fuzzycnc_ros.core.feedrate.program.writer import write_program
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
 from fuzzycnc_ros.studies.programs.advice_mode import program_with_mode
 from fuzzycnc_ros.studies.programs.advice_refine import cuts_near_errors, refine

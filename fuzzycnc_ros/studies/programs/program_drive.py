@@ -24,7 +24,7 @@ from fuzzycnc_ros.core.feedrate.job.program_schedule import (
 )
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.program import Program
+from fuzzycnc_ros.core.feedrate.program.blocks import Program
 from fuzzycnc_ros.core.feedrate.reference.nodes import own_curvature
 from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed
 from fuzzycnc_ros.core.machine.contour import Contour

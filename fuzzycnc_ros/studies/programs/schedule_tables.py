@@ -15,7 +15,7 @@ from fuzzycnc_ros.studies.pareto.pareto_page import LABELS, millimetres
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings, ProgramTimes
     from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
-    from fuzzycnc_ros.core.feedrate.program import Note
+    from fuzzycnc_ros.core.feedrate.program.blocks import Note
 
 MINUTE = 60.0
 

@@ -15,7 +15,7 @@ from fuzzycnc_ros.core.deformation import (
     compensate_path,
     write_model,
 )
-from fuzzycnc_ros.core.feedrate.program import read_program
+from fuzzycnc_ros.core.feedrate.program.reader import read_program
 from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
 

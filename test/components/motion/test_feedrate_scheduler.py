@@ -14,7 +14,8 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSch
 from fuzzycnc_ros.components.motion.tool_paths import program_tool_path, tool_path_segments
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 from fuzzycnc_ros.core.feedrate.planner.planner import Planner
-from fuzzycnc_ros.core.feedrate.program import LineSegment, read_program
+from fuzzycnc_ros.core.feedrate.program.reader import read_program
+from fuzzycnc_ros.core.feedrate.program.segments import LineSegment
 from fuzzycnc_ros.core.feedrate.reference.nodes import NodePlan, with_nodes
 from fuzzycnc_ros.core.feedrate.reference.reference_path import reference_path
 from fuzzycnc_ros.runtime.records import (

@@ -8,7 +8,7 @@ import pytest
 from fuzzycnc_ros.components.motion.feedrate_run import Header, PathRun
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.motion.tool_paths import program_tool_path, tool_path_segments
-from fuzzycnc_ros.core.feedrate.program import read_program
+from fuzzycnc_ros.core.feedrate.program.reader import read_program
 from fuzzycnc_ros.core.machine.contour import Contour
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringAxes, ContouringConfig
 

@@ -7,15 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.feedrate.program import (
-    ArcSegment,
-    DwellSegment,
-    NurbsSegment,
-    ProgramReader,
-    Role,
-    read_program,
-    sample_path,
-)
+from fuzzycnc_ros.core.feedrate.program.blocks import Role
+from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader, read_program
+from fuzzycnc_ros.core.feedrate.program.sampling import sample_path
+from fuzzycnc_ros.core.feedrate.program.segments import ArcSegment, DwellSegment, NurbsSegment
 
 MM = 1e-3
 

@@ -4,7 +4,9 @@
 
 import pytest
 
-from fuzzycnc_ros.core.feedrate.program import ProgramError, read_program, write_program
+from fuzzycnc_ros.core.feedrate.program.lexer import ProgramError
+from fuzzycnc_ros.core.feedrate.program.reader import read_program
+from fuzzycnc_ros.core.feedrate.program.writer import write_program
 
 
 @pytest.mark.parametrize(

@@ -22,13 +22,9 @@ from fuzzycnc_ros.core.feedrate.job.program_schedule import (
 )
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
-from fuzzycnc_ros.core.feedrate.program import (
-    ArcSegment,
-    ProgramReader,
-    read_program,
-    strip_feeds,
-    write_program,
-)
+from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader, read_program
+from fuzzycnc_ros.core.feedrate.program.segments import ArcSegment
+from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds, write_program
 from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed, ConstantNormalAcceleration
 
 LIMITS = MotionLimits(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.machine.axis_batch import LatheMove
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.machine.axis_plant import LinearAxis, response_lag
 from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxis
 from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
 from fuzzycnc_ros.core.servo import (
@@ -27,7 +27,7 @@ from fuzzycnc_ros.core.servo import (
     tune,
 )
 from fuzzycnc_ros.core.servo.observer import ObserverDesign
-from fuzzycnc_ros.core.servo.params import response_lag, settles, ultimate_gain
+from fuzzycnc_ros.core.servo.params import settles, ultimate_gain
 from fuzzycnc_ros.core.servo.predictor import predictor
 from fuzzycnc_ros.core.servo.stability import spectral_radii
 from fuzzycnc_ros.core.servo.tuning import (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.core.feedrate.program import read_program
+from fuzzycnc_ros.core.feedrate.program.reader import read_program
 from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed
 from fuzzycnc_ros.core.machine.contouring import simulate_contouring
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig

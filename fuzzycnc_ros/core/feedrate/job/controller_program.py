@@ -77,7 +77,7 @@ def path_modes(
 
     Examples
     --------
-    >>> from fuzzycnc_ros.core.feedrate.program import read_program
+    >>> from fuzzycnc_ros.core.feedrate.program.reader import read_program
     >>> program = read_program('G21 G61\nG1 X1 F60\nG64 P0.02\nX2\n')
     >>> [mode.word for _, mode in path_modes(program.blocks)]
     ['G61', 'G61', 'G64 P0.02', 'G64 P0.02']
@@ -261,7 +261,7 @@ def simulate(moves: ProgramMoves, limits: ControllerLimits) -> list[Commanded]:
 
     Examples
     --------
-    >>> from fuzzycnc_ros.core.feedrate.program import read_program
+    >>> from fuzzycnc_ros.core.feedrate.program.reader import read_program
     >>> program = read_program('G61 G1 X10 F6000\nY10\n')
     >>> limits = ControllerLimits(velocity=(0.25,) * 3, acceleration=(2.0,) * 3)
     >>> [found] = simulate(program_moves(program.blocks), limits)

@@ -130,7 +130,7 @@ class ProgramScheduler:
     Examples
     --------
     >>> from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
-    >>> from fuzzycnc_ros.core.feedrate.program import ProgramReader
+    >>> from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader
     >>> from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantNormalAcceleration
     >>> scheduler = ProgramScheduler(
     ...     ProgramSettings(
