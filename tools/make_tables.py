@@ -19,14 +19,15 @@ sys.path.insert(0, str(ROOT))
 
 from fuzzycnc_ros.core.config import Config  # noqa: E402
 from fuzzycnc_ros.registry import COMPONENTS  # noqa: E402
-from fuzzycnc_ros.runtime import host_config  # noqa: E402
 from fuzzycnc_ros.runtime.component import LATCHED, STREAM, Durability  # noqa: E402
-from fuzzycnc_ros.runtime.host_config import HostConfig, RecorderConfig  # noqa: E402
-from fuzzycnc_ros.runtime.host_records import (  # noqa: E402
+from fuzzycnc_ros.runtime.host import (  # noqa: E402
     DeadlineFired,
+    HostConfig,
     MachineTick,
     NodeConfiguration,
     NodeEvent,
+    PlayerConfig,
+    RecorderConfig,
     RecorderProgress,
     TickAnswer,
 )
@@ -137,9 +138,7 @@ def nodes() -> list[Node]:
         Node(name, item.SUMMARY, (item.CONFIG, HostConfig)) for name, item in COMPONENTS.items()
     ]
     found.append(Node('recorder', RECORDER, (RecorderConfig,)))
-    player = getattr(host_config, 'PlayerConfig', None)
-    if player is not None:
-        found.append(Node('player', PLAYER, (player,)))
+    found.append(Node('player', PLAYER, (PlayerConfig,)))
     return found
 
 

@@ -26,7 +26,7 @@ from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.registry import COMPONENTS, MACHINES
 from fuzzycnc_ros.runtime.component import Component, Emission, Input
 from fuzzycnc_ros.runtime.convert import Target, decode, encode
-from fuzzycnc_ros.runtime.host_records import (
+from fuzzycnc_ros.runtime.host import (
     DeadlineFired,
     MachineTick,
     NodeConfiguration,

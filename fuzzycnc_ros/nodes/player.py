@@ -33,7 +33,7 @@ from fuzzycnc_ros.ros.run import tell_error
 from fuzzycnc_ros.ros.sequencer import Sequencer
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, routes_matched
 from fuzzycnc_ros.runtime.component import STREAM, Health, Level
-from fuzzycnc_ros.runtime.host_config import PlayerConfig
+from fuzzycnc_ros.runtime.host import PlayerConfig
 from fuzzycnc_ros.runtime.records import SECOND, nanoseconds
 
 POLL = 0.005

@@ -38,8 +38,7 @@ from fuzzycnc_ros.ros.topics import (
 from fuzzycnc_ros.ros.turn_taker import TurnTaker
 from fuzzycnc_ros.runtime.component import STREAM, Health, Level
 from fuzzycnc_ros.runtime.convert import encode
-from fuzzycnc_ros.runtime.host_config import RecorderConfig
-from fuzzycnc_ros.runtime.host_records import NodeConfiguration, RecorderProgress
+from fuzzycnc_ros.runtime.host import NodeConfiguration, RecorderConfig, RecorderProgress
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Displacement,

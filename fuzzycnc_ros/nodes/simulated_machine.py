@@ -14,9 +14,8 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
 )
 from fuzzycnc_ros.ros import run
-from fuzzycnc_ros.ros.clocks import wall_timer
+from fuzzycnc_ros.ros.clocks import CLOCK_PERIOD, SLIP, START_POLL, Pace, StartGate, wall_timer
 from fuzzycnc_ros.ros.host import ComponentNode
-from fuzzycnc_ros.ros.pace import CLOCK_PERIOD, SLIP, START_POLL, Pace, StartGate
 from fuzzycnc_ros.ros.sequencer import Sequencer
 from fuzzycnc_ros.ros.topics import RCLPY, publisher_qos
 from fuzzycnc_ros.runtime.component import STREAM

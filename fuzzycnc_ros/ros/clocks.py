@@ -1,13 +1,14 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The clock of a node, disciplined by the monotonic one.
+"""Clocks, timers and the pace of ticks.
 
 A wall clock is set, by an operator or by NTP, and then offsets would expire an hour too late or at
-once.  This one follows it slowly, never goes back, and tells when the wall clock has stepped.
+once.  That of a node is disciplined by the monotonic one: it follows the wall clock slowly, never
+goes back, and tells when that has stepped.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -71,3 +72,107 @@ class SteadyClock:
 def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Any:
     """Call back every `period` seconds of wall time, whatever the node's clock says."""
     return node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+START_POLL = 0.05
+"""Wall time [s] between two looks at the graph before a run without lock-step starts."""
+SETTLING = 1.0
+"""Wall time [s] for which the graph must have been complete before a run without lock-step starts:
+the other nodes, above all the recorder, still find each other's topics."""
+SLIP = 0.1
+"""Wall time [s] from which on what is late is no longer caught up: a machine whose process stood
+still does not rush through what it missed."""
+CLOCK_PERIOD = 0.01
+"""Wall time [s] between two messages on `/clock` in real time: each wakes every reader."""
+LATE = 0.01
+"""Wall time [s] from which on a tick counts as late."""
+
+
+class Pace:
+    """When ticks of machine time are due on the wall.
+
+    Parameters
+    ----------
+    rate : float
+        Speed of machine time; 1 is real time.
+    stamp : int
+        Machine time [ns] that is now.
+    now : float
+        Wall time [s].
+    slip : float
+        Wall time [s] from which on what is late is not caught up.
+    """
+
+    def __init__(self, rate: float, stamp: int, now: float, slip: float = SLIP) -> None:
+        self._rate, self._slip = rate, slip
+        self._stamp, self._now = stamp, now
+        self.late = 0
+        """Ticks that came late."""
+
+    def due(self, stamp: int) -> float:
+        """Return the wall time [s] of a tick."""
+        return self._now + 1e-9 * (stamp - self._stamp) / self._rate
+
+    def time(self, now: float) -> int:
+        """Return the machine time [ns] at wall time `now` [s]."""
+        return self._stamp + round(1e9 * self._rate * (now - self._now))
+
+    def count(self, stamp: int, now: float) -> None:
+        """Note that a tick is made at wall time `now` [s]; far behind, machine time slips."""
+        behind = now - self.due(stamp)
+        self.late += behind > LATE
+        if behind > self._slip:
+            self.resume(stamp, now)
+
+    def resume(self, stamp: int, now: float) -> None:
+        """Go on from machine time `stamp` [ns] at wall time `now` [s].
+
+        Machine time moves in ticks alone.  What arrives in the midst of a long one and asks for
+        a short one continues from its beginning, rather than have hundreds of ticks be late.
+        So does a machine that is far behind.
+        """
+        self._stamp, self._now = stamp, now
+
+
+class StartGate:
+    """Hold a run without lock-step until its nodes are there.
+
+    Parameters
+    ----------
+    node : Node
+        The node that waits.
+    wanted : collection of str
+        Names of the nodes to wait for.
+    timeout : float
+        Wall time [s] after which it waits no more.
+    matched : callable
+        Whether both ends of all routes of the node are matched.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        wanted: Collection[str],
+        timeout: float,
+        matched: Callable[[Mapping[str, int]], bool],
+    ) -> None:
+        self._node, self._wanted, self._matched = node, set(wanted), matched
+        self._timeout = timeout
+        self._since = time.monotonic()
+        self._complete_since: float | None = None
+
+    def open(self) -> bool:
+        """Whether the run may start now."""
+        missing = self._wanted - set(self._node.get_node_names())
+        if missing or not self._matched({}):
+            self._complete_since = None
+        elif self._complete_since is None:
+            self._complete_since = time.monotonic()
+        elif time.monotonic() - self._complete_since > SETTLING:
+            return True
+        if time.monotonic() - self._since < self._timeout:
+            return False
+        if missing:
+            named = ', '.join(sorted(missing))
+            self._node.get_logger().warning(f'starting without {named}: not seen on the graph')
+        return True

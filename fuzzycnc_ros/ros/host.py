@@ -43,8 +43,7 @@ from fuzzycnc_ros.runtime.component import (
     Output,
 )
 from fuzzycnc_ros.runtime.convert import decode, encode
-from fuzzycnc_ros.runtime.host_config import HostConfig
-from fuzzycnc_ros.runtime.host_records import DeadlineFired, NodeConfiguration, NodeEvent
+from fuzzycnc_ros.runtime.host import DeadlineFired, HostConfig, NodeConfiguration, NodeEvent
 from fuzzycnc_ros.runtime.merge import Merger
 from fuzzycnc_ros.runtime.provenance import (
     CLOCK_STEP,

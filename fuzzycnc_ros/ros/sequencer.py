@@ -15,7 +15,7 @@ from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, create_subscription
 from fuzzycnc_ros.ros.turn_taker import PATIENCE, tick_topic
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import decode, encode
-from fuzzycnc_ros.runtime.host_records import MachineTick, TickAnswer
+from fuzzycnc_ros.runtime.host import MachineTick, TickAnswer
 
 PROBE_PERIOD = 0.1
 RECORDER = 'recorder'

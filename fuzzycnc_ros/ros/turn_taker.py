@@ -18,7 +18,7 @@ from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, create_subscription, subscription_qos
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import decode, encode
-from fuzzycnc_ros.runtime.host_records import MachineTick, TickAnswer
+from fuzzycnc_ros.runtime.host import MachineTick, TickAnswer
 
 PATIENCE = 5.0
 """Wall time [s] without a new message after which what was announced is not waited for any more.

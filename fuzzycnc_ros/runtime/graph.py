@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.runtime.component import Answer, Component, Emission, TickingComponent
-from fuzzycnc_ros.runtime.host_records import MachineTick
+from fuzzycnc_ros.runtime.host import MachineTick
 from fuzzycnc_ros.runtime.merge import Merger
 from fuzzycnc_ros.runtime.provenance import configuration_record, event_record
 from fuzzycnc_ros.runtime.records import Record

@@ -10,7 +10,7 @@ from typing import Any
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.runtime.component import Component
-from fuzzycnc_ros.runtime.host_records import NodeConfiguration, NodeEvent
+from fuzzycnc_ros.runtime.host import NodeConfiguration, NodeEvent
 
 MESSAGE_SET = 1
 """Version of the message set; bags carry it, and older ones are upgraded on reading."""

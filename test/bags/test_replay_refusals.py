@@ -11,7 +11,7 @@ from fuzzycnc_ros.bags.typestore import message_type
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.runtime.convert import Target, encode
-from fuzzycnc_ros.runtime.host_records import NodeEvent
+from fuzzycnc_ros.runtime.host import NodeEvent
 from fuzzycnc_ros.runtime.provenance import configuration_record
 from fuzzycnc_ros.runtime.records import SECOND
 

@@ -15,7 +15,8 @@ from rules import for_each
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.core.machine.offset_input import OffsetStatus
 from fuzzycnc_ros.runtime import enums as codes
-from fuzzycnc_ros.runtime import host_records, records
+from fuzzycnc_ros.runtime import host as host_records
+from fuzzycnc_ros.runtime import records
 from fuzzycnc_ros.runtime.convert import Target, decode, encode
 from fuzzycnc_ros.runtime.records import Record, SensorCluster
 

@@ -34,7 +34,7 @@ from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureA
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.graph import InProcessGraph
-from fuzzycnc_ros.runtime.host_records import NodeConfiguration, NodeEvent
+from fuzzycnc_ros.runtime.host import NodeConfiguration, NodeEvent
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

@@ -19,7 +19,7 @@ from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import CompensationState
-from fuzzycnc_ros.runtime.host_records import NodeConfiguration, NodeEvent
+from fuzzycnc_ros.runtime.host import NodeConfiguration, NodeEvent
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,

@@ -20,7 +20,7 @@ from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import TrajectoryStatus
-from fuzzycnc_ros.runtime.host_records import NodeConfiguration
+from fuzzycnc_ros.runtime.host import NodeConfiguration
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,

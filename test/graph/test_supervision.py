@@ -19,7 +19,7 @@ from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
 from fuzzycnc_ros.runtime.component import LATCHED
 from fuzzycnc_ros.runtime.convert import decode
 from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
-from fuzzycnc_ros.runtime.host_records import NodeConfiguration, NodeEvent
+from fuzzycnc_ros.runtime.host import NodeConfiguration, NodeEvent
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,

@@ -17,7 +17,7 @@ from fuzzycnc_msgs.action import TrainThermalModel
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.runtime.component import LATCHED
-from fuzzycnc_ros.runtime.host_records import NodeConfiguration
+from fuzzycnc_ros.runtime.host import NodeConfiguration
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
 pytestmark = pytest.mark.ros

@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 
 from fuzzycnc_ros.nodes.compensator import make  # noqa: E402
 from fuzzycnc_ros.ros.parameters import KEEPS_ITS_CLOCK, declare  # noqa: E402
-from fuzzycnc_ros.runtime.host_config import RecorderConfig  # noqa: E402
+from fuzzycnc_ros.runtime.host import RecorderConfig  # noqa: E402
 
 
 @pytest.fixture(autouse=True)

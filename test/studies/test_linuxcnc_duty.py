@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from benches.component_bench import applied
 
-from fuzzycnc_ros.components.machine.simulated_machine_duties import MACHINE_DUTIES
+from fuzzycnc_ros.components.machine.simulated_machine_config import MACHINE_DUTIES
 from fuzzycnc_ros.runtime.records import Displacement, ThermalReference, nanoseconds
 from fuzzycnc_ros.studies.linuxcnc_duty import RADIUS, ClosedLoopLog, duty_program
 

@@ -30,7 +30,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
 from fuzzycnc_ros.core.servo import point_to_point
 from fuzzycnc_ros.runtime.convert import decode
 from fuzzycnc_ros.runtime.enums import ServoStatus
-from fuzzycnc_ros.runtime.host_records import NodeConfiguration
+from fuzzycnc_ros.runtime.host import NodeConfiguration
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisCommand,

@@ -179,7 +179,7 @@ def _run_live(
 ) -> tuple[dict[str, Any], bool]:
     """Run the graph for a duty; return what the body says, and whether LinuxCNC cut to the end."""
     from fuzzycnc_ros.cli.live.operator_client import Operator
-    from fuzzycnc_ros.components.machine.simulated_machine_duties import MACHINE_DUTIES
+    from fuzzycnc_ros.components.machine.simulated_machine_config import MACHINE_DUTIES
     from fuzzycnc_ros.runtime.records import Temperatures
     from fuzzycnc_ros.studies.linuxcnc_duty import duty_program
 

@@ -19,7 +19,7 @@ from fuzzycnc_ros.ros.arguments import understood
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
 from fuzzycnc_ros.ros.processes import RANGE, prepare_environment
 from fuzzycnc_ros.ros.state_file import StateDirectory, StateFileError
-from fuzzycnc_ros.runtime.host_config import HostConfig, RecorderConfig
+from fuzzycnc_ros.runtime.host import HostConfig, RecorderConfig
 
 
 def check_files(files: Sequence[Path]) -> None:

@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from fuzzycnc_ros.cli.live.operator_client import Operator
 from fuzzycnc_ros.ros.topics import message_class
 from fuzzycnc_ros.runtime.component import Level
-from fuzzycnc_ros.runtime.host_records import NodeConfiguration
+from fuzzycnc_ros.runtime.host import NodeConfiguration
 
 SILENT = 5.0
 """Wall time [s] without a word from a node, which reports every second."""

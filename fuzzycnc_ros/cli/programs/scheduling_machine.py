@@ -93,7 +93,7 @@ def _of_parameter_file(path: Path | None) -> SchedulingMachine:
     from fuzzycnc_ros.components.machine.contouring_motion import contouring_config
     from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-    from fuzzycnc_ros.runtime.host_config import HostConfig
+    from fuzzycnc_ros.runtime.host import HostConfig
 
     found = _sections(path) if path is not None else {}
     scheduler, simulated = (found.get(node, _Section()) for node in _NODES)

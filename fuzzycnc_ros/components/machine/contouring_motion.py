@@ -16,8 +16,7 @@ from fuzzycnc_ros.components.servo.setpoints import trajectory_part
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.core.machine.contouring_axes import ContouringAxes, ContouringConfig
 from fuzzycnc_ros.core.machine.path_error import PathError
-from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInput
-from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryInputConfig
+from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInput, TrajectoryInputConfig
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
 from fuzzycnc_ros.runtime.enums import TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (

@@ -8,8 +8,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from fuzzycnc_ros.components.machine.job_programme import JobProgramme, path_jobs, timed_jobs
-from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
-from fuzzycnc_ros.components.machine.simulated_machine_duties import MACHINE_DUTIES
+from fuzzycnc_ros.components.machine.simulated_machine_config import (
+    MACHINE_DUTIES,
+    SimulatedMachineConfig,
+)
 from fuzzycnc_ros.core.machine.foam_sheet import FoamSheet
 
 if TYPE_CHECKING:

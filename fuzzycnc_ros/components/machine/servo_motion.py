@@ -20,7 +20,7 @@ from fuzzycnc_ros.components.servo.servo_axes import parse_axes, parse_plants
 from fuzzycnc_ros.components.servo.setpoints import ServoLead
 from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
 from fuzzycnc_ros.core.machine.path_error import PathError
-from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryInputConfig
+from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInputConfig
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
 from fuzzycnc_ros.runtime.enums import TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (

@@ -15,8 +15,10 @@ import numpy as np
 
 from fuzzycnc_ros.components.machine.mill_instruments import MillInstruments
 from fuzzycnc_ros.components.machine.simulated_machine import DAY_START
-from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
-from fuzzycnc_ros.components.machine.simulated_machine_duties import MACHINE_DUTIES
+from fuzzycnc_ros.components.machine.simulated_machine_config import (
+    MACHINE_DUTIES,
+    SimulatedMachineConfig,
+)
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.machine.mill import MILL_AXES
 from fuzzycnc_ros.runtime.component import Component, Emission, Health, Input, Level, Output

@@ -21,8 +21,10 @@ from fuzzycnc_ros.components.machine.machine_programme import (
     machine_sheet,
 )
 from fuzzycnc_ros.components.machine.servo_motion import ServoMotion, servo_motion
-from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
-from fuzzycnc_ros.components.machine.simulated_machine_duties import MACHINE_DUTIES
+from fuzzycnc_ros.components.machine.simulated_machine_config import (
+    MACHINE_DUTIES,
+    SimulatedMachineConfig,
+)
 from fuzzycnc_ros.components.machine.simulated_machine_warmth import Warmth
 from fuzzycnc_ros.components.machine.stitching import Stitching
 from fuzzycnc_ros.core.machine.duties import Duty, DutyBlock

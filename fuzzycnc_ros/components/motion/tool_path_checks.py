@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.path.nurbs_checks import (
+from fuzzycnc_ros.core.feedrate.path.nurbs import (
     COORDINATE_MAX,
     DEGREE_MAX,
+    NurbsCurve,
     check_machinable,
 )
 from fuzzycnc_ros.core.feedrate.program.arcs import ABSOLUTE_MISFIT, RELATIVE_MISFIT, SAME_POINT

@@ -8,7 +8,7 @@ from fuzzycnc_ros.components.servo.servo_axes import make_plant, parse_axes
 from fuzzycnc_ros.components.servo.servo_plausibility import MotionDoubt
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxisConfig
-from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryInputConfig
+from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInputConfig
 from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.controllers import DEFAULT, FOR_USE, make_controller

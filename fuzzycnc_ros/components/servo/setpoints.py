@@ -6,8 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInput
-from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryInputConfig, TrajectoryPart
+from fuzzycnc_ros.core.machine.trajectory_input import (
+    TrajectoryInput,
+    TrajectoryInputConfig,
+    TrajectoryPart,
+)
 from fuzzycnc_ros.runtime.records import Trajectory
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array, Seed
-from fuzzycnc_ros.core.machine.axis_friction import stribeck_frictions
+from fuzzycnc_ros.core.machine.axis_plant import stribeck_frictions
 from fuzzycnc_ros.core.machine.lathe_axis import LatheAxisConfig, substep_shares
 from fuzzycnc_ros.core.machine.position_sensor import PositionSensors
 

@@ -2,10 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Duties of the simulated mill and seeded recordings of them (method sheet 001, section 8)."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import isfinite
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +22,9 @@ from fuzzycnc_ros.core.machine.mill import (
 )
 from fuzzycnc_ros.core.machine.mill_network import RPM
 from fuzzycnc_ros.core.machine.sensor_faults import FaultInjector, SensorFault
-from fuzzycnc_ros.core.thermal.run import ThermalRun
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.thermal.run import ThermalRun
 
 
 @dataclass(frozen=True)
@@ -237,6 +242,9 @@ def _run(
     displacement: NDArray[np.float64],
     spindle_speed: NDArray[np.float64] | None,
 ) -> ThermalRun:
+    # Here, as a machine that runs needs no recorded runs.
+    from fuzzycnc_ros.core.thermal.run import ThermalRun
+
     return ThermalRun(
         name=name,
         time=time,

@@ -6,8 +6,12 @@ from dataclasses import dataclass
 from math import exp
 
 from fuzzycnc_ros.core.config import param
-from fuzzycnc_ros.core.machine.axis_friction import stribeck_friction
-from fuzzycnc_ros.core.machine.axis_plant import AxisPlant, DutyDelay, LinearAxis
+from fuzzycnc_ros.core.machine.axis_plant import (
+    AxisPlant,
+    DutyDelay,
+    LinearAxis,
+    stribeck_friction,
+)
 from fuzzycnc_ros.core.machine.position_sensor import PositionSensor, PositionSensorConfig
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.components.machine.job_programme import MOVE, timed_jobs
-from fuzzycnc_ros.components.machine.simulated_machine_duties import WHOLE_SHIFT
+from fuzzycnc_ros.components.machine.simulated_machine_config import WHOLE_SHIFT
 from fuzzycnc_ros.components.motion.tool_paths import tool_path_segments
 from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.runtime.records import Record, ToolPath

@@ -12,7 +12,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
 )
-from fuzzycnc_ros.components.machine.simulated_machine_duties import WHOLE_SHIFT
+from fuzzycnc_ros.components.machine.simulated_machine_config import WHOLE_SHIFT
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.runtime.enums import MachineMode

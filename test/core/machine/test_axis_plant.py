@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
 from fuzzycnc_ros.core.machine import BallscrewAxis, LatheAxis, LinearAxis
-from fuzzycnc_ros.core.machine.axis_friction import stribeck_friction, stribeck_frictions
+from fuzzycnc_ros.core.machine.axis_plant import stribeck_friction, stribeck_frictions
 
 AXES = {'lathe': LatheAxis().linear(), 'ballscrew': BallscrewAxis().linear()}
 speeds = st.one_of(st.just(0.0), st.floats(-0.3, 0.3))

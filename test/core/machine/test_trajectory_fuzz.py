@@ -10,8 +10,7 @@ from benches.trajectory_bench import AXES, PERIOD, SECOND, line, parts, trapezoi
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInput
-from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryInputConfig
+from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInput, TrajectoryInputConfig
 
 CONFIG = TrajectoryInputConfig()
 STEP = round(PERIOD * SECOND)

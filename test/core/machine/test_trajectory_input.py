@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from benches.trajectory_bench import AXES, PERIOD, SECOND, line, parts, trapezoid
 
-from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInput, TrajectoryStatus
-from fuzzycnc_ros.core.machine.trajectory_part import TrajectoryInputConfig
+from fuzzycnc_ros.core.machine.trajectory_input import (
+    TrajectoryInput,
+    TrajectoryInputConfig,
+    TrajectoryStatus,
+)
 
 CONFIG = TrajectoryInputConfig()
 STEP = round(PERIOD * SECOND)

@@ -30,7 +30,7 @@ from fuzzycnc_ros.cli.live.up import node_specs
 from fuzzycnc_ros.ros.topics import create_subscription, publisher_qos, subscription_qos
 from fuzzycnc_ros.runtime.component import HISTORY
 from fuzzycnc_ros.runtime.convert import decode
-from fuzzycnc_ros.runtime.host_records import RecorderProgress
+from fuzzycnc_ros.runtime.host import RecorderProgress
 from fuzzycnc_ros.runtime.records import SECOND, Record
 
 MACHINE = 'mill'

@@ -20,7 +20,7 @@ from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInput, TrajectoryPart
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
-from fuzzycnc_ros.runtime.host_records import MachineTick
+from fuzzycnc_ros.runtime.host import MachineTick
 from fuzzycnc_ros.runtime.provenance import configuration_record, event_record
 from fuzzycnc_ros.runtime.records import (
     SECOND,

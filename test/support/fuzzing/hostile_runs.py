@@ -14,7 +14,7 @@ from fuzzing.record_mutations import ROSBAGS
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.runtime.convert import encode
-from fuzzycnc_ros.runtime.host_records import MachineTick
+from fuzzycnc_ros.runtime.host import MachineTick
 from fuzzycnc_ros.runtime.provenance import configuration_record, event_record
 from fuzzycnc_ros.runtime.records import SECOND
 

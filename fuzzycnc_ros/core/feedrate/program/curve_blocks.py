@@ -8,8 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.path.nurbs_checks import check_machinable
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve, check_machinable
 from fuzzycnc_ros.core.feedrate.program.arcs import ABSOLUTE_MISFIT, PLANES
 from fuzzycnc_ros.core.feedrate.program.lexer import ProgramError, Word
 from fuzzycnc_ros.core.feedrate.program.modal import State
