@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.thermal.probes import Probe
+from fuzzycnc_ros.components.thermal.predictor_stream import Probe
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.core.thermal.adaptation import GainAdaptation

@@ -6,14 +6,13 @@
 take over.  Both see the same samples, so that either can be published at any time.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fuzzycnc_ros.components.thermal.predictor_checkpoint import read_blocks, write_blocks
+from fuzzycnc_ros.components.thermal.predictor_stream import Heard
 from fuzzycnc_ros.components.thermal.probe_correction import ProbeCorrection
-from fuzzycnc_ros.components.thermal.sample_memory import Heard
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.text_hash import text_hash
@@ -33,6 +32,50 @@ from fuzzycnc_ros.runtime.records import (
     ThermalReference,
     nanoseconds,
 )
+
+BLOCKS = {
+    'correction': 1,
+    'drift': 2,
+    'offset': 3,
+    'kalman': 4,
+    'adaptation': 5,
+    'remainder': 6,
+    'watch': 7,
+}
+"""Codes of the blocks."""
+
+
+def write_blocks(recursion: Floats, blocks: Mapping[str, Floats]) -> Floats:
+    """Return all numbers of a checkpoint as one flat array."""
+    parts = [recursion]
+    for name, values in blocks.items():
+        parts += [np.array([BLOCKS[name], len(values)], dtype=np.float64), values]
+    return np.concatenate(parts)
+
+
+def read_blocks(state: Floats, size: int) -> tuple[Floats, dict[str, Floats]]:
+    """Return the first `size` numbers of a checkpoint and its blocks by name.
+
+    Raises
+    ------
+    ValueError
+        If the array ends within a part of it, or holds a length that is none.
+    """
+    if len(state) < size:
+        raise ValueError(f'state: expected {size} numbers or more, but found {len(state)}')
+    names = {code: name for name, code in BLOCKS.items()}
+    blocks = {}
+    at = size
+    while at < len(state):
+        head = state[at : at + 2]
+        length = int(head[1]) if len(head) == 2 and np.isfinite(head).all() else -1
+        if length < 0 or at + 2 + length > len(state):
+            raise ValueError(f'state: expected a whole block at {at}, but found {state[at:]}')
+        name = names.get(int(head[0]))
+        if name is not None:
+            blocks[name] = state[at + 2 : at + 2 + length]
+        at += 2 + length
+    return state[:size], blocks
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,18 +8,18 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.folds import training_folds
-from fuzzycnc_ros.core.thermal.mates import (
+from fuzzycnc_ros.core.thermal.recursions import first_order_lags
+from fuzzycnc_ros.core.thermal.run import ThermalRun
+from fuzzycnc_ros.core.thermal.selected import SensorSelection
+from fuzzycnc_ros.core.thermal.sensor_watch import (
     VOTERS,
     Indices,
     Leverage,
+    SensorWatchModel,
     agreed,
     moment_of,
     voter_weights,
 )
-from fuzzycnc_ros.core.thermal.recursions import first_order_lags
-from fuzzycnc_ros.core.thermal.run import ThermalRun
-from fuzzycnc_ros.core.thermal.selected import SensorSelection
-from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatchModel
 
 SMOOTHING = 300.0
 """Time constant of the smoothing of held-out residuals [s]: noise is not what the mates miss."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.components.thermal.predictor_stream import Probe, ProbeSource
 from fuzzycnc_ros.components.thermal.probe_correction import FILTERS, ProbeCorrection
-from fuzzycnc_ros.components.thermal.probes import Probe, ProbeSource
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal import Evaluation, ThermalModel, ThermalRun

@@ -22,7 +22,7 @@ from benches.predictor_bench import (
     sample_of,
 )
 
-from fuzzycnc_ros.components.thermal.sample_memory import Heard, SampleMemory
+from fuzzycnc_ros.components.thermal.predictor_stream import Heard, SampleMemory
 from fuzzycnc_ros.components.thermal.thermal_predictor import (
     ThermalPredictor,
     ThermalPredictorConfig,

@@ -12,21 +12,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.thermal.document import Node
-from fuzzycnc_ros.core.thermal.mates import (
+from fuzzycnc_ros.core.thermal.selection import all_sensors
+from fuzzycnc_ros.core.thermal.sensor_watch import (
+    PERSISTENCE,
+    RETURN_TIME,
     Leverage,
+    MateEstimate,
+    SensorWatch,
+    SensorWatchModel,
     agreed,
     mate_weights,
     moment_of,
     unexplained,
     voter_weights,
-)
-from fuzzycnc_ros.core.thermal.selection import all_sensors
-from fuzzycnc_ros.core.thermal.sensor_watch import (
-    PERSISTENCE,
-    RETURN_TIME,
-    MateEstimate,
-    SensorWatch,
-    SensorWatchModel,
 )
 from fuzzycnc_ros.core.thermal.watch_training import learn_watch
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Probed thermal errors out of the messages of a machine.
+"""What the predictor has heard: samples at hand for a new model, and probed thermal errors.
 
 A probe counts as what the bare machine would have shown: where compensation was active, what the
 machine applied at that moment is taken off again, and where that is not known to within the
@@ -8,6 +8,7 @@ probe's own noise the probe is refused.
 """
 
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from fuzzycnc_ros.runtime.records import (
     Floats,
     Names,
     Stamp,
+    Temperatures,
     nanoseconds,
 )
 
@@ -191,3 +193,50 @@ class ProbeSource:
 def _offset_of(applied: CompensationApplied, axis: str) -> float:
     """Return the offset of an axis; one that takes no offsets has none."""
     return float(applied.offset[applied.axis.index(axis)]) if axis in applied.axis else 0.0
+
+
+SAMPLES_MAX = 20000
+"""Most samples that are kept, whatever `settle_time` says: it bounds the memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Heard:
+    """A sample with what else the stream said up to it.
+
+    Attributes
+    ----------
+    sample : Temperatures
+        Temperatures of all sensors.
+    spindle_speed : float
+        Size of the spindle speed [rad/s]; NaN if it is not known.
+    probes : tuple of Probe
+        Probes since the sample before.
+    """
+
+    sample: Temperatures
+    spindle_speed: float = np.nan
+    probes: tuple[Probe, ...] = ()
+
+
+class SampleMemory:
+    """The newest samples, as long as they matter to a model that is to begin now."""
+
+    def __init__(self) -> None:
+        self._heard: deque[Heard] = deque(maxlen=SAMPLES_MAX)
+
+    def add(self, heard: Heard, settle_time: float) -> None:
+        """Keep a sample, and with it all that are not older than `settle_time` [s]."""
+        self._heard.append(heard)
+        oldest = heard.sample.stamp - nanoseconds(settle_time)
+        # One sample from before that time proves that the history is long enough.
+        while len(self._heard) > 1 and self._heard[1].sample.stamp <= oldest:
+            self._heard.popleft()
+
+    def since(self, stamp: Stamp) -> Iterator[Heard]:
+        """Yield the samples after a stamp [ns], oldest first."""
+        return (item for item in self._heard if item.sample.stamp > stamp)
+
+    @property
+    def newest(self) -> Heard | None:
+        """The newest sample."""
+        return self._heard[-1] if self._heard else None
