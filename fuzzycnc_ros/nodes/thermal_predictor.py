@@ -24,10 +24,8 @@ from rclpy.task import Future
 from fuzzycnc_msgs.action import TrainThermalModel
 from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.components.thermal.thermal_predictor import (
-    ThermalPredictor,
-    ThermalPredictorConfig,
-)
+from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
+from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.core.thermal.model_document import SIZE_MAX

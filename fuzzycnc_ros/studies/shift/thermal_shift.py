@@ -23,10 +23,8 @@ from fuzzycnc_ros.components.thermal.temperature_acquisition import (
     TemperatureAcquisition,
     TemperatureAcquisitionConfig,
 )
-from fuzzycnc_ros.components.thermal.thermal_predictor import (
-    ThermalPredictor,
-    ThermalPredictorConfig,
-)
+from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
+from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.core.thermal import ThermalRun, load_model
 from fuzzycnc_ros.registry import COMPONENTS
