@@ -69,13 +69,12 @@ def test_tables_know_it(tree):
 
 
 @pytest.mark.ros
-def test_the_node_runs(tree, graph, observer, monkeypatch):
+def test_the_node_runs(tree, graph, observer):
     pytest.importorskip('rclpy')
     from fuzzycnc_ros.runtime.component import LATCHED
     from fuzzycnc_ros.runtime.host import NodeConfiguration
 
-    monkeypatch.setenv('PYTHONPATH', str(tree))
-    monkeypatch.chdir(tree)  # it comes first on the path of `python -m`
+    graph.tree = tree
     told = observer.records('node_configuration', NodeConfiguration, LATCHED)
     observer.watch_diagnostics()
     graph.start('humidity_guard', {'humidity_max': 0.5})

@@ -59,7 +59,7 @@ class Journal(Component):
 
     def on_drive(self, note: Note) -> Iterator[Emission]:
         self.seen.append((note.stamp, f'drive {note.text}'))
-        sides = [self.newest(name, note.stamp) for name in ('first', 'second')]
+        sides = [self.newest(self.input(name), note.stamp) for name in ('first', 'second')]
         text = ' '.join(item.text if isinstance(item, Note) else '-' for item in sides)
         yield Emission('entry', Note(stamp=note.stamp, text=text))
 

@@ -180,6 +180,8 @@ class Graph:
     def __init__(self, domain: int, folder: Path) -> None:
         self.domain = domain
         self.folder = folder
+        self.tree = ROOT
+        """Where the package lies that nodes are started from."""
         self.running: list[Running] = []
         self._shared: set[str] = set()
 
@@ -251,7 +253,7 @@ class Graph:
         environment = {
             **os.environ,
             'ROS_DOMAIN_ID': str(self.domain),
-            'PYTHONPATH': os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')]),
+            'PYTHONPATH': os.pathsep.join([str(self.tree), os.environ.get('PYTHONPATH', '')]),
             'PYTHONUNBUFFERED': '1',
             'OMP_NUM_THREADS': '1',
         }
@@ -264,7 +266,7 @@ class Graph:
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,
                 env=environment,
-                cwd=ROOT,
+                cwd=self.tree,
                 start_new_session=True,
             )
         self.running.append(Running(name, process, log))
