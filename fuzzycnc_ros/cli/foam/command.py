@@ -182,6 +182,8 @@ def _train(
     from fuzzycnc_ros.studies.soft import foam_page as shown
     from fuzzycnc_ros.studies.soft import foam_training as judged
 
+    judged.check_enough(samples.x, samples.s, TSFuzzyNetwork(**settings).n_rules)
+
     used, other = settings['consequent'], 'sts' if settings['consequent'] == 'nts' else 'nts'
     names = {'nts': 'hidden layer (NTS)', 'sts': 'linear rules (STS)'}
     rivals = [
@@ -267,9 +269,14 @@ def _adapt(samples: 'Samples', source: Path, out: Path, json_file: Path | None) 
 
 
 def learn(
-    bags: Annotated[
+    sources: Annotated[
         list[Path],
-        typer.Argument(metavar='BAG...', help='Bags of runs of one track, of the last cycle.'),
+        typer.Argument(
+            metavar='SOURCE...',
+            help='Bags of runs of one track, of the last cycle, or a .csv for each run with the '
+            'columns x_mm, y_mm, stitched_x_mm, stitched_y_mm and, if the run had offsets, '
+            'offset_x_mm and offset_y_mm, as `foam compensate` writes them.',
+        ),
     ],
     out: Annotated[Path, typer.Option(metavar='OFFSETS', help='File of offsets to write.')],
     gain: Annotated[
@@ -278,7 +285,30 @@ def learn(
     path_id: Annotated[
         Optional[str],  # noqa: UP045
         typer.Option(
-            '--path', metavar='NAME', show_default=False, help='Track, if the bags hold several.'
+            '--path',
+            metavar='NAME',
+            show_default=False,
+            help='Track, if the bags hold several; of a .csv its name.',
+        ),
+    ] = None,
+    material: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            metavar='NAME', show_default=False, help='Of a .csv: material, as in the pattern.'
+        ),
+    ] = None,
+    thickness: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            metavar='LENGTH', show_default=False, help='Of a .csv: thickness, such as 15mm.'
+        ),
+    ] = None,
+    size: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(
+            metavar='WIDTHxHEIGHT',
+            show_default=False,
+            help='Of a .csv: clamped area from the origin, such as 150x100mm.',
         ),
     ] = None,
     force: Force = False,
@@ -292,9 +322,11 @@ def learn(
 
         fuzzycnc foam learn first_run --out offsets.json
         fuzzycnc foam learn second_run --out offsets.json --force
+        fuzzycnc foam learn run.csv --path star --material foam --thickness 15mm --out offsets.json
     """
     from fuzzycnc_ros.cli.foam.learning import learn_track
     from fuzzycnc_ros.cli.foam.records import read_recordings
+    from fuzzycnc_ros.cli.foam.tables import TrackOptions, read_tables
     from fuzzycnc_ros.core.deformation.offset_file import write_offsets
 
     if not 0.0 < gain <= 1.0:
@@ -303,10 +335,12 @@ def learn(
         check_new(out, remedy='add --force')
     for path in (out, json_file):
         check_folder(path)
-    for bag in bags:
-        if not bag.exists():
-            raise ValueError(f'{bag}: expected a bag but nothing is there')
-    recordings = read_recordings(bags)
+    for source in sources:
+        if not source.exists():
+            raise ValueError(f'{source}: expected a bag or a .csv but nothing is there')
+    options = TrackOptions(path_id, material, thickness, size)
+    tables = read_tables(sources, options)
+    recordings = read_recordings(sources) if tables is None else tables
     learnt = learn_track(recordings.paths, path_id, gain)
     write_text(out, write_offsets(learnt.offsets))
     for reason, count in sorted(recordings.left_out.items()):

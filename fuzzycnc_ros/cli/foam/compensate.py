@@ -127,7 +127,7 @@ def compensate(
     ]  # fmt: skip
     if units not in ('mm', 'inch'):
         raise ValueError(f'--units: expected mm or inch but found {units!r}')
-    sheet = SheetMaterial(lengths[0], None if size is None else _size(size))
+    sheet = SheetMaterial(lengths[0], None if size is None else sheet_size(size))
     known = read_model_file(model)
     check_output(path, out, in_place)
     check_folder(json_file)
@@ -291,8 +291,14 @@ def _column(header: list[str], rows: dict[int, list[str]], name: str, default: f
     return np.array(found)
 
 
-def _size(text: str) -> tuple[float, float]:
-    """Return lengths such as 150x100mm in m."""
+def sheet_size(text: str) -> tuple[float, float]:
+    """Return lengths such as 150x100mm in m.
+
+    Raises
+    ------
+    ValueError
+        If they are none.
+    """
     first, cross, last = text.lower().partition('x')
     try:
         if not cross:

@@ -25,6 +25,11 @@ if TYPE_CHECKING:
 COLUMNS = ('direction_deg', 'depth_mm', 'type', 'step_mm', 'thickness_mm', 's_x_mm', 's_y_mm')
 """Columns of a CSV file: process values, and the offset needed per 50 mm of feed."""
 
+POSSIBLE = {'depth_mm': (0.1, 200.0), 'step_mm': (0.1, 100.0), 'thickness_mm': (0.3, 500.0)}
+"""Lengths that a foot, a stitch and a soft sheet can have [mm]."""
+NEEDED = (0.02, 50.0)
+"""Largest compensations that are likely: less than a stitch can be placed, more than the feed."""
+
 SHEET = 'sheet'
 """Optional column: what sheet a sample is from."""
 
@@ -75,6 +80,7 @@ def read_samples(sources: Sequence[Path]) -> Samples:
 def _read_csv(path: Path) -> Samples:
     found = read_numbers(path, COLUMNS, label=SHEET)
     table = found.values
+    _check_units(path, table)
     for number, row in zip(found.lines.tolist(), table[:, :5], strict=True):
         try:
             check_process_values(row[np.newaxis])
@@ -87,7 +93,42 @@ def _read_csv(path: Path) -> Samples:
         _, groups = np.unique(found.labels, return_inverse=True)
         how = 'one sheet'
     said = f'{path}: {len(table)} samples in {len(np.unique(groups))} groups of {how}'
-    return Samples(table[:, :5], table[:, 5:], groups, (said,))
+    return Samples(table[:, :5], table[:, 5:], groups, (said, *_doubts(table[:, 5:])))
+
+
+def _check_units(path: Path, table: Array) -> None:
+    """Refuse lengths that no soft sheet has in millimetres.
+
+    Raises
+    ------
+    ValueError
+        If all values of a column lie beyond what can be; the text names it and the likely unit.
+    """
+    for name, (low, high) in POSSIBLE.items():
+        values = table[:, COLUMNS.index(name)]
+        unit, remedy = '', ''
+        if 0.0 < values.max() < low:
+            unit, remedy = 'metres', 'multiply by 1000'
+        elif values.min() > high:
+            unit, remedy = 'micrometres', 'divide by 1000'
+        if unit:
+            raise ValueError(
+                f'{path}: {name}: expected millimetres but found {values.min():g} to '
+                f'{values.max():g}, which look like {unit}; {remedy}'
+            )
+
+
+def _doubts(needed: Array) -> list[str]:
+    """Return what is strange about compensations, though it can be."""
+    names, largest = ' and '.join(COLUMNS[5:]), float(np.abs(needed).max(initial=0.0))
+    if 0.0 < largest < NEEDED[0]:
+        return [f'note: {names} are {largest:g} at most; multiply by 1000 if they are metres']
+    if largest > NEEDED[1]:
+        return [
+            f'note: {names} are up to {largest:g} mm per 50 mm of feed; divide by 1000 if they are 
+            'micrometres'
+        ]
+    return []
 
 
 def _read_bags(bags: Sequence[Path]) -> Samples:

@@ -35,6 +35,34 @@ FOLDS = 3
 """Parts of the comparison of penalties."""
 
 
+class TooFewSamplesError(ValueError):
+    """There are fewer samples than a training needs."""
+
+
+def samples_needed(rules: int, folds: int = 1) -> int:
+    """Return how many different samples a training needs at least.
+
+    Parameters
+    ----------
+    rules : int
+        Number of rules; each needs a sample of its own.
+    folds : int
+        Parts of which one is held out from the training to judge it; 1 for none.
+
+    Examples
+    --------
+    >>> samples_needed(10), samples_needed(10, folds=5)
+    (15, 19)
+    """
+    count = rules
+    while True:
+        trained = count - (-(-count // folds) if folds > 1 else 0)
+        # The penalty is chosen on parts of what is left.
+        if trained - -(-trained // FOLDS) >= rules:
+            return count
+        count += 1
+
+
 class TSFuzzyNetwork(RegressionEstimator):
     """T-S fuzzy neural network of feed compensation, [1]_; method sheet 000.
 
@@ -158,8 +186,11 @@ class TSFuzzyNetwork(RegressionEstimator):
                 f'and {group.shape}'
             )
         problems = []
-        if looks_like_radians(rows):
-            problems.append('directions look like radians; they are taken as degrees')
+        if looks_like_radians(rows, target):
+            problems.append(
+                'the compensations follow the directions as radians; they are taken as degrees: '
+                'multiply them by 57.29578 if they are radians'
+            )
         features = feature_set(self.features)
         inputs = features.rows(rows)
         varies = np.ptp(inputs, axis=0) > 0.0
@@ -167,9 +198,10 @@ class TSFuzzyNetwork(RegressionEstimator):
         for at in np.flatnonzero(~varies):
             problems.append(f'{features.names[at]} is constant and was left out')
         if not columns:
-            raise ValueError('x: expected samples that differ, but found only equal rows')
+            raise TooFewSamplesError('x: expected samples that differ, but found only equal rows')
         weight = load(*rows[:, [1, 3, 4]].T) if features.loaded else np.ones(len(rows))
         samples = Rows(inputs[:, varies], target / weight[:, np.newaxis], weight)
+        self._check_enough(samples, np.ones(len(rows), bool))
         rng = np.random.default_rng(self.random_state)
         recipe = self._recipe()
         ridge = self._chosen_ridge(samples, group, recipe, rng)
@@ -216,6 +248,17 @@ class TSFuzzyNetwork(RegressionEstimator):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f'{name}: expected more than 0, but found {getattr(self, name)}')
 
+    def _check_enough(self, samples: Rows, taken: NDArray[np.bool_]) -> None:
+        """Refuse samples in which there are fewer different ones than rules."""
+        joined = np.column_stack([samples.inputs, samples.output])[taken]
+        found = len(np.unique(joined, axis=0))
+        least = self.n_rules if self.variance_max is None else 2
+        if found < least:
+            raise TooFewSamplesError(
+                f'samples: expected at least {least} that differ, one for each rule, beside '
+                f'those that are held out, but found {found}; record more'
+            )
+
     def _recipe(self) -> Recipe:
         return Recipe(
             training=self.training if self.consequent == 'nts' else None,
@@ -241,4 +284,6 @@ class TSFuzzyNetwork(RegressionEstimator):
             raise ValueError(
                 "groups: expected at least 2 to choose the ridge, but found 1; set 'ridge'"
             )
+        for part in held_out:
+            self._check_enough(samples, ~part)
         return choose_ridge(samples, held_out, recipe, RIDGES, int(rng.integers(2**32)))

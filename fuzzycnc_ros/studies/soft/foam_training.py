@@ -14,7 +14,11 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.deformation.features import feature_set, load
-from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
+from fuzzycnc_ros.core.deformation.network import (
+    TooFewSamplesError,
+    TSFuzzyNetwork,
+    samples_needed,
+)
 from fuzzycnc_ros.core.deformation.training import grouped_folds
 from fuzzycnc_ros.core.threads import single_threaded
 from fuzzycnc_ros.studies.soft.foam_model import Coverage, FoamTraining, MethodErrors
@@ -133,6 +137,31 @@ def plain_regressor(features: str, make: Callable[[int], Any]) -> Trainer:
 
 
 @single_threaded
+def check_enough(x: Array, s: Array, rules: int) -> None:
+    """Refuse fewer samples than it takes to train a model and to judge it on others.
+
+    Parameters
+    ----------
+    x : ndarray, shape (k, 5)
+        Process values.
+    s : ndarray, shape (k, 2)
+        Compensations that were needed [mm per 50 mm].
+    rules : int
+        Number of rules.
+
+    Raises
+    ------
+    ValueError
+        If there are; the text says how many are needed.
+    """
+    found, needed = len(np.unique(np.column_stack([x, s]), axis=0)), samples_needed(rules, FOLDS)
+    if found < needed:
+        raise ValueError(
+            f'samples: expected at least {needed} that differ, to learn {rules} rules and to judge '
+            f'them on others, but found {found}; record more'
+        )
+
+
 def judge_training(
     x: Array,
     s: Array,
@@ -182,7 +211,14 @@ def judge_training(
         predicted = np.empty_like(s)
         for done, part in enumerate(parts):
             progress(rival.label, number * len(parts) + done, len(rivals) * len(parts))
-            predict = rival.train(x[~part], s[~part], groups[~part])
+            try:
+                predict = rival.train(x[~part], s[~part], groups[~part])
+            except TooFewSamplesError as error:
+                raise ValueError(
+                    f'samples: expected groups of one process or sheet of which some can be held '
+                    f'out, but found {len(x)} samples in {count} groups, too large a part of them '
+                    'in one; record more sheets or processes'
+                ) from error
             predicted[part] = predict(x[part])
         errors.append(_errors(rival.label, x, s, predicted))
     return FoamTraining(coverage(x), s, errors, len(parts), count)

@@ -1,0 +1,120 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of a track from CSV files, for `fuzzycnc foam learn`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fuzzycnc_ros.cli.foam.compensate import sheet_size
+from fuzzycnc_ros.cli.foam.records import Recordings
+from fuzzycnc_ros.cli.models.number_table import read_numbers, table_cells
+from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.core.deformation.samples import RecordedPath
+from fuzzycnc_ros.core.deformation.stitch_path import LINE, SheetMaterial
+
+COMMANDED = ('x_mm', 'y_mm')
+OFFSET = ('offset_x_mm', 'offset_y_mm')
+STITCHED = ('stitched_x_mm', 'stitched_y_mm')
+APART = 0.05
+"""Largest likely distance of a stitch from its commanded place [m]."""
+
+
+@dataclass(frozen=True)
+class TrackOptions:
+    """What a CSV file does not say of a run, as given on the command line."""
+
+    path_id: str | None
+    material: str | None
+    thickness: str | None
+    size: str | None
+
+    def sheet(self) -> SheetMaterial:
+        """Return the sheet.
+
+        Raises
+        ------
+        ValueError
+            If a name or length is missing or cannot be.
+        """
+        given = {
+            '--path': self.path_id,
+            '--material': self.material,
+            '--thickness': self.thickness,
+        }
+        missing = [name for name, value in given.items() if not value]
+        if missing:
+            raise ValueError(
+                f'{", ".join(missing)}: expected with a .csv, which does not say it, but found none'
+            )
+        thickness = quantity('--thickness', str(self.thickness), LENGTHS, example='15mm')
+        size = None if self.size is None else sheet_size(self.size)
+        return SheetMaterial(thickness, size, str(self.material))
+
+
+def read_tables(sources: Sequence[Path], options: TrackOptions) -> Recordings | None:
+    """Read runs from CSV files, one each; None if the sources are bags.
+
+    Raises
+    ------
+    ValueError
+        If bags and tables are mixed, options are missing or of no use, or a file is no such table;
+        the message names file and line.
+    """
+    tables = [source for source in sources if source.suffix.lower() == '.csv']
+    if not tables:
+        given = {
+            '--material': options.material,
+            '--thickness': options.thickness,
+            '--size': options.size,
+        }
+        for name, value in given.items():
+            if value is not None:
+                raise ValueError(f'{name}: expected with a .csv alone, as a bag says it')
+        return None
+    if len(tables) < len(sources):
+        raise ValueError(f'{tables[0]}: expected bags, or .csv files, but found both')
+    sheet = options.sheet()
+    return Recordings([_run(path, sheet, str(options.path_id)) for path in tables])
+
+
+def _run(path: Path, sheet: SheetMaterial, path_id: str) -> RecordedPath:
+    """Read a run; its commanded places include the offsets, as `foam compensate` writes them."""
+    try:
+        header, _ = table_cells(path, COMMANDED + STITCHED)
+    except ValueError as error:
+        raise ValueError(f'{path}: {error}') from error
+    known = [name for name in OFFSET if name in header]
+    if len(known) == 1:
+        raise ValueError(f'{path}: line 1: expected both {" and ".join(OFFSET)} or neither')
+    found = read_numbers(path, (*COMMANDED, *STITCHED, *known))
+    if len(found.values) < 2:
+        raise ValueError(f'{path}: expected two points or more but found {len(found.values)}')
+    values = 1e-3 * found.values
+    commanded, stitched = values[:, :2], values[:, 2:4]
+    offset = values[:, 4:] if known else np.zeros_like(commanded)
+    apart = np.hypot(*(stitched - commanded).T)
+    if apart.max() > APART:
+        line = int(found.lines[int(apart.argmax())])
+        raise ValueError(
+            f'{path}: line {line}: expected a stitch within {1e3 * APART:g} mm of its place but '
+            f'found it {1e3 * apart.max():.4g} mm away; compare units and origin of both'
+        )
+    steps = len(values) - 1
+    return RecordedPath(
+        path_id=path_id,
+        material=sheet,
+        nominal=commanded - offset,
+        offset=offset,
+        stitched=stitched,
+        primitive=np.zeros(steps, np.int64),
+        kind=np.full(steps, float(LINE)),
+        turn=np.zeros(steps),
+        depth=np.zeros(steps),
+        step=np.zeros(steps),
+        source=str(path),
+    )
