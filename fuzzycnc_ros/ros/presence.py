@@ -99,7 +99,8 @@ def _file(machine: str, node: str) -> Path:
 def _folder() -> Path:
     """Return the folder of the locks of this user and ROS domain, which nobody else can write."""
     runtime = os.environ.get('XDG_RUNTIME_DIR')
-    top = Path(runtime) if runtime else Path(tempfile.gettempdir(), f'fuzzycnc_nodes_{os.getuid()}')
+    private = Path(tempfile.gettempdir(), f'fuzzycnc_nodes_{os.getuid()}')
+    top = Path(runtime) if runtime else private
     with suppress(FileExistsError):
         top.mkdir(mode=0o700)
     if top.stat().st_uid != os.getuid():

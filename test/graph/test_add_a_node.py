@@ -81,4 +81,5 @@ def test_the_node_runs(tree, graph, observer):
     observer.until(lambda: any(item.node == 'humidity_guard' for item in told), 'it is there')
     (mine,) = [item for item in told if item.node == 'humidity_guard']
     assert '"humidity_max": 0.5' in mine.parameters
-    observer.until(lambda: observer.told('mill/humidity_guard: air', 'no thermal_error yet'), 'it tells of its health')
+    air = 'mill/humidity_guard: air'
+    observer.until(lambda: observer.told(air, 'no thermal_error yet'), 'it tells of its health')
