@@ -27,7 +27,7 @@ COLUMNS = ('direction_deg', 'depth_mm', 'type', 'step_mm', 'thickness_mm', 's_x_
 
 POSSIBLE = {'depth_mm': (0.1, 200.0), 'step_mm': (0.1, 100.0), 'thickness_mm': (0.3, 500.0)}
 """Lengths that a foot, a stitch and a soft sheet can have [mm]."""
-NEEDED = (0.02, 50.0)
+NEEDED = (0.05, 50.0)
 """Largest compensations that are likely: less than a stitch can be placed, more than the feed."""
 
 SHEET = 'sheet'
@@ -125,8 +125,8 @@ def _doubts(needed: Array) -> list[str]:
         return [f'note: {names} are {largest:g} at most; multiply by 1000 if they are metres']
     if largest > NEEDED[1]:
         return [
-            f'note: {names} are up to {largest:g} mm per 50 mm of feed; divide by 1000 if they are 
-            'micrometres'
+            f'note: {names} are up to {largest:g} mm per 50 mm of feed; divide by 1000 if they '
+            'are micrometres'
         ]
     return []
 

@@ -49,7 +49,7 @@ class TrackOptions:
         missing = [name for name, value in given.items() if not value]
         if missing:
             raise ValueError(
-                f'{", ".join(missing)}: expected with a .csv, which does not say it, but found none'
+                f'{", ".join(missing)}: expected, as a .csv does not say it, but found none'
             )
         thickness = quantity('--thickness', str(self.thickness), LENGTHS, example='15mm')
         size = None if self.size is None else sheet_size(self.size)

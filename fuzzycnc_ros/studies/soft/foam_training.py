@@ -157,8 +157,8 @@ def check_enough(x: Array, s: Array, rules: int) -> None:
     found, needed = len(np.unique(np.column_stack([x, s]), axis=0)), samples_needed(rules, FOLDS)
     if found < needed:
         raise ValueError(
-            f'samples: expected at least {needed} that differ, to learn {rules} rules and to judge '
-            f'them on others, but found {found}; record more'
+            f'samples: expected at least {needed} that differ, to learn {rules} rules and to '
+            f'judge them on others, but found {found}; record more'
         )
 
 

@@ -208,6 +208,109 @@ def test_learn_refuses_what_is_not_one_track(refused, tmp_path, runs, options, n
     assert not (tmp_path / 'o.json').exists()
 
 
+def write_run(path, run):
+    """Write a run as a table: commanded places with their offsets, and stitches."""
+    records = {name: record for name, record in run.records(0)}
+    nominal, offset = (
+        np.reshape(getattr(records['compensated_path'], name), (-1, 2))
+        for name in ('nominal', 'offset')
+    )
+    stitched = np.reshape(records['stitched_path'].stitched, (-1, 2))
+    header = 'x_mm,y_mm,offset_x_mm,offset_y_mm,flag,stitched_x_mm,stitched_y_mm'
+    flag = np.zeros((len(nominal), 1))
+    rows = 1e3 * np.hstack([nominal + offset, offset, flag, stitched])
+    lines = [','.join(map(repr, row)) for row in rows.tolist()]
+    path.write_text('\n'.join([header, *lines]) + '\n')
+
+
+OF_TABLE = ('--path', 'track', '--material', 'foam', '--thickness', '15mm', '--size', '150x100mm')
+
+
+def test_learn_from_tables_equals_that_from_a_bag(fuzzycnc, tmp_path):
+    runs = [Run(seed=1, offset=np.full((81, 2), 2e-4)), Run(seed=2, offset=np.full((81, 2), 2e-4))]
+    write_bag(tmp_path / 'bag', *runs)
+    for number, run in enumerate(runs):
+        write_run(tmp_path / f'{number}.csv', run)
+    assert fuzzycnc('foam', 'learn', 'bag', '--out', 'bag.json').code == 0
+    outcome = fuzzycnc('foam', 'learn', '0.csv', '1.csv', '--out', 'csv.json', *OF_TABLE)
+    assert outcome.code == 0, outcome.err
+    assert '2 runs of 81 points' in outcome.out
+    one, other = (read_offsets((tmp_path / f'{name}.json').read_text()) for name in ('bag', 'csv'))
+    assert (one.path_id, one.material) == (other.path_id, other.material)
+    np.testing.assert_allclose(one.nominal, other.nominal, atol=1e-15)
+    np.testing.assert_allclose(one.offset, other.offset, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ('text', 'options', 'naming'),
+    [
+        ('1,1,1,1\n2,2,2,2', (), ['--path, --material, --thickness', '.csv']),
+        ('1,1,1,1\n2,2,2,2', OF_TABLE[:4], ['--thickness', 'found none']),
+        ('1,1,1,1\n2,2,2,2', (*OF_TABLE[:4], '--thickness', '15'), ['--thickness', '15mm']),
+        ('1,1,1,1', OF_TABLE, ['two points', 'found 1']),
+        ('', OF_TABLE, ['rows below the header']),
+        ('1,1,1,1\n2,2,2,x', OF_TABLE, ['run.csv: line 3', 'finite numbers']),
+        ('1,1,1,1\n2,2,2000,2', OF_TABLE, ['line 3', '50 mm', 'units and origin']),
+        ('1;1;1;1', OF_TABLE, ['line 2', 'finite numbers']),
+    ],
+)
+def test_learn_refuses_tables_that_are_none(refused, tmp_path, text, options, naming):
+    header = 'x_mm,y_mm,stitched_x_mm,stitched_y_mm'
+    (tmp_path / 'run.csv').write_text(f'{header}\n{text}\n')
+    refused('foam', 'learn', 'run.csv', '--out', 'o.json', *options, naming=naming)
+    assert not (tmp_path / 'o.json').exists()
+
+
+def test_learn_takes_bags_or_tables_and_what_belongs_to_them(refused, tmp_path):
+    write_bag(tmp_path / 'bag', Run())
+    write_run(tmp_path / 'run.csv', Run())
+    wide = ('foam', 'learn', 'bag', '--out', 'o.json')
+    refused('foam', 'learn', 'bag', 'run.csv', '--out', 'o.json', naming=['run.csv', 'found both'])
+    refused(*wide, '--material', 'foam', naming=['--material', 'a bag says it'])
+
+
+@pytest.mark.parametrize(
+    ('factors', 'naming'),
+    [
+        ({'thickness_mm': 1e-3}, ['thickness_mm', '0.005 to 0.025', 'look like metres']),
+        ({'step_mm': 1e-3}, ['step_mm', 'look like metres', 'multiply by 1000']),
+        ({'depth_mm': 1e-3, 'thickness_mm': 1e-3}, ['depth_mm', 'look like metres']),
+        ({'depth_mm': 1e3, 'thickness_mm': 1e3}, ['depth_mm', 'look like micrometres']),
+    ],
+)
+def test_lengths_in_other_units_are_suspected(refused, tmp_path, samples, factors, naming):
+    x, s = samples
+    scale = [factors.get(name, 1.0) for name in COLUMNS[:5]]
+    write_samples(tmp_path / 's.csv', x * scale, s)
+    refused('foam', 'train', 's.csv', '--out', 'm.json', naming=naming)
+
+
+@pytest.mark.parametrize('factor', [1e-3, 1e3])
+def test_compensations_in_other_units_are_doubted(fuzzycnc, tmp_path, samples, factor):
+    x, s = samples
+    write_samples(tmp_path / 's.csv', x, s * factor)
+    adapt = ('--consequent', 'sts', '--no-baselines')
+    outcome = fuzzycnc('foam', 'train', 's.csv', '--out', 'm.json', *adapt)
+    assert outcome.code == 0, outcome.err
+    assert 'note: s_x_mm and s_y_mm are' in outcome.out
+    assert 'if they are m' in outcome.out
+
+
+@pytest.mark.parametrize('rows', [1, 2, 3, 5, 10, 18])
+def test_few_rows_give_one_sentence(refused, tmp_path, samples, rows):
+    x, s = samples
+    write_samples(tmp_path / 's.csv', x[:rows], s[:rows])
+    naming = ['at least 19 that differ', f'found {rows}; record more']
+    refused('foam', 'train', 's.csv', '--out', 'm.json', naming=naming)
+
+
+def test_enough_rows_in_too_few_groups_are_named(refused, tmp_path, samples):
+    x, s = samples
+    write_samples(tmp_path / 's.csv', x[:30], s[:30], sheets=['a'] * 28 + ['b', 'c'])
+    naming = ['30 samples in 3 groups', 'record more sheets']
+    refused('foam', 'train', 's.csv', '--out', 'm.json', naming=naming)
+
+
 @pytest.mark.parametrize(
     ('column', 'value', 'naming'),
     [
@@ -234,7 +337,7 @@ def test_train_refuses_bad_rows(refused, tmp_path, column, value, naming):
     [
         (('train', 'no.csv', '--out', 'm.json'), ['no.csv', 'nothing is there']),
         (('train', 'no', '--out', 'm.json'), ['no', 'nothing is there']),
-        (('train', 'few.csv', '--out', 'm.json'), ['three different processes', 'found 1']),
+        (('train', 'few.csv', '--out', 'm.json'), ['at least 19 that differ', 'found 1;']),
         (('train', 'few.csv', 'few.csv', '--out', 'm.json'), ['one .csv alone']),
         (('train', 'odd.csv', '--out', 'm.json'), ['odd.csv: line 1', 'depth_mm']),
         (('train', 'empty.csv', '--out', 'm.json'), ['rows below the header']),

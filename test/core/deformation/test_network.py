@@ -12,6 +12,8 @@ from scipy.optimize import check_grad
 from fuzzycnc_ros.core.deformation import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.antecedent import Antecedent
 from fuzzycnc_ros.core.deformation.consequents import Samples, cost_and_gradient
+from fuzzycnc_ros.core.deformation.features import looks_like_radians
+from fuzzycnc_ros.core.deformation.network import TooFewSamplesError, samples_needed
 from fuzzycnc_ros.core.deformation.training import (
     DivergedError,
     descend,
@@ -22,7 +24,7 @@ from fuzzycnc_ros.core.deformation.training import (
     levenberg_marquardt,
     project,
 )
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.core.machine.foam_samples import foam_samples, true_compensation
 
 KINDS = [('nts', 'load'), ('sts', 'load'), ('nts', 'paper'), ('sts', 'thickness')]
 
@@ -187,7 +189,31 @@ def test_what_looks_like_radians_is_named(data):
     x = data.x.copy()
     x[:, 0] = np.radians(x[:, 0])
     model = TSFuzzyNetwork('sts', ridge=0.03).fit(x, data.s)
-    assert 'directions look like radians; they are taken as degrees' in model.problems_
+    assert any('directions as radians' in problem for problem in model.problems_)
+
+
+def test_small_directions_are_no_radians():
+    """Degrees within a turn of radians: honest ones are never suspected, their copies always."""
+    samples = foam_samples(3)
+    rng = np.random.default_rng(0)
+    for trial in range(200):
+        rows = rng.choice(len(samples.x), 40, replace=False)
+        x, s = samples.x[rows].copy(), samples.s[rows]
+        assert not looks_like_radians(x, s)
+        in_radians = x.copy()
+        in_radians[:, 0] = np.radians(x[:, 0])
+        assert looks_like_radians(in_radians, s), trial
+        x[:, 0] = rng.uniform(-6.0, 6.0, 40)
+        assert not looks_like_radians(x, true_compensation(x) + rng.normal(0.0, 0.05, (40, 2)))
+
+
+def test_enough_samples_are_those_that_every_part_leaves():
+    x, s = foam_samples(2)
+    rng = np.random.default_rng(4)
+    few = rng.choice(len(x), samples_needed(10), replace=False)
+    TSFuzzyNetwork('sts').fit(x[few], s[few])
+    with pytest.raises(TooFewSamplesError, match='at least 10 that differ'):
+        TSFuzzyNetwork('sts').fit(x[few[:-1]], s[few[:-1]])
 
 
 @pytest.mark.parametrize(
@@ -220,7 +246,7 @@ def test_rows_of_no_primitive_are_refused(data, trained, column, value, message)
         ({'ridge': 0.0}, 'ridge: expected more than 0'),
         ({'width_floor': 0.0}, 'width_floor: expected more than 0'),
         ({'n_rules': 0}, 'n_rules: expected at least 1'),
-        ({'n_rules': 1000, 'ridge': 0.1}, 'n_clusters: expected 1 to'),
+        ({'n_rules': 1000, 'ridge': 0.1}, 'at least 1000 that differ'),
     ],
 )
 def test_parameters_out_of_range_are_refused(data, params, message):
