@@ -272,7 +272,7 @@ def test_learn_takes_bags_or_tables_and_what_belongs_to_them(refused, tmp_path):
 @pytest.mark.parametrize(
     ('factors', 'naming'),
     [
-        ({'thickness_mm': 1e-3}, ['thickness_mm', '0.005 to 0.025', 'look like metres']),
+        ({'thickness_mm': 1e-3}, ['thickness_mm', '0.005 to 0.035', 'look like metres']),
         ({'step_mm': 1e-3}, ['step_mm', 'look like metres', 'multiply by 1000']),
         ({'depth_mm': 1e-3, 'thickness_mm': 1e-3}, ['depth_mm', 'look like metres']),
         ({'depth_mm': 1e3, 'thickness_mm': 1e3}, ['depth_mm', 'look like micrometres']),
