@@ -28,10 +28,10 @@ from rclpy.executors import SingleThreadedExecutor
 from soak.growth import held_by
 
 from fuzzycnc_ros.cli.live.free_domain import own_domain
-from fuzzycnc_ros.cli.live.graph_processes import COMPOSED, GraphProcesses, NodeSpec
-from fuzzycnc_ros.cli.live.up import THERMAL
+from fuzzycnc_ros.cli.live.graph_processes import COMPOSED, GraphProcesses
 from fuzzycnc_ros.core.machine.duties import DUTIES, simulate_duty
 from fuzzycnc_ros.core.thermal import train_model
+from fuzzycnc_ros.ros.bring_up import THERMAL, NodeSpec
 from fuzzycnc_ros.ros.processes import prepare_environment
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, subscription_qos
 from fuzzycnc_ros.runtime.component import STREAM

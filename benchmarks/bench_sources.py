@@ -94,7 +94,8 @@ def measure(
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
 
-    from fuzzycnc_ros.cli.live.graph_processes import NodeSpec, parameter_file, ros_arguments
+    from fuzzycnc_ros.cli.live.graph_processes import parameter_file, ros_arguments
+    from fuzzycnc_ros.ros.bring_up import NodeSpec
     from fuzzycnc_ros.ros.topics import message_class, subscription_qos
     from fuzzycnc_ros.runtime.component import STREAM
     from fuzzycnc_ros.runtime.convert import decode

@@ -1,144 +1,161 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start the thermal compensation of one machine, and on request its feedrate scheduler."""
+"""Start the graph of one machine or several, as `fuzzycnc up` does; Ctrl-C takes it down.
 
+Which nodes, with which parameters, and what becomes of those that end: both follow
+`fuzzycnc_ros/ros/bring_up.py`.
+"""
+
+import time
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, RegisterEventHandler
-from launch.conditions import IfCondition
-from launch.events import matches_action
-from launch.substitutions import AndSubstitution, LaunchConfiguration, PathJoinSubstitution
+from launch import LaunchContext, LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    LogInfo,
+    OpaqueFunction,
+    RegisterEventHandler,
+    Shutdown,
+    TimerAction,
+)
+from launch.event_handlers import OnProcessExit
+from launch.events.process import ProcessExited
+from launch.logging import launch_config
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 from launch_ros.event_handlers import OnStateTransition
-from launch_ros.events.lifecycle import ChangeState
-from launch_ros.parameter_descriptions import ParameterValue
-from lifecycle_msgs.msg import Transition
+
+from fuzzycnc_ros.ros.bring_up import (
+    ACTIVE_TIMEOUT,
+    ADDED,
+    BANNER,
+    LAUNCH_ARGUMENTS,
+    TIME_SOURCES,
+    GraphError,
+    Launched,
+    RestartPolicy,
+    again,
+    launched,
+)
+from fuzzycnc_ros.ros.processes import REFUSED
 
 PACKAGE = 'fuzzycnc_ros'
-NODES = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor')
+
+
+class Process:
+    """One node of the graph: its present process, and those that follow when it dies."""
+
+    def __init__(self, item: Launched) -> None:
+        self.item, self.spec = item, item.spec
+        self.resume = bool(item.spec.parameters.get('autostart'))
+        self.managed = 'autostart' in item.spec.parameters
+        self.policy, self.begun, self.restarts = RestartPolicy(), [], 0
+        self.on_active: list = []
+        """Actions that wait for the node to be active for the first time."""
+
+    @property
+    def title(self) -> str:
+        """Name for people."""
+        return f'{self.item.machine}/{self.spec.name}'
+
+    def actions(self) -> list:
+        """Return what starts the node and watches over it."""
+        node = (LifecycleNode if self.managed else Node)(
+            package=PACKAGE,
+            executable=self.spec.name,
+            name=self.spec.name,
+            namespace=self.item.machine,
+            output='screen',
+            parameters=[*map(str, self.item.files), dict(self.spec.parameters)],
+            remappings=[tuple(rule.split(':=')) for rule in self.item.remap],
+        )
+        handlers = [OnProcessExit(target_action=node, on_exit=self._ended)]
+        if self.managed:
+            handlers += [
+                OnStateTransition(
+                    target_lifecycle_node=node,
+                    goal_state=state,
+                    handle_once=False,
+                    entities=[OpaqueFunction(function=self._became, args=[state])],
+                )
+                for state in ('active', 'inactive')
+            ]
+        return [*map(RegisterEventHandler, handlers), node]
+
+    def _became(self, context: LaunchContext, state: str) -> list:
+        """Note what a restart has to bring back: a manual deactivation is not undone."""
+        if state == 'inactive':
+            # On the way to its first activation a node is inactive, too.
+            self.resume = self.resume and bool(self.on_active)
+            return []
+        self.resume = True
+        waiting, self.on_active = self.on_active, []
+        return waiting
+
+    def _ended(self, event: ProcessExited, context: LaunchContext) -> list:
+        """Start the node anew, end the run, or give the node up."""
+        if context.is_shutdown:
+            return []
+        code = event.returncode
+        if self.spec.name in TIME_SOURCES or (code == REFUSED and not self.restarts):
+            if code:
+                raise GraphError(f'{self.title} ended with code {code}')
+            return [Shutdown(reason=f'{self.title} is over')]
+        now = time.monotonic()
+        delay = None if code == REFUSED else self.policy.delay_after(self.begun, now)
+        if delay is None:
+            return [LogInfo(msg=f'{self.title} ended with code {code}; given up')]
+        self.begun.append(now + delay)
+        self.restarts += 1
+        self.spec = again(self.spec, self.restarts, resume=self.resume)
+        text = f'{self.title} ended with code {code}; starts again in {delay:g} s'
+        return [LogInfo(msg=text), TimerAction(period=delay, actions=self.actions())]
+
+
+def bring_up(context: LaunchContext) -> list:
+    """Return all nodes; what is wrong with the arguments ends the launch with an error."""
+    given = {name: LaunchConfiguration(name).perform(context) for name in LAUNCH_ARGUMENTS}
+    share = Path(get_package_share_directory(PACKAGE))
+    items = launched(given, share / 'params', Path(launch_config.log_dir))
+    processes = [Process(item) for item in items]
+    first = [item for item in processes if not item.resume and not _makes_time(item)]
+    managed = [item for item in processes if item.resume]
+    last = [item for item in processes if _makes_time(item)]
+    # Each managed node is waited for, and what makes time waits for all of them.
+    following = [action for item in last for action in item.actions()]
+    for item in reversed(managed):
+        started = _Once(following)
+        item.on_active = [started]
+        late = TimerAction(period=ACTIVE_TIMEOUT, actions=[started])
+        following = [*item.actions(), late]
+    return [action for item in first for action in item.actions()] + following
+
+
+class _Once(OpaqueFunction):
+    """Actions that are carried out by whoever comes first."""
+
+    def __init__(self, actions: list) -> None:
+        super().__init__(function=self._take)
+        self._actions = actions
+
+    def _take(self, context: LaunchContext) -> list:
+        actions, self._actions = self._actions, []
+        return actions
+
+
+def _makes_time(process: Process) -> bool:
+    return process.spec.name in TIME_SOURCES
 
 
 def generate_launch_description() -> LaunchDescription:
-    machine = LaunchConfiguration('machine')
-    params = LaunchConfiguration('params_dir')
-    sim_time = {
-        'use_sim_time': ParameterValue(LaunchConfiguration('use_sim_time'), value_type=bool)
-    }
-
-    def common(name: str) -> dict:
-        return {
-            'package': PACKAGE,
-            'executable': name,
-            'name': name,
-            'namespace': machine,
-            'output': 'screen',
-        }
-
-    def all_true(*arguments: str) -> IfCondition:
-        """Whether all these launch arguments are true."""
-        value = LaunchConfiguration(arguments[0])
-        for argument in arguments[1:]:
-            value = AndSubstitution(value, LaunchConfiguration(argument))
-        return IfCondition(value)
-
-    def params_file(name: str) -> PathJoinSubstitution:
-        return PathJoinSubstitution([params, f'{name}.yaml'])
-
-    def managed(name: str, *only_if: str) -> list:
-        """A managed node, configured and activated once where `autostart` says so."""
-        node = LifecycleNode(
-            **common(name),
-            # The transitions are made below, so that a manual deactivation is not undone.
-            parameters=[params_file(name), sim_time, {'autostart': False}],
-            condition=all_true(*only_if) if only_if else None,
+    arguments = [
+        DeclareLaunchArgument(
+            name,
+            default_value=item.default,
+            description=item.text,
+            **({'choices': ['true', 'false']} if item.switch or name in ADDED else {}),
         )
-
-        def change(transition: int, condition: IfCondition | None = None) -> EmitEvent:
-            event = ChangeState(
-                lifecycle_node_matcher=matches_action(node), transition_id=transition
-            )
-            return EmitEvent(event=event, condition=condition)
-
-        wanted = all_true('autostart', *only_if)
-        activate_once = RegisterEventHandler(
-            OnStateTransition(
-                target_lifecycle_node=node,
-                start_state='configuring',
-                goal_state='inactive',
-                entities=[change(Transition.TRANSITION_ACTIVATE)],
-            ),
-            condition=wanted,
-        )
-        return [activate_once, node, change(Transition.TRANSITION_CONFIGURE, wanted)]
-
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument(
-                'machine', default_value='mill', description='Namespace: the name of the machine'
-            ),
-            DeclareLaunchArgument(
-                'simulated',
-                default_value='true',
-                choices=['true', 'false'],
-                description='Start the simulated machine; false: a bridge of a real one runs',
-            ),
-            DeclareLaunchArgument(
-                'use_sim_time',
-                default_value=LaunchConfiguration('simulated'),
-                description='Take the time from /clock, which the simulated machine publishes',
-            ),
-            DeclareLaunchArgument(
-                'params_dir',
-                default_value=str(Path(get_package_share_directory(PACKAGE), 'params')),
-                description='Folder with one parameter file per node, <node>.yaml',
-            ),
-            DeclareLaunchArgument(
-                'autostart',
-                default_value=LaunchConfiguration('simulated'),
-                description='Configure and activate the managed nodes; '
-                'by default only where the machine is simulated',
-            ),
-            DeclareLaunchArgument(
-                'feedrate',
-                default_value='false',
-                choices=['true', 'false'],
-                description='Start the feedrate scheduler too, which runs tool paths',
-            ),
-            DeclareLaunchArgument(
-                'deformation',
-                default_value='false',
-                choices=['true', 'false'],
-                description='Start the deformation compensator too, which shifts patterns on soft '
-                'material for the feedrate scheduler',
-            ),
-            DeclareLaunchArgument(
-                'linuxcnc',
-                default_value='false',
-                choices=['true', 'false'],
-                description='Start the bridge to the LinuxCNC of this computer; simulated:=false',
-            ),
-            DeclareLaunchArgument(
-                'opcua',
-                default_value='false',
-                choices=['true', 'false'],
-                description='Start the bridge to a control with OPC UA; simulated:=false',
-            ),
-            LogInfo(
-                msg='fuzzycnc is not a safety function (ISO 13849): emergency stop, limit '
-                'switches and drive limits stay in hardware.'
-            ),
-            Node(
-                **common('simulated_machine'),
-                parameters=[params_file('simulated_machine')],
-                condition=IfCondition(LaunchConfiguration('simulated')),
-            ),
-            *[Node(**common(name), parameters=[params_file(name), sim_time]) for name in NODES],
-            *managed('linuxcnc_bridge', 'linuxcnc'),
-            *managed('opcua_bridge', 'opcua'),
-            *managed('compensator'),
-            *managed('feedrate_scheduler', 'feedrate'),
-            *managed('deformation_compensator', 'deformation'),
-        ]
-    )
+        for name, item in LAUNCH_ARGUMENTS.items()
+    ]
+    return LaunchDescription([*arguments, LogInfo(msg=BANNER), OpaqueFunction(function=bring_up)])

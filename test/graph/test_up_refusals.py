@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from benches.predictor_bench import losing_text
 
-from fuzzycnc_ros.cli.live.graph_processes import GraphError, GraphProcesses
-from fuzzycnc_ros.cli.live.machine_names import LENGTH_MAX
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
+from fuzzycnc_ros.ros.bring_up import LENGTH_MAX, GraphError
 
 pytestmark = pytest.mark.ros
 

@@ -22,8 +22,7 @@ from fuzzycnc_ros.cli.console import (
     complain,
     write_json,
 )
-from fuzzycnc_ros.cli.live.graph_processes import GraphError
-from fuzzycnc_ros.cli.live.machine_names import machine_name
+from fuzzycnc_ros.ros.bring_up import GraphError, machine_name
 from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
 
 STOP_TIMEOUT = 30.0

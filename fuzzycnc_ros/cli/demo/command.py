@@ -15,10 +15,9 @@ from fuzzycnc_ros.cli.demo.pattern import pattern_demo
 from fuzzycnc_ros.cli.demo.shift import shift_demo
 from fuzzycnc_ros.cli.demo.steps import renewed
 from fuzzycnc_ros.cli.demo.thermal import thermal_demo
-from fuzzycnc_ros.cli.live.graph_processes import GraphError
-from fuzzycnc_ros.cli.live.up import BANNER
 from fuzzycnc_ros.cli.programs.program_files import program_lines
 from fuzzycnc_ros.cli.terminal import Terminal
+from fuzzycnc_ros.ros.bring_up import BANNER, GraphError
 
 
 class Scenario(str, Enum):

@@ -11,7 +11,8 @@ from rich.console import Console
 
 from fuzzycnc_ros.cli.demo.steps import ANSWER_TIMEOUT, RUN_TIMEOUT, Steps, finish, progress_of
 from fuzzycnc_ros.cli.live.free_domain import own_domain
-from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
+from fuzzycnc_ros.ros.bring_up import NodeSpec
 
 MACHINE = 'mill'
 PATHS = ('butterfly',)

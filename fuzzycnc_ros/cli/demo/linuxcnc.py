@@ -21,7 +21,8 @@ from fuzzycnc_ros.cli.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.console import complain, show
 from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Steps, print_files, progress_of
 from fuzzycnc_ros.cli.live.free_domain import own_domain
-from fuzzycnc_ros.cli.live.graph_processes import GraphError, GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
+from fuzzycnc_ros.ros.bring_up import GraphError, NodeSpec
 
 MACHINE = 'mill'
 DUTY = 'T2'

@@ -22,7 +22,8 @@ from fuzzycnc_ros.cli.demo.shift_quilter import (
 )
 from fuzzycnc_ros.cli.demo.steps import ANSWER_TIMEOUT, Steps, finish, progress_of
 from fuzzycnc_ros.cli.live.free_domain import own_domain
-from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
+from fuzzycnc_ros.ros.bring_up import NodeSpec
 
 LIVE_TIMEOUT = 1200.0
 """Wall time [s] that a live run may take: a busy host may be ten times slower than an idle one."""

@@ -17,8 +17,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TimeElapsedColumn
 
 from fuzzycnc_ros.cli.console import show
-from fuzzycnc_ros.cli.live.graph_processes import GraphError
 from fuzzycnc_ros.cli.terminal import Description
+from fuzzycnc_ros.ros.bring_up import GraphError
 
 RUN_TIMEOUT = 300.0
 """Wall time [s] that a live run may take."""

@@ -14,8 +14,8 @@ from rich.console import Console
 from fuzzycnc_ros.cli.console import show
 from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Steps, print_files, progress_of
 from fuzzycnc_ros.cli.live.free_domain import own_domain
-from fuzzycnc_ros.cli.live.graph_processes import GraphError, GraphProcesses
-from fuzzycnc_ros.cli.live.up import node_specs
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
+from fuzzycnc_ros.ros.bring_up import GraphError, node_specs
 
 MACHINE = 'mill'
 CALIBRATION = ('D0', 'D0b', 'T1')

@@ -9,35 +9,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from fuzzycnc_ros.ros.bring_up import GraphError, NodeSpec
 from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
 
 STOP_TIMEOUT = 10.0
 """Wall time [s] that a node gets to end by itself before it is killed."""
-
-
-class GraphError(RuntimeError):
-    """The graph could not be brought up or broke down; the text says which node and why."""
-
-
-@dataclass(frozen=True)
-class NodeSpec:
-    """One node to start.
-
-    Attributes
-    ----------
-    name : str
-        Node, module and executable.
-    parameters : mapping
-        Values that differ from the node's defaults.
-    """
-
-    name: str
-    parameters: Mapping[str, Any] = field(default_factory=dict)
 
 
 COMPOSED = 'composed'

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 import typer
 
 from fuzzycnc_ros.cli.console import JsonFile, check_ros, say, show, words, write_json
-from fuzzycnc_ros.cli.live.graph_processes import GraphError
-from fuzzycnc_ros.cli.live.machine_names import machine_name
 from fuzzycnc_ros.cli.options import node_parameters
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.ros.bring_up import GraphError, machine_name
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.live.operator_client import Operator

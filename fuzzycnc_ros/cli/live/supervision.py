@@ -4,42 +4,15 @@
 
 import signal
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
-from fuzzycnc_ros.cli.live.graph_processes import (
-    GraphError,
-    GraphProcesses,
-    NodeSpec,
-    process_name,
-)
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, process_name
+from fuzzycnc_ros.ros.bring_up import TIME_SOURCES, GraphError, NodeSpec, RestartPolicy, again
 from fuzzycnc_ros.ros.processes import REFUSED
 
-TIME_SOURCES = ('simulated_machine', 'simulated_body', 'player')
-"""Nodes that make machine time: a run is over when its one ends, and cannot be resumed."""
-
 Tell = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class RestartPolicy:
-    """When a node that died is started again.
-
-    Attributes
-    ----------
-    delay, delay_max : float
-        Wall time [s] before the first restart of a row; it doubles with each, up to the latter.
-    restarts_max : int
-        Restarts within `window` after which a node is given up.
-    window : float
-        Wall time [s] that restarts count for.
-    """
-
-    delay: float = 0.5
-    delay_max: float = 30.0
-    restarts_max: int = 5
-    window: float = 120.0
 
 
 class State(Enum):
@@ -168,7 +141,10 @@ class Supervisor:
             elif process.state is State.WAITING and now >= process.start_at:
                 process.restarts += 1
                 process.begun.append(now)
-                process.specs = tuple(self._again(process, spec) for spec in process.specs)
+                process.specs = tuple(
+                    again(spec, process.restarts, resume=spec.name in process.resume)
+                    for spec in process.specs
+                )
                 self._run(process)
 
     def _run(self, process: Supervised) -> None:
@@ -193,13 +169,12 @@ class Supervisor:
         self._note_lifecycles(process)
         policy = self._policy
         process.begun = [time for time in process.begun if now - time < policy.window]
-        count = len(process.begun)
-        if code == REFUSED or count >= policy.restarts_max:
+        delay = None if code == REFUSED else policy.delay_after(process.begun, now)
+        if delay is None:
             process.state = State.GIVEN_UP
-            after = f' after {count} restarts within {policy.window:g} s'
+            after = f' after {len(process.begun)} restarts within {policy.window:g} s'
             self._tell(f'{process.title} {process.reason}; given up{after * (code != REFUSED)}')
             return
-        delay = min(policy.delay * 2**count, policy.delay_max)
         process.state, process.start_at = State.WAITING, now + delay
         self._tell(f'{process.title} {process.reason}; starts again in {delay:g} s')
 
@@ -212,19 +187,6 @@ class Supervisor:
             active = self._lifecycles.lifecycle(*key) == 'active'
             if not active and self._lifecycles.was_active(*key):
                 process.resume.discard(spec.name)
-
-    def _again(self, process: Supervised, spec: NodeSpec) -> NodeSpec:
-        """Return a node as it is to be started anew."""
-        parameters = dict(spec.parameters)
-        if 'autostart' in parameters:
-            parameters['autostart'] = spec.name in process.resume
-        if spec.name == 'recorder':
-            first = str(parameters['output'])
-            if process.restarts > 1:
-                first = first.rpartition('_again')[0]
-            # A torn bag is left to `fuzzycnc info`, which repairs it.
-            parameters['output'] = f'{first}_again{process.restarts}'
-        return replace(spec, parameters=parameters)
 
 
 def _cause(code: int) -> str:

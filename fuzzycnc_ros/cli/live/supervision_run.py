@@ -11,29 +11,24 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from fuzzycnc_ros.cli.bags.recording_loss import LACKING, loss
-from fuzzycnc_ros.cli.live.graph_processes import (
-    GraphError,
-    GraphProcesses,
-    NodeSpec,
-    process_name,
-)
-from fuzzycnc_ros.cli.live.supervision import TIME_SOURCES, State, Supervised, Supervisor
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, process_name
+from fuzzycnc_ros.cli.live.supervision import State, Supervised, Supervisor
 from fuzzycnc_ros.cli.live.supervision_view import View
+from fuzzycnc_ros.ros.bring_up import (
+    ACTIVE_TIMEOUT,
+    TIME_SOURCES,
+    GraphError,
+    NodeSpec,
+    in_the_way,
+)
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
     from fuzzycnc_ros.ros.presence import Presence
 
-ACTIVE_TIMEOUT = 20.0
-"""Wall time [s] until a managed node must be active."""
 GIVEN_UP = 1
 """Exit code where a node was given up."""
 
-RIVALS = (
-    frozenset(TIME_SOURCES),
-    frozenset({'simulated_machine', 'linuxcnc_bridge', 'opcua_bridge'}),
-)
-"""Nodes of which a machine has one: what makes its time, and what stands for it."""
 DECIDED = 6.0
 """Wall time [s] after which who is in the graph but does not speak counts as dead."""
 SPOKE = 4.0
@@ -72,7 +67,7 @@ def check_free(monitor: 'Monitor', presence: 'Presence', plans: Mapping[str, Pla
         machine: {spec.name for group in plan for spec in group} for machine, plan in plans.items()
     }
     own = [(machine, name) for machine, names in wanted.items() for name in names]
-    taken = {(machine, name) for machine, names in wanted.items() for name in _in_the_way(names)}
+    taken = {(machine, name) for machine, names in wanted.items() for name in in_the_way(names)}
     monitor.spin_until(SETTLED)
     living = presence.claim(own, taken)
     # Killed nodes end by themselves, within moments of the command that started them.
@@ -89,15 +84,6 @@ def check_free(monitor: 'Monitor', presence: 'Presence', plans: Mapping[str, Pla
             f'ROS domain {os.environ.get("ROS_DOMAIN_ID") or 0}: end them, choose another '
             '--machine or ROS_DOMAIN_ID, or add --takeover to run beside them'
         )
-
-
-def _in_the_way(names: set[str]) -> set[str]:
-    """Return the nodes that cannot run beside some others; recorders disturb nobody."""
-    found = set(names)
-    for rivals in RIVALS:
-        if names & rivals:
-            found |= rivals
-    return found - {'recorder'}
 
 
 def supervise(

@@ -3,121 +3,29 @@
 """`fuzzycnc up`: the whole graph of one machine, as processes or composed in one."""
 
 import time
-from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, Optional
+from typing import Annotated, Optional
 
 import typer
 
 from fuzzycnc_ros.cli.console import check_folder, check_ros, words, write_json
-from fuzzycnc_ros.cli.live.graph_processes import GraphError, GraphProcesses, NodeSpec
-from fuzzycnc_ros.cli.live.machine_names import machine_name
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.supervision_run import check_free, supervise
 from fuzzycnc_ros.cli.terminal import Terminal
-from fuzzycnc_ros.ros.processes import open_to_network
-
-BANNER = (
-    'fuzzycnc is not a safety function (ISO 13849): emergency stop, limit switches and drive '
-    'limits stay in hardware.'
+from fuzzycnc_ros.ros.bring_up import (
+    BANNER,
+    MACHINE,
+    THERMAL,
+    GraphError,
+    bag_of,
+    clock_remapping,
+    machine_name,
+    node_specs,
+    parameter_files,
 )
-THERMAL = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator')
-"""Nodes of thermal compensation."""
-MACHINE = 'simulated_machine'
-BODY = 'simulated_body'
-"""Makes the time of a real controller without hardware; it starts last, too."""
-
-
-def node_specs(
-    *,
-    nodes: Sequence[str] = THERMAL,
-    duties: tuple[str, ...] = (),
-    model: Path | None = None,
-    force_model: bool = False,
-    record: Path | None = None,
-    lockstep: bool = False,
-    autostart: bool = False,
-    state_directory: Path | None = None,
-    feedrate: bool = False,
-    machine_parameters: dict[str, Any] | None = None,
-) -> list[NodeSpec]:
-    """Return the nodes of a graph in the order of their turns, the simulated machine last.
-
-    Parameters
-    ----------
-    nodes : sequence of str
-        Any components; `recorder`, and `simulated_machine` without duties of its own.
-    duties : tuple of str
-        Duties of the simulated machine; empty leaves it out, for a real machine.
-    model : Path, optional
-        Model file of the predictor.
-    force_model : bool
-        Whether the predictor uses a model that is worse than none on some channel.
-    record : Path, optional
-        Bag to record; none if left out.
-    lockstep : bool
-        Whether the simulated machine gives turns instead of following the clock.
-    autostart : bool
-        Whether the managed nodes become active by themselves.
-    state_directory : Path, optional
-        Where nodes keep what must survive a restart.
-    feedrate : bool
-        Whether the feedrate scheduler takes part.
-    machine_parameters : dict, optional
-        Further parameters of the simulated machine.
-
-    Raises
-    ------
-    GraphError
-        If a name is no node.
-    """
-    from fuzzycnc_ros.registry import COMPONENTS
-
-    wanted = {*nodes, *(('feedrate_scheduler',) if feedrate else ())}
-    unknown = sorted(wanted - {*COMPONENTS, 'recorder'})
-    if unknown or not wanted:
-        raise GraphError(
-            f'nodes: expected names among {", ".join(COMPONENTS)} but found '
-            f'{", ".join(unknown) or "none"}'
-        )
-    simulated = bool(duties) or MACHINE in wanted
-    if simulated and BODY in wanted:
-        raise GraphError(f'nodes: expected {MACHINE} or {BODY}, since each makes time, not both')
-    common: dict[str, Any] = {'lockstep': lockstep}
-    if (simulated or BODY in wanted) and not lockstep:
-        common['use_sim_time'] = True
-    specs = []
-    for name, component in COMPONENTS.items():
-        if name not in wanted or name in (MACHINE, BODY):
-            continue
-        parameters = dict(common)
-        if state_directory is not None and any(item.persistent for item in component.OUTPUTS):
-            parameters['state_directory'] = str(state_directory)
-        if component.MANAGED:
-            parameters['autostart'] = autostart
-        if name == 'thermal_predictor' and model is not None:
-            parameters['model'] = str(model)
-        if name == 'thermal_predictor' and force_model:
-            parameters['force'] = True
-        specs.append(NodeSpec(name, parameters))
-    served = [spec.name for spec in specs]
-    if record is not None:
-        specs.append(NodeSpec('recorder', dict(common, output=str(record))))
-    elif 'recorder' in wanted:
-        raise GraphError('nodes: recorder needs a bag to write; name it with --record')
-    if BODY in wanted:
-        specs.append(NodeSpec(BODY, {'nodes': [spec.name for spec in specs]}))
-    if simulated:
-        machine = {
-            'lockstep': lockstep,
-            'lockstep_nodes': served,
-            'lockstep_recorder': record is not None,
-            **({'duties': list(duties)} if duties else {}),
-            **(machine_parameters or {}),
-        }
-        specs.append(NodeSpec(MACHINE, machine))
-    return specs
+from fuzzycnc_ros.ros.processes import open_to_network
 
 
 def up(
@@ -243,7 +151,7 @@ def up(
     from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
     from fuzzycnc_ros.ros.presence import Presence
 
-    files = _parameter_files(params)
+    files = parameter_files(params, '--params ')
     check_files(files)
     started = time.monotonic()
     with ExitStack() as stack:
@@ -256,13 +164,10 @@ def up(
         plans = []
         bags = []
         for name in machines:
-            # Each simulated machine makes its own time.
-            own_clock = ('/clock:=clock',) if len(machines) > 1 else ()
+            own_clock = clock_remapping(machines)
             graph = stack.enter_context(GraphProcesses(name, params=files, remap=own_clock))
             graphs.append(graph)
-            bag = record
-            if bag is not None and len(machines) > 1:
-                bag = bag.with_name(f'{bag.name}_{name.replace("/", "_")}')
+            bag = bag_of(name, machines, record)
             bags += [str(bag)] if bag is not None else []
             specs = node_specs(
                 nodes=chosen,
@@ -302,12 +207,3 @@ def _of_machine(file: str, folder: Path) -> Path:
     path = folder / 'machine.yaml'
     path.write_text(parameter_text(read_machine_file(file)), encoding='utf-8')
     return path
-
-
-def _parameter_files(folder: Path | None) -> list[Path]:
-    if folder is None:
-        return []
-    files = sorted(folder.glob('*.yaml'))
-    if not files:
-        raise GraphError(f'--params {folder}: expected files <node>.yaml but found none')
-    return files

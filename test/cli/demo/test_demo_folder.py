@@ -9,7 +9,7 @@ import pytest
 from processes import start
 
 from fuzzycnc_ros.cli.demo.steps import renewed
-from fuzzycnc_ros.cli.live.graph_processes import GraphError
+from fuzzycnc_ros.ros.bring_up import GraphError
 
 HOLDER = """
 import sys, time

@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from fuzzycnc_ros.cli.live.graph_processes import GraphError, NodeSpec
-from fuzzycnc_ros.cli.live.supervision import RestartPolicy, State, Supervisor
+from fuzzycnc_ros.cli.live.supervision import State, Supervisor
 from fuzzycnc_ros.cli.live.supervision_view import View, row, table
-from fuzzycnc_ros.cli.live.up import THERMAL, node_specs
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros import processes
+from fuzzycnc_ros.ros.bring_up import THERMAL, GraphError, NodeSpec, RestartPolicy, node_specs
 from fuzzycnc_ros.runtime.component import Level
 
 POLICY = RestartPolicy(delay=0.5, delay_max=4.0, restarts_max=5, window=100.0)

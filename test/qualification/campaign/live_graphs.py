@@ -23,10 +23,10 @@ from campaign.evidence import MARKS, RECORDS
 from campaign.relay import Relay, direct, durability, remappings
 from campaign.scenario import Stage
 from fuzzycnc_ros.bags.files import storage_files
-from fuzzycnc_ros.cli.live.graph_processes import GraphError, GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.operator_client import parameter_request, refusals
-from fuzzycnc_ros.cli.live.supervision import RestartPolicy, Supervisor
-from fuzzycnc_ros.cli.live.up import node_specs
+from fuzzycnc_ros.cli.live.supervision import Supervisor
+from fuzzycnc_ros.ros.bring_up import GraphError, NodeSpec, RestartPolicy, node_specs
 from fuzzycnc_ros.ros.topics import create_subscription, publisher_qos, subscription_qos
 from fuzzycnc_ros.runtime.component import HISTORY
 from fuzzycnc_ros.runtime.convert import decode

@@ -18,9 +18,9 @@ from campaign.live_graphs import LiveGraph
 from campaign.pattern_verdict import BLEND
 from campaign.relay import direct, durability
 from campaign.scenario import Stage
-from fuzzycnc_ros.cli.live.graph_processes import NodeSpec
 from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
 from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.ros.bring_up import NodeSpec
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import ServoStatus

@@ -15,8 +15,9 @@ import numpy as np
 from campaign.live_graphs import MACHINE, MAKES_TIME, LiveGraph
 from campaign.rogue_nodes import FALSE, STRANGER, Strangers, strange_word
 from campaign.scenario import Stage
-from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, NodeSpec
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.ros.bring_up import NodeSpec
 from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
 from fuzzycnc_ros.runtime.records import (
     SECOND,

@@ -1,0 +1,427 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a machine's graph consists of: its nodes, their parameters, what becomes of those that end.
+
+`fuzzycnc up` and the launch file both follow it, so that they start the same.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+BANNER = (
+    'fuzzycnc is not a safety function (ISO 13849): emergency stop, limit switches and drive '
+    'limits stay in hardware.'
+)
+THERMAL = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator')
+"""Nodes of thermal compensation."""
+MACHINE = 'simulated_machine'
+BODY = 'simulated_body'
+"""Makes the time of a real controller without hardware; it starts last, too."""
+TIME_SOURCES = ('simulated_machine', 'simulated_body', 'player')
+"""Nodes that make machine time: a run is over when its one ends, and cannot be resumed."""
+RIVALS = (
+    frozenset(TIME_SOURCES),
+    frozenset({'simulated_machine', 'linuxcnc_bridge', 'opcua_bridge'}),
+)
+"""Nodes of which a machine has one: what makes its time, and what stands for it."""
+
+
+ACTIVE_TIMEOUT = 20.0
+"""Wall time [s] until a managed node must be active."""
+
+
+class GraphError(RuntimeError):
+    """The graph could not be brought up or broke down; the text says which node and why."""
+
+
+@dataclass(frozen=True)
+class NodeSpec:
+    """One node to start.
+
+    Attributes
+    ----------
+    name : str
+        Node, module and executable.
+    parameters : mapping
+        Values that differ from the node's defaults.
+    """
+
+    name: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+
+def node_specs(
+    *,
+    nodes: Sequence[str] = THERMAL,
+    duties: tuple[str, ...] = (),
+    model: Path | None = None,
+    force_model: bool = False,
+    record: Path | None = None,
+    lockstep: bool = False,
+    autostart: bool = False,
+    state_directory: Path | None = None,
+    feedrate: bool = False,
+    machine_parameters: dict[str, Any] | None = None,
+) -> list[NodeSpec]:
+    """Return the nodes of a graph in the order of their turns, the simulated machine last.
+
+    Parameters
+    ----------
+    nodes : sequence of str
+        Any components; `recorder`, and `simulated_machine` without duties of its own.
+    duties : tuple of str
+        Duties of the simulated machine; empty leaves it out, for a real machine.
+    model : Path, optional
+        Model file of the predictor.
+    force_model : bool
+        Whether the predictor uses a model that is worse than none on some channel.
+    record : Path, optional
+        Bag to record; none if left out.
+    lockstep : bool
+        Whether the simulated machine gives turns instead of following the clock.
+    autostart : bool
+        Whether the managed nodes become active by themselves.
+    state_directory : Path, optional
+        Where nodes keep what must survive a restart.
+    feedrate : bool
+        Whether the feedrate scheduler takes part.
+    machine_parameters : dict, optional
+        Further parameters of the simulated machine.
+
+    Raises
+    ------
+    GraphError
+        If a name is no node.
+    """
+    from fuzzycnc_ros.registry import COMPONENTS
+
+    wanted = {*nodes, *(('feedrate_scheduler',) if feedrate else ())}
+    unknown = sorted(wanted - {*COMPONENTS, 'recorder'})
+    if unknown or not wanted:
+        raise GraphError(
+            f'nodes: expected names among {", ".join(COMPONENTS)} but found '
+            f'{", ".join(unknown) or "none"}'
+        )
+    simulated = bool(duties) or MACHINE in wanted
+    if simulated and BODY in wanted:
+        raise GraphError(f'nodes: expected {MACHINE} or {BODY}, since each makes time, not both')
+    common: dict[str, Any] = {'lockstep': lockstep}
+    if (simulated or BODY in wanted) and not lockstep:
+        common['use_sim_time'] = True
+    specs = []
+    for name, component in COMPONENTS.items():
+        if name not in wanted or name in (MACHINE, BODY):
+            continue
+        parameters = dict(common)
+        if state_directory is not None and any(item.persistent for item in component.OUTPUTS):
+            parameters['state_directory'] = str(state_directory)
+        if component.MANAGED:
+            parameters['autostart'] = autostart
+        if name == 'thermal_predictor' and model is not None:
+            parameters['model'] = str(model)
+        if name == 'thermal_predictor' and force_model:
+            parameters['force'] = True
+        specs.append(NodeSpec(name, parameters))
+    served = [spec.name for spec in specs]
+    if record is not None:
+        specs.append(NodeSpec('recorder', dict(common, output=str(record))))
+    elif 'recorder' in wanted:
+        raise GraphError('nodes: recorder needs a bag to write; name it with --record')
+    if BODY in wanted:
+        specs.append(NodeSpec(BODY, {'nodes': [spec.name for spec in specs]}))
+    if simulated:
+        machine = {
+            'lockstep': lockstep,
+            'lockstep_nodes': served,
+            'lockstep_recorder': record is not None,
+            **({'duties': list(duties)} if duties else {}),
+            **(machine_parameters or {}),
+        }
+        specs.append(NodeSpec(MACHINE, machine))
+    return specs
+
+
+def parameter_files(folder: Path | None, named: str = '') -> list[Path]:
+    """Return the parameter files of a folder; none without one.
+
+    Raises
+    ------
+    GraphError
+        If there are none in it; the text names the folder, after `named`.
+    """
+    if folder is None:
+        return []
+    files = sorted(folder.glob('*.yaml'))
+    if not files:
+        raise GraphError(f'{named}{folder}: expected files <node>.yaml but found none')
+    return files
+
+
+def in_the_way(names: set[str]) -> set[str]:
+    """Return the nodes that cannot run beside some others; recorders disturb nobody."""
+    found = set(names)
+    for rivals in RIVALS:
+        if names & rivals:
+            found |= rivals
+    return found - {'recorder'}
+
+
+@dataclass(frozen=True)
+class RestartPolicy:
+    """When a node that died is started again.
+
+    Attributes
+    ----------
+    delay, delay_max : float
+        Wall time [s] before the first restart of a row; it doubles with each, up to the latter.
+    restarts_max : int
+        Restarts within `window` after which a node is given up.
+    window : float
+        Wall time [s] that restarts count for.
+    """
+
+    delay: float = 0.5
+    delay_max: float = 30.0
+    restarts_max: int = 5
+    window: float = 120.0
+
+    def delay_after(self, begun: Sequence[float], now: float) -> float | None:
+        """Return how long to wait before a node is started anew; None if it is given up.
+
+        Parameters
+        ----------
+        begun : sequence of float
+            When it was started anew [s of wall time].
+        now : float
+            Wall time [s].
+        """
+        count = sum(now - time < self.window for time in begun)
+        if count >= self.restarts_max:
+            return None
+        return min(self.delay * 2**count, self.delay_max)
+
+
+def again(spec: NodeSpec, restarts: int, *, resume: bool) -> NodeSpec:
+    """Return a node as it is started anew.
+
+    Parameters
+    ----------
+    spec : NodeSpec
+        The node as it was started before.
+    restarts : int
+        How often it has been started anew, this time included.
+    resume : bool
+        Whether a managed node becomes active again: one that was taken out of its work does not.
+    """
+    parameters = dict(spec.parameters)
+    if 'autostart' in parameters:
+        parameters['autostart'] = resume
+    if spec.name == 'recorder':
+        first = str(parameters['output'])
+        if restarts > 1:
+            first = first.rpartition('_again')[0]
+        # A torn bag is left to `fuzzycnc info`, which repairs it.
+        parameters['output'] = f'{first}_again{restarts}'
+    return replace(spec, parameters=parameters)
+
+
+def clock_remapping(machines: Sequence[str]) -> tuple[str, ...]:
+    """Return the remappings of all nodes: of several machines each has a time of its own."""
+    return ('/clock:=clock',) if len(machines) > 1 else ()
+
+
+def bag_of(machine: str, machines: Sequence[str], bag: Path | None) -> Path | None:
+    """Return the bag of a machine: with several, its name follows that of the bag."""
+    if bag is None or len(machines) < 2:
+        return bag
+    return bag.with_name(f'{bag.name}_{machine.replace("/", "_")}')
+
+
+@dataclass(frozen=True)
+class LaunchArgument:
+    """An argument of the launch file.
+
+    Attributes
+    ----------
+    default, text : str
+        Its default and its description.
+    switch : bool
+        Whether it is true or false.
+    """
+
+    default: str
+    text: str
+    switch: bool = False
+
+
+ADDED = {
+    'feedrate': 'feedrate_scheduler',
+    'servo': 'servo_controller',
+    'deformation': 'deformation_compensator',
+    'linuxcnc': 'linuxcnc_bridge',
+    'opcua': 'opcua_bridge',
+    'body': 'simulated_body',
+}
+"""Launch arguments that add a node to those of thermal compensation."""
+
+LAUNCH_ARGUMENTS = {
+    'machine': LaunchArgument(
+        'mill', 'Name of the machine: the namespace of its nodes; several with commas between'
+    ),
+    'simulated': LaunchArgument(
+        'true', 'Start the simulated machine; false: a bridge of a real one runs', switch=True
+    ),
+    'duties': LaunchArgument('', 'Duties of the simulated machine; empty: as its parameters say'),
+    'rate': LaunchArgument('', 'Speed of the simulated machine; empty: as its parameters say'),
+    'model': LaunchArgument('', 'Model file of the predictor'),
+    'force_model': LaunchArgument(
+        'false', 'Use the model even where it left more than no compensation', switch=True
+    ),
+    'record': LaunchArgument('', 'New bag to record everything into; empty: none'),
+    'nodes': LaunchArgument('', 'Nodes in place of those of thermal compensation'),
+    'params_dir': LaunchArgument(
+        '', 'Folder with parameter files <node>.yaml; empty: those of the package'
+    ),
+    'state_directory': LaunchArgument(
+        '',
+        'Where nodes keep what must survive a restart; empty: in the log folder of this launch',
+    ),
+    'autostart': LaunchArgument(
+        '', 'Configure and activate the managed nodes; empty: where the machine is simulated'
+    ),
+    'use_sim_time': LaunchArgument(
+        '', 'Take the time from /clock; empty: where the machine is simulated'
+    ),
+    'lockstep': LaunchArgument(
+        'false', 'Run the simulated machine as fast as all nodes answer', switch=True
+    ),
+    **{
+        name: LaunchArgument('false', f'Start {node} too', switch=True)
+        for name, node in ADDED.items()
+    },
+}
+"""Arguments of the launch file by name."""
+
+
+@dataclass(frozen=True)
+class Launched:
+    """A node that the launch file starts.
+
+    Attributes
+    ----------
+    machine : str
+        Namespace.
+    spec : NodeSpec
+        The node and its own parameters.
+    files : tuple of Path
+        Parameter files that it reads first.
+    remap : tuple of str
+        Remappings, `from:=to`.
+    """
+
+    machine: str
+    spec: NodeSpec
+    files: tuple[Path, ...]
+    remap: tuple[str, ...]
+
+
+def launched(given: Mapping[str, str], params: Path, log: Path) -> list[Launched]:
+    """Return the nodes that launch arguments mean, machine by machine, in the order of `up`.
+
+    Parameters
+    ----------
+    given : mapping of str to str
+        Values of all `LAUNCH_ARGUMENTS`.
+    params : Path
+        Parameter files of the package.
+    log : Path
+        Folder of this launch.
+
+    Raises
+    ------
+    GraphError
+        If an argument is of no use; the text names it.
+    """
+    machines = tuple(
+        dict.fromkeys(machine_name(name, 'machine') for name in _words(given['machine']))
+    )
+    if not machines:
+        raise GraphError('machine: expected a name but found none')
+    folder = Path(given['params_dir']) if given['params_dir'] else None
+    files = parameter_files(folder, 'params_dir: ')
+    simulated = given['simulated'] == 'true'
+    nodes = [*(_words(given['nodes']) or THERMAL)]
+    nodes += [node for name, node in ADDED.items() if given[name] == 'true']
+    nodes += [MACHINE] if simulated else []
+    for rivals in RIVALS:
+        if len(rivals & {*nodes}) > 1:
+            raise GraphError(
+                f'expected one of {", ".join(sorted(rivals & {*nodes}))} but found all; '
+                'simulated:=false leaves the simulated machine out'
+            )
+    model = Path(given['model']) if given['model'] else None
+    if model is not None and not model.is_file():
+        raise GraphError(f'model: expected a file but nothing is at {model}')
+    try:
+        rate = {'rate': float(given['rate'])} if given['rate'] else {}
+    except ValueError:
+        raise GraphError(f'rate: expected a number but found {given["rate"]!r}') from None
+    autostart = _switch(given, 'autostart', simulated)
+    items = []
+    for machine in machines:
+        specs = node_specs(
+            nodes=nodes,
+            duties=tuple(_words(given['duties'])),
+            model=model,
+            force_model=given['force_model'] == 'true',
+            record=bag_of(machine, machines, Path(given['record']) if given['record'] else None),
+            lockstep=given['lockstep'] == 'true',
+            autostart=autostart,
+            state_directory=Path(given['state_directory'] or log / 'state' / machine),
+            machine_parameters=rate or None,
+        )
+        for spec in specs:
+            if given['use_sim_time'] and spec.name not in TIME_SOURCES:
+                clock = {'use_sim_time': _switch(given, 'use_sim_time', simulated)}
+                spec = replace(spec, parameters={**spec.parameters, **clock})
+            read = files or [params / f'{spec.name}.yaml']
+            items.append(Launched(machine, spec, tuple(read), clock_remapping(machines)))
+    return items
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(',') if word.strip()]
+
+
+def _switch(given: Mapping[str, str], name: str, default: bool) -> bool:
+    """Return a switch that may be left empty."""
+    value = given[name].lower()
+    if value not in ('', 'true', 'false'):
+        raise GraphError(f'{name}: expected true or false but found {given[name]!r}')
+    return value == 'true' if value else default
+
+
+LENGTH_MAX = 100
+"""Longest name [characters]: ROS takes 247 for a whole topic, and some of ours take 60."""
+_NAME = re.compile(r'(?!\d)\w+(/(?!\d)\w+)*', re.ASCII)
+
+
+def machine_name(text: str, option: str = '--machine') -> str:
+    """Return the name of a machine without slashes at its ends.
+
+    Raises
+    ------
+    ValueError
+        If it can be no namespace.
+    """
+    name = text.strip('/')
+    if not _NAME.fullmatch(name) or '__' in name or len(name) > LENGTH_MAX:
+        shown = repr(text) if len(text) <= LENGTH_MAX else f'one of {len(text)} characters'
+        raise ValueError(
+            f'{option}: expected a name such as mill_1, of letters, digits and single _, no part '
+            f'beginning with a digit, at most {LENGTH_MAX} characters, but found {shown}'
+        )
+    return name

@@ -1,0 +1,68 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The launch file, where ROS's `launch` and `launch_ros` can be had (not from PyPI)."""
+
+import os
+import re
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+from processes import wait_for
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip('launch_ros', reason='launch_ros is part of a full ROS installation')
+
+FILE = Path(__file__).parents[2] / 'launch' / 'thermal_compensation.launch.py'
+RUN = """
+import sys
+from launch import LaunchDescription, LaunchService
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+arguments = [tuple(word.split(':=')) for word in sys.argv[2:]]
+source = PythonLaunchDescriptionSource(sys.argv[1])
+service = LaunchService()
+service.include_launch_description(
+    LaunchDescription([IncludeLaunchDescription(source, launch_arguments=arguments)])
+)
+sys.exit(service.run())
+"""
+
+
+@pytest.fixture
+def launch(graph, tmp_path):
+    """Start the launch file with arguments."""
+    return lambda *words: graph.launch(
+        'launch', [sys.executable, '-c', RUN, str(FILE), *words], tmp_path
+    )
+
+
+def pids(running, node):
+    """Return the processes that a node has had so far."""
+    started = rf'\[{node}-\d+\]: process started with pid \[(\d+)\]'
+    return [int(pid) for pid in re.findall(started, running.output)]
+
+
+def test_a_run_ends_with_its_simulation(launch):
+    running = launch('duties:=T2', 'rate:=3000')
+    assert running.wait() == 0
+    assert '"degraded": false' in running.output
+
+
+def test_a_killed_node_comes_back_and_a_failed_simulation_ends_all(launch):
+    running = launch('duties:=T2', 'rate:=20')
+    wait_for(lambda: pids(running, 'simulated_machine'), 'all have started')
+    (first,) = pids(running, 'compensator')
+    os.kill(first, signal.SIGKILL)
+    wait_for(lambda: len(pids(running, 'compensator')) == 2, 'it has come back')
+    os.kill(pids(running, 'simulated_machine')[0], signal.SIGKILL)
+    assert running.wait() == 1
+    assert 'mill/simulated_machine ended with code -9' in running.output
+
+
+def test_a_wrong_folder_is_an_error(launch, tmp_path):
+    running = launch(f'params_dir:={tmp_path / "nowhere"}')
+    assert running.wait() == 1
+    assert 'expected files <node>.yaml but found none' in running.output
