@@ -20,6 +20,8 @@ from fuzzycnc_ros.core.deformation.stitch_path import LINE, SheetMaterial
 COMMANDED = ('x_mm', 'y_mm')
 OFFSET = ('offset_x_mm', 'offset_y_mm')
 STITCHED = ('stitched_x_mm', 'stitched_y_mm')
+CLOSEST, FARTHEST = 1e-4, 0.1
+"""Spacing of stitches that is likely [m]."""
 APART = 0.05
 """Largest likely distance of a stitch from its commanded place [m]."""
 
@@ -103,6 +105,12 @@ def _run(path: Path, sheet: SheetMaterial, path_id: str) -> RecordedPath:
         raise ValueError(
             f'{path}: line {line}: expected a stitch within {1e3 * APART:g} mm of its place but '
             f'found it {1e3 * apart.max():.4g} mm away; compare units and origin of both'
+        )
+    spacing = float(np.median(np.hypot(*np.diff(commanded, axis=0).T)))
+    if not CLOSEST < spacing < FARTHEST:
+        raise ValueError(
+            f'{path}: expected stitches {1e3 * CLOSEST:g} to {1e3 * FARTHEST:g} mm apart but '
+            f'found them {1e3 * spacing:.3g} mm apart; lengths are in millimetres'
         )
     steps = len(values) - 1
     return RecordedPath(

@@ -49,8 +49,14 @@ def table_cells(path: Path, columns: Sequence[str]) -> tuple[list[str], dict[int
     header = [name.strip() for name in lines[0]] if lines else []
     missing = [name for name in columns if name not in header]
     if missing:
+        hint = ''.join(
+            f'; the cells are parted by {name}, write commas'
+            for mark, name in ((';', 'semicolons'), ('\t', 'tabs'))
+            if lines and mark in lines[0][0]
+        )
         raise ValueError(
             f'line 1: expected the columns {",".join(columns)} but found no {", ".join(missing)}'
+            f'{hint}'
         )
     rows = {
         number: cells

@@ -252,6 +252,8 @@ def test_learn_from_tables_equals_that_from_a_bag(fuzzycnc, tmp_path):
         ('1,1,1,1\n2,2,2,x', OF_TABLE, ['run.csv: line 3', 'finite numbers']),
         ('1,1,1,1\n2,2,2000,2', OF_TABLE, ['line 3', '50 mm', 'units and origin']),
         ('1;1;1;1', OF_TABLE, ['line 2', 'finite numbers']),
+        ('1,1,1,nan', OF_TABLE, ['line 2', 'finite numbers', 'nan']),
+        ('.001,.001,.001,.001\n.004,.001,.004,.001', OF_TABLE, ['0.003 mm apart', 'millimetres']),
     ],
 )
 def test_learn_refuses_tables_that_are_none(refused, tmp_path, text, options, naming):
@@ -259,6 +261,20 @@ def test_learn_refuses_tables_that_are_none(refused, tmp_path, text, options, na
     (tmp_path / 'run.csv').write_text(f'{header}\n{text}\n')
     refused('foam', 'learn', 'run.csv', '--out', 'o.json', *options, naming=naming)
     assert not (tmp_path / 'o.json').exists()
+
+
+@pytest.mark.parametrize(
+    ('header', 'naming'),
+    [
+        ('x_mm,y_mm,stitched_x_mm', ['line 1', 'found no stitched_y_mm']),
+        ('x_mm;y_mm;stitched_x_mm;stitched_y_mm', ['line 1', 'parted by semicolons', 'commas']),
+        ('x_mm,y_mm,stitched_x_mm,stitched_y_mm,offset_x_mm', ['both offset_x_mm and']),
+        ('1,2,3,4', ['line 1', 'expected the columns x_mm']),
+    ],
+)
+def test_learn_names_what_the_header_lacks(refused, tmp_path, header, naming):
+    (tmp_path / 'run.csv').write_text(f'{header}\n1,1,1,1,0\n4,1,4,1,0\n')
+    refused('foam', 'learn', 'run.csv', '--out', 'o.json', *OF_TABLE, naming=naming)
 
 
 def test_learn_takes_bags_or_tables_and_what_belongs_to_them(refused, tmp_path):
