@@ -9,6 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from fuzzycnc_ros.core.machine.machine_data import MachineData
+from fuzzycnc_ros.core.servo.axis_text import axis_texts
 from fuzzycnc_ros.machine_file.feeds import scheduler_parameters, simulated_loop
 
 _LOOP = (
@@ -26,9 +27,27 @@ def node_parameters(machine: MachineData) -> dict[str, dict[str, Any]]:
     40.0
     """
     loop = asdict(simulated_loop(machine))
+    axes = axis_texts(machine.axes)
     return {
         'feedrate_scheduler': scheduler_parameters(machine),
-        'simulated_machine': {f'axis_{name}': loop[name] for name in _LOOP},
+        'simulated_machine': {
+            **{f'axis_{name}': loop[name] for name in _LOOP},
+            'axis_data': axes,
+        },
+        'servo_controller': {**_servo_limits(machine), 'axis_data': axes},
+    }
+
+
+def _servo_limits(machine: MachineData) -> dict[str, float]:
+    """Return the limits of a controller of several axes: the widest, as each keeps its own."""
+    limits = [data.limits for data in machine.axes.values() if data.plant is not None]
+    if not limits:
+        return {}
+    ways = zip(*(one.positioning for one in limits), strict=True)
+    return {
+        **dict(zip(('velocity_max', 'acceleration_max', 'jerk_max'), map(max, ways), strict=True)),
+        'trajectory_velocity_max': max(one.velocity for one in limits),
+        'trajectory_acceleration_max': max(one.acceleration for one in limits),
     }
 
 

@@ -4,6 +4,7 @@
 
 import os
 import resource
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,10 @@ from live_graph import ANSWER_TIMEOUT, KILL_TIMEOUT
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
+from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
+from fuzzycnc_ros.machine_file.parameters import node_parameters
+from fuzzycnc_ros.machine_file.reader import read_machine_file
 from fuzzycnc_ros.runtime.component import Level
 from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.records import (
@@ -70,6 +75,50 @@ def test_live_and_replayed_equal_in_process(graph, tmp_path):
     assert move.settle(2e-6) == alone.settle(2e-6) <= 0.7
     assert len(move.time) == 1201
     report = replay(tmp_path / 'live')
+    assert report.identical, report.topics
+
+
+MACHINE_FILE = """\
+axes:
+  Y:
+    limits: {travel_low: 50 mm, travel_high: 450 mm, velocity: 100 mm/s, load: 20 %}
+    plant: {model: lags, gain: 150 mm/s, velocity_lag: 30 ms}
+    controller: {name: cascade, settings: {bandwidth: 1.5}}
+"""
+AXIS_PARAMETERS = """\
+/**/servo_controller:
+  ros__parameters:
+    axes: ['Y:machine_file']
+/**/simulated_machine:
+  ros__parameters:
+    duties: ['']
+    servo_axes: ['Y:machine_file']
+    moves: ['Y:0.1']
+    move_time: 2.5
+"""
+
+
+def test_an_axis_of_a_machine_file_is_driven_and_replayed_without_it(graph, tmp_path):
+    """`fuzzycnc up` as a user calls it; the file has gone when the bag is replayed."""
+    folder = tmp_path / 'up'
+    (folder / 'p').mkdir(parents=True)
+    file, bag = folder / 'my.yaml', tmp_path / 'live'
+    file.write_text(MACHINE_FILE)
+    (folder / 'p' / 'servo.yaml').write_text(AXIS_PARAMETERS)
+    command = [sys.executable, '-m', 'fuzzycnc_ros.cli.main', 'up', '--lockstep', '--autostart']
+    command += ['--nodes', 'servo_controller,simulated_machine', '--machine-file', str(file)]
+    command += ['--params', str(folder / 'p'), '--record', str(bag)]
+    running = graph.launch('up', command, folder)
+    assert running.wait() == 0, running.output
+    parameters = node_parameters(read_machine_file(file))['servo_controller']
+    config = ServoControllerConfig(**{**parameters, 'axes': ('Y:machine_file',)})
+    file.unlink()
+    (move,) = PositioningLog.from_bag(bag).moves()
+    assert (move.axis, move.target, move.fault) == ('Y', 0.1, '')
+    assert move.left < 5e-6
+    (alone,) = run_positioning(('Y:0.1',), config, SimulatedMachineConfig(move_time=2.5))
+    np.testing.assert_array_equal(move.duty, alone.duty)
+    report = replay(bag)
     assert report.identical, report.topics
 
 

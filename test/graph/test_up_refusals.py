@@ -87,6 +87,31 @@ def test_parameter_files(refused_at_once, text, naming):
     refused_at_once('--nodes', 'compensator', '--params', 'p', naming=naming)
 
 
+@pytest.mark.parametrize(
+    ('axis', 'naming'),
+    [
+        ('Q', ['axes: expected an axis of the machine file, X, Z, W, but found Q']),
+        ('Z', ['axes: expected the model (plant) of Z', 'fuzzycnc machine identify']),
+        ('W', ['tuned controller of W', 'servo tune --machine-file', 'axis_controller']),
+    ],
+)
+def test_servo_axes_that_a_machine_file_does_not_know(refused_at_once, fuzzycnc, axis, naming):
+    write(
+        'my.yaml',
+        'axes:\n'
+        '  X: {plant: {model: lags}, controller: {name: pid}}\n'
+        '  Z: {limits: {velocity: 0.1}}\n'
+        '  W: {plant: {model: mass}}\n',
+    )
+    options = ('--nodes', 'servo_controller', '--params', 'p', '--machine-file', 'my.yaml')
+    parameters = '/**/servo_controller:\n  ros__parameters:\n    axes: ["{}:machine_file"]\n'
+    write('p/servo.yaml', parameters.format(axis))
+    refused_at_once(*options, naming=['mill/servo_controller', *naming])
+    refused_at_once(*options[:4], naming=[f'data of the axis {axis}', '--machine-file'])
+    write('p/servo.yaml', parameters.format('X'))
+    assert fuzzycnc('up', *options).err.endswith('error: a node was started\n')
+
+
 def test_parameters_for_other_nodes_are_theirs(refused_at_once, fuzzycnc):
     write('p/some.yaml', '/other/compensator:\n  ros__parameters:\n    offset_max: 1.0\n')
     outcome = fuzzycnc('up', '--nodes', 'compensator', '--params', 'p')

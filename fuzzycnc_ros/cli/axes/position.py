@@ -270,12 +270,9 @@ def _controller(
 ) -> 'AxisController':
     if not known.machine:
         return make_controller(name or DEFAULT, known.name, plant, _settings(params))
-    from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
+    from fuzzycnc_ros.cli.axes.servo_machine import machine_controller
 
-    if params is not None:
-        raise ValueError('--params: expected none with --machine-file, which has the settings')
-    own = known.data.settings if name in ('', known.data.controller) else {}
-    return make_axis_controller(known.data, name, own)
+    return machine_controller(known.data, known.name, name, params)
 
 
 def _knobs(

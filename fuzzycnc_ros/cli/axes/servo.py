@@ -242,10 +242,17 @@ def tune(
 
 
 def stability(
-    axis: Axis = 'lathe',
+    axis: Axis = '',
+    machine_file: MachineFile = None,
     controller: Annotated[
-        str, typer.Option(metavar='|'.join(TUNABLE), help='Controller of the lathe axis.')
-    ] = DEFAULT,
+        str,
+        typer.Option(
+            metavar='|'.join(TUNABLE),
+            show_default=False,
+            help=f'Controller of the lathe axis, {DEFAULT} without it; with a machine file '
+            'variable_universe or linear_tangent, its own without it.',
+        ),
+    ] = '',
     params: Params = None,
     gains: Annotated[
         list[str],
@@ -262,8 +269,8 @@ def stability(
 
         fuzzycnc servo stability
         fuzzycnc servo stability --params settings.yaml --gains 0.5,1,1.5,2 --report margins.html
+        fuzzycnc servo stability --machine-file tuned.yaml --axis X
     """
-    from fuzzycnc_ros.cli.axes.servo_settings import read_settings
     from fuzzycnc_ros.core.servo import stability_report
     from fuzzycnc_ros.studies.servo.positioning_rules import (
         stability_document,
@@ -271,18 +278,18 @@ def stability(
         stability_table,
     )
 
-    check_axis(axis)
-    if controller not in TUNABLE:
-        raise ValueError(
-            f'--controller: expected one of {", ".join(TUNABLE)} but found {controller!r}'
-        )
     factors = _factors(gains)
     for path in (report, json_file):
         check_folder(path)
-    plant = make_axis(axis, {})
     with warnings_said():
-        settings = read_settings(params) if params is not None else None
-        chosen: Any = make_controller(controller, axis, plant, settings, unstable=True)
+        chosen: Any
+        if machine_file is not None:
+            from fuzzycnc_ros.cli.axes.servo_machine import analysed_controller
+
+            axis, controller, chosen = analysed_controller(machine_file, axis, controller, params)
+        else:
+            axis, controller = axis or AXES[0], controller or DEFAULT
+            chosen = _built_in(axis, controller, params)
     found = stability_report(chosen, gains=factors)
     table = stability_table(found, f'{controller} on the {axis} axis')
     show(table)
@@ -296,6 +303,19 @@ def stability(
         write_text(report, render_page(page))
         say(f'{report}: the report; open it in a browser')
     write_json(json_file, stability_document(found))
+
+
+def _built_in(axis: str, controller: str, params: Path | None) -> Any:
+    """Return a controller of a built-in axis, even one that swings."""
+    from fuzzycnc_ros.cli.axes.servo_settings import read_settings
+
+    check_axis(axis)
+    if controller not in TUNABLE:
+        raise ValueError(
+            f'--controller: expected one of {", ".join(TUNABLE)} but found {controller!r}'
+        )
+    settings = read_settings(params) if params is not None else None
+    return make_controller(controller, axis, make_axis(axis, {}), settings, unstable=True)
 
 
 def _factors(texts: list[str]) -> tuple[float, ...]:

@@ -53,7 +53,7 @@ BESIDE: dict[str, type[Record]] = {
 }
 """Topics without which there are fewer moves."""
 
-_USED = ('period', 'velocity_max', 'acceleration_max', 'jerk_max')
+_USED = ('period', 'velocity_max', 'acceleration_max', 'jerk_max', 'axes', 'axis_data')
 """Parameters of the controller that its moves depend on."""
 
 _AGREES = 1e-9
@@ -101,6 +101,7 @@ class _Course:
         self, name: str, seen: dict[str, list[Any]], config: ServoControllerConfig
     ) -> None:
         self._name, self._config = name, config
+        self._data = config.file_axes.get(name)
         self._commands = sorted(seen['position_command'], key=lambda item: item.stamp)
         self._period = nanoseconds(config.period)
         self._known = False
@@ -157,7 +158,8 @@ class _Course:
         """Set out from the present motion."""
         reference, speed, change = self._motion
         target = _of(command, 'position', self._name)
-        limits = profile_limits(self._config, _of(command, 'velocity', self._name))
+        speed_max = _of(command, 'velocity', self._name)
+        limits = profile_limits(self._config, speed_max, self._data)
         profile = point_to_point(reference, target, limits, velocity=speed, acceleration=change)
         way = profile.sample(self._config.period)
         rows = zip(

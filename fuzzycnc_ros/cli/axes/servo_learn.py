@@ -3,12 +3,14 @@
 """`fuzzycnc servo learn`: rules of the controller from recorded moves."""
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
 from fuzzycnc_ros.cli.axes.servo_axis import (
+    AXES,
     DEFAULT,
     Axis,
     Out,
@@ -18,10 +20,11 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     warnings_said,
 )
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, check_new, say, show, write_json
+from fuzzycnc_ros.cli.options import MachineFile
 from fuzzycnc_ros.cli.quantities import LENGTHS
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
+    from fuzzycnc_ros.cli.axes.servo_settings import ServoSettings
     from fuzzycnc_ros.core.servo import RuleTable
 
 OUTER = [0, 1, -2, -1]
@@ -38,7 +41,8 @@ def learn(
         ),
     ],
     out: Out,
-    axis: Axis = 'lathe',
+    axis: Axis = '',
+    machine_file: MachineFile = None,
     name: Annotated[
         Optional[str],  # noqa: UP045
         typer.Option(
@@ -74,15 +78,20 @@ def learn(
         fuzzycnc servo learn run --out rules.yaml
         fuzzycnc servo learn moves.csv --unit mm --method wm --out rules.json
         fuzzycnc servo learn run --sets 7 --out finer.yaml
+        fuzzycnc servo learn run --machine-file tuned.yaml --axis X --out rules.yaml
     """
     from fuzzycnc_ros.cli.axes.servo_bag import read_bag
     from fuzzycnc_ros.cli.axes.servo_records import read_csv, records_of
-    from fuzzycnc_ros.cli.axes.servo_settings import write_settings
+    from fuzzycnc_ros.cli.axes.servo_settings import ServoSettings, write_settings
     from fuzzycnc_ros.core.servo import learn_rules
     from fuzzycnc_ros.core.servo.rule_table import CENTRES, CENTRES_WITH_ZERO, SETS, SETS_WITH_ZERO
     from fuzzycnc_ros.studies.servo.positioning_rules import rules_document, rules_table
 
-    check_axis(axis)
+    if machine_file is None:
+        axis = axis or AXES[0]
+        check_axis(axis)
+    elif reversed_axis:
+        raise ValueError('--reversed: expected none with --machine-file, which has the direction')
     if method not in ('lsq', 'wm'):
         raise ValueError(f'--method: expected lsq or wm but found {method!r}')
     if sets not in (len(SETS), len(SETS_WITH_ZERO)):
@@ -100,9 +109,22 @@ def learn(
     check_folder(json_file)
     if not source.exists():
         raise ValueError(f'{source}: expected a bag or a .csv but nothing is there')
-    direction = -1.0 if reversed_axis else 1.0
-    plant = make_axis(axis, {'direction': ('--reversed', direction)})
-    controller: Any = make_controller(DEFAULT, axis, plant)
+    controller: Any
+    with_rules: Callable[[RuleTable], Any]
+    if machine_file is not None:
+        from fuzzycnc_ros.cli.axes.servo_machine import learning_controller
+        from fuzzycnc_ros.core.servo.axis_control import WITH_RULES, make_axis_controller
+
+        axis, data, controller = learning_controller(machine_file, axis)
+        own = data.settings
+        with_rules = lambda rules: make_axis_controller(data, WITH_RULES, own, rules)  # noqa: E731
+    else:
+        direction = -1.0 if reversed_axis else 1.0
+        plant = make_axis(axis, {'direction': ('--reversed', direction)})
+        controller = make_controller(DEFAULT, axis, plant)
+        with_rules = lambda rules: make_controller(  # noqa: E731
+            DEFAULT, axis, plant, ServoSettings(out, axis, rules=rules), unstable=True
+        )
     moves = read_csv(source, LENGTHS[unit]) if unit is not None else read_bag(source, name)
     size = controller.watch.limits.error_max
     if abs(moves.position).max() > size:
@@ -126,24 +148,24 @@ def learn(
             'rules are guesses; record moves that step, by servo_controller with velocity_max, '
             'acceleration_max and jerk_max at their upper bounds'
         )
-    for line in _unsettled(axis, plant, out, rules):
+    for line in _unsettled(ServoSettings(out, axis, rules=rules), with_rules):
         say(line)
     write_settings(
         out, axis, rules=rules, about=f'rules learnt from {source.name}, method {method}'
     )
-    say(f'{out}: the rules; move with them by `fuzzycnc position --params {out}`')
+    of_file = f' --machine-file {machine_file} --axis {axis}' if machine_file else ''
+    say(f'{out}: the rules; move with them by `fuzzycnc position{of_file} --params {out}`')
     write_json(json_file, rules_document(learned))
 
 
-def _unsettled(axis: str, plant: 'AxisPlant', out: Path, rules: 'RuleTable') -> list[str]:
+def _unsettled(settings: 'ServoSettings', with_rules: Callable[['RuleTable'], Any]) -> list[str]:
     """Return what is to be said of rules with which the axis does not settle, or hardly."""
     from fuzzycnc_ros.cli.axes.servo_search import swinging
-    from fuzzycnc_ros.cli.axes.servo_settings import ServoSettings
 
-    settings = ServoSettings(out, axis, rules=rules)
+    assert settings.rules is not None
     with warnings.catch_warnings():
         warnings.simplefilter('ignore')
-        controller: Any = make_controller(DEFAULT, axis, plant, settings, unstable=True)
+        controller = with_rules(settings.rules)
     try:
         settings.check(controller)
     except ValueError as error:

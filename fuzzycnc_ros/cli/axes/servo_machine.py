@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.cli.workers import Progress
     from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
     from fuzzycnc_ros.core.servo.axis_tuning import TunedController
+    from fuzzycnc_ros.core.servo.controller import AxisController
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,92 @@ def machine_axis(file: str, axis: str) -> tuple[MachineData, str, AxisData]:
         raise ValueError(f'--axis: expected one of {", ".join(known)} but found none')
     name = axis or known[0]
     return machine, name, machine.axes[name]
+
+
+def machine_controller(
+    data: AxisData, axis: str, name: str, params: Path | None
+) -> AxisController:
+    """Return a controller for an axis of a machine file.
+
+    Parameters
+    ----------
+    data, axis
+        The axis and its name.
+    name : str
+        The controller; empty for the one that the file names.  Another one is untuned.
+    params : Path, optional
+        Rules that `servo learn` wrote.
+
+    Raises
+    ------
+    ValueError
+        If the controller is unknown, or the file has no rules for it and this axis.
+    """
+    from fuzzycnc_ros.cli.axes.servo_settings import read_settings
+    from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
+
+    own = data.settings if name in ('', data.controller) else {}
+    if params is None:
+        return make_axis_controller(data, name, own)
+    settings = read_settings(params)
+    if settings.numbers or settings.rules is None:
+        raise ValueError(
+            f'{params}: expected rules alone, as the settings are in the machine file, but found '
+            'settings; `servo learn --machine-file` writes rules'
+        )
+    if settings.axis not in ('', axis):
+        raise ValueError(
+            f'{params}: expected rules for the axis {axis} but found those for {settings.axis}'
+        )
+    return make_axis_controller(data, name, own, settings.rules)
+
+
+def analysed_controller(
+    file: str, axis: str, name: str, params: Path | None
+) -> tuple[str, str, AxisController]:
+    """Return the name of an axis, and name and controller of its loop for `servo stability`.
+
+    Raises
+    ------
+    ValueError
+        If it is not clear which, or the controller is of a kind without such an analysis.
+    """
+    from fuzzycnc_ros.core.servo.axis_control import DEFAULT
+    from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
+
+    _, axis, data = machine_axis(file, axis)
+    chosen = name or data.controller or DEFAULT
+    controller = machine_controller(data, axis, chosen, params)
+    if not isinstance(controller, VariableUniverseController):
+        raise ValueError(
+            f'--controller: expected variable_universe or linear_tangent for {axis} but found '
+            f'{chosen}, for which there is no such analysis; `fuzzycnc servo compare '
+            f'--machine-file {file} --axis {axis}` drives it with gains from half to twice'
+        )
+    assert data.plant is not None
+    if data.plant.delay:
+        say(f'note: the dead time of {1e3 * data.plant.delay:g} ms is left out; it costs margin')
+    return axis, chosen, controller
+
+
+def learning_controller(file: str, axis: str) -> tuple[str, AxisData, AxisController]:
+    """Return name and data of an axis whose rules are learnt, and its controller.
+
+    Raises
+    ------
+    ValueError
+        If it is not clear which axis, or its controller has no rules.
+    """
+    from fuzzycnc_ros.core.servo.axis_control import WITH_RULES
+
+    _, axis, data = machine_axis(file, axis)
+    if data.controller not in ('', WITH_RULES):
+        raise ValueError(
+            f'{file}: expected the controller {WITH_RULES} for {axis} but found '
+            f'{data.controller}, which has no rules to learn; `fuzzycnc servo tune '
+            f'--machine-file {file} --axis {axis}` tunes it'
+        )
+    return axis, data, machine_controller(data, axis, WITH_RULES, None)
 
 
 def tune_machine_axis(

@@ -15,8 +15,8 @@ class ServoDrives:
     ----------
     plants : mapping of str to AxisPlant
         Axes by name.
-    travel : tuple of float
-        Ends of the travel of every axis [m].
+    travel : mapping of str to tuple of float
+        Ends of the travel of each axis [m].
 
     Attributes
     ----------
@@ -37,10 +37,11 @@ class ServoDrives:
     at zero until a higher epoch takes over.
     """
 
-    def __init__(self, plants: Mapping[str, AxisPlant], travel: tuple[float, float]) -> None:
+    def __init__(
+        self, plants: Mapping[str, AxisPlant], travel: Mapping[str, tuple[float, float]]
+    ) -> None:
         self._names = tuple(plants)
-        self._low, self._high = travel
-        self._axes = [_Stopping(name, plant) for name, plant in plants.items()]
+        self._axes = [_Stopping(name, plant, travel[name]) for name, plant in plants.items()]
         self._zero = [0.0] * len(plants)
         self._forbidden = self.tripped = ''
         self._duties: list[float] = self._zero
@@ -75,10 +76,10 @@ class ServoDrives:
         if self._until < 0 or self.tripped:
             return self._zero
         for axis, rest in zip(self._axes, rests, strict=True):
-            if not self._low <= rest <= self._high:
+            if not axis.low <= rest <= axis.high:
                 self.tripped = (
-                    f'{axis.name} would leave its travel of {1e3 * self._low:g} to '
-                    f'{1e3 * self._high:g} mm; drives at zero until a new owner commands'
+                    f'{axis.name} would leave its travel of {1e3 * axis.low:g} to '
+                    f'{1e3 * axis.high:g} mm; drives at zero until a new owner commands'
                 )
                 self._stop(self.tripped)
                 return self._zero
@@ -106,9 +107,10 @@ class ServoDrives:
 class _Stopping:
     """Where an axis comes to rest if its drive goes to zero now: limit switches know no sensor."""
 
-    def __init__(self, name: str, plant: AxisPlant) -> None:
+    def __init__(self, name: str, plant: AxisPlant, travel: tuple[float, float]) -> None:
         model = plant.linear()
         self.name = name
+        self.low, self.high = travel
         self._plant = plant
         self._coasting = model.lag + model.period
         # what the drive has in store accelerates the axis on

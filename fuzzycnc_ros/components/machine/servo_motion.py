@@ -16,9 +16,15 @@ from fuzzycnc_ros.components.machine.contouring_motion import ERROR_BATCH
 from fuzzycnc_ros.components.machine.servo_drives import ServoDrives
 from fuzzycnc_ros.components.machine.servo_moves import ServoMoves
 from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
-from fuzzycnc_ros.components.servo.servo_axes import parse_axes, parse_plants
+from fuzzycnc_ros.components.servo.servo_axes import (
+    check_period,
+    file_axes,
+    parse_axes,
+    parse_plants,
+)
 from fuzzycnc_ros.components.servo.setpoints import ServoLead
 from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
+from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.core.machine.path_error import PathError
 from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInputConfig
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
@@ -35,6 +41,9 @@ from fuzzycnc_ros.runtime.records import (
 
 _ARRIVED = 1e-5
 """Distance from the end of a trajectory within which an axis has arrived [m]."""
+
+_END_ROOM = 0.1
+"""How far beyond the travel of an axis of a machine file its limit switches are, over it [-]."""
 
 
 def servo_motion(config: SimulatedMachineConfig, on: Callable[[], bool]) -> 'ServoMotion':
@@ -66,8 +75,10 @@ def servo_motion(config: SimulatedMachineConfig, on: Callable[[], bool]) -> 'Ser
         )
     axes = parse_axes('servo_axes', config.servo_axes)
     period = config.axis_interpolation_period
+    data = file_axes('servo_axes', axes, config.axis_data)
+    check_period('axis_interpolation_period', period, data)
     return ServoMotion(
-        parse_plants('servo_plant', axes, config.servo_plant, period=period),
+        parse_plants('servo_plant', axes, config.servo_plant, data, period=period),
         ServoMoves(
             tuple(axes),
             config.moves,
@@ -79,10 +90,17 @@ def servo_motion(config: SimulatedMachineConfig, on: Callable[[], bool]) -> 'Ser
             velocity_max=config.axis_velocity_max,
             acceleration_max=config.axis_acceleration_max,
         ),
-        travel=travel,
+        travel={axis: _ends(data[axis]) if axis in data else travel for axis in axes},
         silence=config.servo_silence,
         on=on,
     )
+
+
+def _ends(data: AxisData) -> tuple[float, float]:
+    """Return where the limit switches of an axis are [m]."""
+    low, high = data.limits.travel_low, data.limits.travel_high
+    room = _END_ROOM * (high - low)
+    return low - room, high + room
 
 
 class ServoMotion:
@@ -96,8 +114,8 @@ class ServoMotion:
         What the machine itself asks for.
     limits : TrajectoryInputConfig
         What trajectories have to keep.
-    travel : tuple of float
-        Ends of the travel of every axis [m].
+    travel : mapping of str to tuple of float
+        Ends of the travel of each axis [m].
     silence : float
         Time after the first period from which the feedback is missing [s]; 0 for never.
     on : callable
@@ -110,7 +128,7 @@ class ServoMotion:
         moves: ServoMoves,
         limits: TrajectoryInputConfig,
         *,
-        travel: tuple[float, float],
+        travel: Mapping[str, tuple[float, float]],
         silence: float,
         on: Callable[[], bool],
     ) -> None:

@@ -136,7 +136,12 @@ class SimulatedMachineConfig(Config):
         (),
         '-',
         'Axes that axis_command drives instead of the built-in loops, as X:lathe; models: lathe, '
-        'ballscrew',
+        'ballscrew, machine_file',
+    )
+    axis_data: tuple[str, ...] = param(
+        (),
+        '-',
+        'Axes of a machine file, as X:plant.gain:0.31; --machine-file gives them',
     )
     servo_plant: tuple[str, ...] = param(
         (),
@@ -144,8 +149,20 @@ class SimulatedMachineConfig(Config):
         'What differs from the defaults of their models, faults too, as X:gain_factor:1.5; fields '
         'of LatheAxisConfig and BallscrewAxisConfig',
     )
-    servo_travel_low: float = param(-0.3, 'm', 'Low end of their travel', low=-100.0, high=100.0)
-    servo_travel_high: float = param(0.3, 'm', 'High end of their travel', low=-100.0, high=100.0)
+    servo_travel_low: float = param(
+        -0.3,
+        'm',
+        'Low end of their travel; an axis of a machine file has its own',
+        low=-100.0,
+        high=100.0,
+    )
+    servo_travel_high: float = param(
+        0.3,
+        'm',
+        'High end of their travel; an axis of a machine file has its own',
+        low=-100.0,
+        high=100.0,
+    )
     servo_silence: float = param(
         0.0, 's', 'Time from which axis_state is missing; 0 for never', low=0.0, high=1e6
     )

@@ -23,6 +23,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     motion_doubt,
     profile_limits,
     trajectory_limits,
+    travel,
 )
 from fuzzycnc_ros.components.servo.setpoints import ServoLead
 from fuzzycnc_ros.runtime.component import (
@@ -69,9 +70,14 @@ class ServoController(Component[ServoControllerConfig]):
 
     def __init__(self, config: ServoControllerConfig | None = None) -> None:
         super().__init__(config)
-        travel = (self._config.travel_low, self._config.travel_high)
+        self._known = self._config.file_axes
         self._axes = [
-            ServoAxis(name, controller, travel, motion_doubt(self._config))
+            ServoAxis(
+                name,
+                controller,
+                travel(self._config, self._known.get(name)),
+                motion_doubt(self._config, self._known.get(name)),
+            )
             for name, controller in make_controllers(self._config).items()
         ]
         self._names = tuple(axis.name for axis in self._axes)
@@ -338,7 +344,9 @@ class ServoController(Component[ServoControllerConfig]):
         known = {axis.name: axis for axis in self._axes}
         try:
             ways = {
-                name: known[name].way(place, profile_limits(self._config, speed))
+                name: known[name].way(
+                    place, profile_limits(self._config, speed, self._known.get(name))
+                )
                 for name, place, speed in _rows(command)
             }
         except ValueError as error:

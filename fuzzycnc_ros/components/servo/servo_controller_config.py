@@ -4,11 +4,19 @@
 
 from dataclasses import dataclass, replace
 
-from fuzzycnc_ros.components.servo.servo_axes import make_plant, parse_axes
+from fuzzycnc_ros.components.servo.servo_axes import (
+    FROM_FILE,
+    check_period,
+    file_axes,
+    make_plant,
+    parse_axes,
+)
 from fuzzycnc_ros.components.servo.servo_plausibility import MotionDoubt
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxisConfig
+from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInputConfig
+from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, make_axis_controller
 from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.controllers import DEFAULT, FOR_USE, make_controller
@@ -31,7 +39,21 @@ class ServoControllerConfig(Config):
         high=99,
     )
     axes: tuple[str, ...] = param(
-        ('X:lathe',), '-', 'Axes with their models, as X:lathe; models: lathe, ballscrew'
+        ('X:lathe',),
+        '-',
+        'Axes with their models, as X:lathe; models: lathe, ballscrew, machine_file',
+    )
+    axis_data: tuple[str, ...] = param(
+        (),
+        '-',
+        'Axes of a machine file, as X:plant.gain:0.31; --machine-file gives them',
+    )
+    axis_controller: str = param(
+        FROM_FILE,
+        '-',
+        'Controller of the axes of a machine file: the one that it names, with its settings, or '
+        'another, untuned',
+        choices=(FROM_FILE, *AXIS_CONTROLLERS),
     )
     reversed_axes: tuple[str, ...] = param(
         (), '-', 'Axes that a positive duty drives to negative positions'
@@ -39,7 +61,7 @@ class ServoControllerConfig(Config):
     controller: str = param(
         DEFAULT,
         '-',
-        f'Controller of every axis; a ballscrew has {DEFAULT} only',
+        f'Controller of every axis that is of no machine file; a ballscrew has {DEFAULT} only',
         choices=FOR_USE,
     )
     period: float = param(1e-3, 's', 'Control period, that of the axis states', low=1e-4, high=0.1)
@@ -53,10 +75,18 @@ class ServoControllerConfig(Config):
         30.0, 'm/s^3', 'Largest jerk on the way', low=1e-6, high=1e6, live=True
     )
     travel_low: float = param(
-        -0.25, 'm', 'Lowest position that an axis is sent to', low=-100.0, high=100.0
+        -0.25,
+        'm',
+        'Lowest position that an axis is sent to; one of a machine file has its own',
+        low=-100.0,
+        high=100.0,
     )
     travel_high: float = param(
-        0.25, 'm', 'Highest position that an axis is sent to', low=-100.0, high=100.0
+        0.25,
+        'm',
+        'Highest position that an axis is sent to; one of a machine file has its own',
+        low=-100.0,
+        high=100.0,
     )
     trajectory_velocity_max: float = param(
         0.25, 'm/s', 'Largest velocity of a trajectory that is followed', low=1e-4, high=10.0
@@ -79,10 +109,18 @@ class ServoControllerConfig(Config):
         5, '-', 'Readings in a row that may be missing or unusable', low=1, high=1000
     )
     friction_max: float = param(
-        0.12, '-', 'Largest friction that is believed, as duty', low=0.0, high=1.0
+        0.12,
+        '-',
+        'Largest friction that is believed, as duty; an axis of a machine file has its own',
+        low=0.0,
+        high=1.0,
     )
     load_max: float = param(
-        0.12, '-', 'Largest load either way that is believed, as duty', low=0.0, high=1.0
+        0.12,
+        '-',
+        'Largest load either way that is believed, as duty; an axis of a machine file has its own',
+        low=0.0,
+        high=1.0,
     )
 
     def __post_init__(self) -> None:
@@ -97,6 +135,15 @@ class ServoControllerConfig(Config):
         axes = parse_axes('axes', self.axes)
         if not axes:
             raise ValueError('axes: expected one or more but found none')
+        known = self.file_axes
+        check_period('period', self.period, known)
+        for axis, data in known.items():
+            if self.axis_controller == FROM_FILE and not data.controller:
+                raise ValueError(
+                    f'axes: expected a tuned controller of {axis} in the machine file but found '
+                    f'none; `fuzzycnc servo tune --machine-file FILE --axis {axis}` finds one, or '
+                    'name one by axis_controller'
+                )
         unknown = [name for name in self.reversed_axes if name not in axes]
         if unknown:
             raise ValueError(
@@ -118,6 +165,11 @@ class ServoControllerConfig(Config):
                 f'controller: expected {DEFAULT} for a ballscrew axis but found {self.controller}'
             )
 
+    @property
+    def file_axes(self) -> dict[str, AxisData]:
+        """The axes that are of a machine file, by name."""
+        return file_axes('axes', parse_axes('axes', self.axes), self.axis_data)
+
 
 def make_controllers(config: ServoControllerConfig) -> dict[str, AxisController]:
     """Return one controller per axis.
@@ -128,9 +180,12 @@ def make_controllers(config: ServoControllerConfig) -> dict[str, AxisController]
         If parameters do not fit each other.
     """
     found: dict[str, AxisController] = {}
+    known = config.file_axes
     for name, model in parse_axes('axes', config.axes).items():
         direction = -1.0 if name in config.reversed_axes else 1.0
-        if model == 'ballscrew':
+        if name in known:
+            found[name] = _file_controller(config, name, known[name])
+        elif model == 'ballscrew':
             controller = BallscrewController(
                 BallscrewAxisConfig(
                     direction=direction, period=config.period, duty_max=config.duty_max
@@ -147,28 +202,66 @@ def make_controllers(config: ServoControllerConfig) -> dict[str, AxisController]
     return found
 
 
-def profile_limits(config: ServoControllerConfig, velocity: float) -> ProfileLimits:
-    """Return the limits of a motion that is at most so fast [m/s]; NaN asks for no less."""
-    top = config.velocity_max
+def profile_limits(
+    config: ServoControllerConfig, velocity: float, data: AxisData | None = None
+) -> ProfileLimits:
+    """Return the limits of a motion that is at most so fast [m/s]; NaN asks for no less.
+
+    An axis of a machine file keeps its own limits, too.
+    """
+    top, acceleration, jerk = config.velocity_max, config.acceleration_max, config.jerk_max
+    if data is not None:
+        own = data.limits.positioning
+        top, acceleration, jerk = map(min, (top, acceleration, jerk), own)
     return ProfileLimits(
         velocity=min(velocity, top) if velocity == velocity else top,
-        acceleration=config.acceleration_max,
-        jerk=config.jerk_max,
+        acceleration=acceleration,
+        jerk=jerk,
     )
 
 
 def trajectory_limits(config: ServoControllerConfig) -> TrajectoryInputConfig:
-    """Return what trajectories have to keep."""
+    """Return what trajectories have to keep: what all axes of a machine file keep, too."""
+    limits = [data.limits for data in config.file_axes.values()]
     return TrajectoryInputConfig(
         period=config.period,
-        velocity_max=config.trajectory_velocity_max,
-        acceleration_max=config.trajectory_acceleration_max,
+        velocity_max=min([config.trajectory_velocity_max, *(one.velocity for one in limits)]),
+        acceleration_max=min(
+            [config.trajectory_acceleration_max, *(one.acceleration for one in limits)]
+        ),
     )
 
 
-def motion_doubt(config: ServoControllerConfig) -> MotionDoubt:
+def travel(config: ServoControllerConfig, data: AxisData | None) -> tuple[float, float]:
+    """Return the lowest and highest position that an axis is sent to [m]."""
+    if data is not None:
+        return data.limits.travel_low, data.limits.travel_high
+    return config.travel_low, config.travel_high
+
+
+def motion_doubt(config: ServoControllerConfig, data: AxisData | None = None) -> MotionDoubt:
     """Return what is believed possible of the motion of an axis."""
+    if data is not None:
+        return MotionDoubt(friction=data.limits.friction, load=data.limits.load)
     return MotionDoubt(friction=config.friction_max, load=config.load_max)
+
+
+def _file_controller(config: ServoControllerConfig, name: str, data: AxisData) -> AxisController:
+    """Return the controller of an axis of a machine file."""
+    assert data.plant is not None
+    direction = -1.0 if name in config.reversed_axes else data.plant.direction
+    duty = min(config.duty_max, data.plant.duty_max)
+    known = replace(data, plant=replace(data.plant, direction=direction, duty_max=duty))
+    asked = config.axis_controller
+    chosen = data.controller if asked == FROM_FILE else asked
+    try:
+        controller = make_axis_controller(
+            known, chosen, data.settings if chosen == data.controller else {}
+        )
+    except ValueError as error:
+        raise ValueError(f'axis_data: {name}: {error}') from error
+    controller.watch.limits = replace(controller.watch.limits, bad_max=config.missed_max)
+    return controller
 
 
 def _believed(config: ServoControllerConfig, limits: FeedbackLimits) -> FeedbackLimits:

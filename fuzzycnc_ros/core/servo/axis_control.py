@@ -32,6 +32,7 @@ from fuzzycnc_ros.core.servo.params import (
     VariableUniverseParams,
     default_crossover,
 )
+from fuzzycnc_ros.core.servo.rule_table import RuleTable
 from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
 from fuzzycnc_ros.core.servo.surface import ContractedSurface, Law
 
@@ -156,7 +157,10 @@ class FrictionFedPid(PidController):
 
 
 def make_axis_controller(
-    data: AxisData, name: str = '', settings: Mapping[str, float] | None = None
+    data: AxisData,
+    name: str = '',
+    settings: Mapping[str, float] | None = None,
+    rules: RuleTable | None = None,
 ) -> AxisController:
     """Return a controller for an axis of a machine file.
 
@@ -168,11 +172,14 @@ def make_axis_controller(
         Of `AXIS_CONTROLLERS`; by default the axis' own, else `DEFAULT`.
     settings : mapping of str to float, optional
         Of `SETTINGS`; by default the axis' own.  What is left out is not tuned.
+    rules : RuleTable, optional
+        Rules of `WITH_RULES` instead of the published ones.
 
     Raises
     ------
     ValueError
-        If the axis has no plant, or a name or setting is unknown or out of its range.
+        If the axis has no plant, a name or setting is unknown or out of its range, or there are
+        rules for a controller that has none.
     """
     chosen = name or data.controller or DEFAULT
     if chosen not in AXIS_CONTROLLERS:
@@ -192,7 +199,14 @@ def make_axis_controller(
                 f'settings: expected {key} from {low:g} to {high:g} but found {value}'
             )
     known = {key: plain for key, (_, _, plain) in SETTINGS.items()} | dict(given)
-    return AXIS_CONTROLLERS[chosen](data, known)
+    if rules is None:
+        return AXIS_CONTROLLERS[chosen](data, known)
+    if chosen != WITH_RULES:
+        raise ValueError(
+            f'rules: expected none for {chosen}, which has none, but found some; they are for '
+            f'{WITH_RULES}'
+        )
+    return _friction_fed(FrictionFedController, data, known, rules)
 
 
 def _variable_universe(data: AxisData, settings: Mapping[str, float]) -> AxisController:
@@ -204,19 +218,23 @@ def _linear_tangent(data: AxisData, settings: Mapping[str, float]) -> AxisContro
 
 
 def _friction_fed(
-    kind: type[FrictionFedController], data: AxisData, settings: Mapping[str, float]
+    kind: type[FrictionFedController],
+    data: AxisData,
+    settings: Mapping[str, float],
+    rules: RuleTable | None = None,
 ) -> AxisController:
     axis, common = _common(data)
     forward, backward = _friction(data)
     bandwidth, observer = _bandwidths(data, axis, settings)
+    params = VariableUniverseParams.for_axis(
+        axis, bandwidth, damping=_damping(axis, bandwidth, settings)
+    )
     return kind(
         axis,
         forward=forward,
         backward=backward,
         observer_bandwidth=observer,
-        params=VariableUniverseParams.for_axis(
-            axis, bandwidth, damping=_damping(axis, bandwidth, settings)
-        ),
+        params=params if rules is None else replace(params, rules=rules),
         noise=ObserverNoise.of_bandwidth(axis, observer, _reading_error(data)),
         stick_slip=_relief(data),
         **common,
@@ -266,6 +284,9 @@ AXIS_CONTROLLERS: Mapping[str, Callable[[AxisData, Mapping[str, float]], AxisCon
     )
 )
 """Controllers for any axis by name, the simplest first."""
+
+WITH_RULES = 'variable_universe'
+"""The one among them that has rules."""
 
 DEFAULT = 'pid'
 """Controller of an axis that nothing is said about and that nothing was tuned on."""

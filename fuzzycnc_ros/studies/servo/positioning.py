@@ -63,8 +63,9 @@ def run_positioning(
     controllers = ServoController(servo)
     settings = machine or SimulatedMachineConfig()
     config = controllers.configuration
-    axes = settings.servo_axes or config.axes
-    driven = SimulatedMachine(replace(settings, duties=(), moves=tuple(moves), servo_axes=axes))
+    if not settings.servo_axes:
+        settings = replace(settings, servo_axes=config.axes, axis_data=config.axis_data)
+    driven = SimulatedMachine(replace(settings, duties=(), moves=tuple(moves)))
     log = PositioningLog()
     failure = run_served(driven, controllers, log, sink, progress)
     if failure:

@@ -1,0 +1,108 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc servo learn` and `stability` for axes of a machine file, and what they refuse."""
+
+import json
+
+import pytest
+
+from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
+from fuzzycnc_ros.machine_file.parameters import node_parameters
+from fuzzycnc_ros.machine_file.reader import read_machine_file
+from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.servo.positioning import run_positioning
+
+FILE = """\
+axes:
+  X:
+    plant: {model: lags, gain: 200 mm/s, velocity_lag: 20 ms}
+    controller: {name: variable_universe, settings: {bandwidth: 2.5}}
+  P:
+    plant: {model: mass}
+    controller: {name: pid}
+  T:
+    plant: {model: lags, delay: 2 ms}
+    controller: {name: linear_tangent}
+"""
+
+
+@pytest.fixture(autouse=True)
+def my_file(tmp_path, fuzzycnc):
+    """Three axes: with rules, without, and with their tangent."""
+    (tmp_path / 'my.yaml').write_text(FILE)
+
+
+def test_rules_are_learnt_of_a_bag_and_used(fuzzycnc, tmp_path):
+    """From the node's own moves on that axis to a move with the learnt rules."""
+    parameters = node_parameters(read_machine_file(tmp_path / 'my.yaml'))['servo_controller']
+    config = ServoControllerConfig(**{**parameters, 'axes': ('X:machine_file',)})
+    with PublishedBag(tmp_path / 'run') as sink:
+        run_positioning(('X:-0.05', 'X:0.02'), config, sink=sink)
+    options = ('--machine-file', 'my.yaml', '--axis', 'X')
+    outcome = fuzzycnc(
+        'servo', 'learn', 'run', *options, '--out', 'rules.yaml', '--json', 'l.json'
+    )
+    assert outcome.code == 0, outcome.err
+    assert 'fuzzycnc position --machine-file my.yaml --axis X --params rules.yaml' in ' '.join(
+        outcome.out.split()
+    )
+    learnt = json.loads((tmp_path / 'l.json').read_text())
+    assert learnt['used'] > 500
+    arguments = ('position', *options, '--to', '-20mm', '--profile', '--json', 'p.json')
+    figures = []
+    for extra in ((), ('--params', 'rules.yaml')):
+        done = fuzzycnc(*arguments, *extra)
+        assert done.code == 0, done.err
+        figures.append((tmp_path / 'p.json').read_text())
+    assert figures[0] != figures[1]
+    assert fuzzycnc('servo', 'stability', *options, '--params', 'rules.yaml').code == 0
+
+
+def test_stability_is_that_of_the_axis_and_its_settings(fuzzycnc, tmp_path):
+    found = {}
+    for name, options in {
+        'X': ('--axis', 'X'),
+        'T': ('--axis', 'T'),
+        'untuned': ('--axis', 'X', '--controller', 'linear_tangent'),
+    }.items():
+        outcome = fuzzycnc(
+            *('servo', 'stability', '--machine-file', 'my.yaml', *options, '--json', 'out.json')
+        )
+        assert outcome.code == 0, outcome.err
+        found[name] = json.loads((tmp_path / 'out.json').read_text())
+        assert ('dead time of 2 ms is left out' in outcome.out) == (name == 'T')
+    # without settings X is not tuned
+    assert found['X'] != found['untuned']
+    assert found['X'] != found['T']
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'naming'),
+    [
+        (('stability', '--axis', 'P'), ['variable_universe or linear_tangent', 'pid', 'compare']),
+        (('stability', '--axis', 'Q'), ['--axis', 'X, P, T', "'Q'"]),
+        (('stability',), ['--axis', 'X, P, T']),
+        (('stability', '--axis', 'X', '--controller', 'fuzzy'), ['controller', "'fuzzy'"]),
+        (('stability', '--axis', 'X', '--params', 's.yaml'), ['s.yaml', 'expected rules alone']),
+        (('stability', '--axis', 'X', '--params', 'r.yaml'), ['r.yaml', 'axis X', 'lathe']),
+        (
+            ('stability', '--axis', 'T', '--params', 'x.yaml'),
+            ['rules: expected none for linear_tangent', 'variable_universe'],
+        ),
+        (
+            ('learn', 'moves.csv', '--unit', 'mm', '--out', 'o.yaml', '--axis', 'P'),
+            ['my.yaml', 'variable_universe for P', 'pid', 'no rules to learn', 'servo tune'],
+        ),
+        (
+            ('learn', 'moves.csv', '--unit', 'mm', '--out', 'o.yaml', '--reversed'),
+            ['--reversed', '--machine-file'],
+        ),
+    ],
+)
+def test_refusals(refused, tmp_path, arguments, naming):
+    table = 'rules: {centres: [-1.0, 1.0], values: [[1.0, 0.0], [0.0, -1.0]]}\n'
+    (tmp_path / 's.yaml').write_text('settings: {error_range: 0.1}\n')
+    (tmp_path / 'r.yaml').write_text(f'axis: lathe\n{table}')
+    (tmp_path / 'x.yaml').write_text(table)
+    (tmp_path / 'moves.csv').write_text('t,reference,position,duty\n0,0,0,0\n')
+    refused('servo', *arguments, '--machine-file', 'my.yaml', naming=naming)
