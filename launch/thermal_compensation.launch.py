@@ -75,21 +75,21 @@ class Process:
             handlers += [
                 OnStateTransition(
                     target_lifecycle_node=node,
-                    goal_state=state,
+                    start_state=before,
+                    goal_state=after,
                     handle_once=False,
-                    entities=[OpaqueFunction(function=self._became, args=[state])],
+                    entities=[OpaqueFunction(function=self._became, args=[after])],
                 )
-                for state in ('active', 'inactive')
+                # A node that is configured becomes inactive, too: that is no deactivation.
+                for before, after in (('activating', 'active'), ('deactivating', 'inactive'))
             ]
         return [*map(RegisterEventHandler, handlers), node]
 
     def _became(self, context: LaunchContext, state: str) -> list:
         """Note what a restart has to bring back: a manual deactivation is not undone."""
-        if state == 'inactive':
-            # On the way to its first activation a node is inactive, too.
-            self.resume = self.resume and bool(self.on_active)
+        self.resume = state == 'active'
+        if not self.resume:
             return []
-        self.resume = True
         waiting, self.on_active = self.on_active, []
         return waiting
 

@@ -51,15 +51,34 @@ def test_a_run_ends_with_its_simulation(launch):
     assert '"degraded": false' in running.output
 
 
-def test_a_killed_node_comes_back_and_a_failed_simulation_ends_all(launch):
+def test_a_killed_node_comes_back_and_a_failed_simulation_ends_all(launch, observer):
+    from lifecycle_msgs.msg import State
+
     running = launch('duties:=T2', 'rate:=20')
     wait_for(lambda: pids(running, 'simulated_machine'), 'all have started')
     (first,) = pids(running, 'compensator')
     os.kill(first, signal.SIGKILL)
     wait_for(lambda: len(pids(running, 'compensator')) == 2, 'it has come back')
+    os.kill(pids(running, 'compensator')[1], signal.SIGKILL)  # before it is active again
+    wait_for(lambda: len(pids(running, 'compensator')) == 3, 'it has come back again')
+    observer.until(lambda: observer.state('compensator') == State.PRIMARY_STATE_ACTIVE, 'active')
     os.kill(pids(running, 'simulated_machine')[0], signal.SIGKILL)
     assert running.wait() == 1
     assert 'mill/simulated_machine ended with code -9' in running.output
+
+
+def test_a_manual_deactivation_is_not_undone(launch, observer):
+    from lifecycle_msgs.msg import State, Transition
+
+    running = launch('duties:=T2', 'rate:=20')
+    wait_for(lambda: pids(running, 'simulated_machine'), 'all have started')
+    assert observer.change('compensator', Transition.TRANSITION_DEACTIVATE)
+    observer.settle('compensator')
+    os.kill(pids(running, 'compensator')[0], signal.SIGKILL)
+    wait_for(lambda: len(pids(running, 'compensator')) == 2, 'it has come back')
+    observer.until(lambda: observer.state('compensator'), 'it answers')
+    observer.spin_for(3.0)
+    assert observer.state('compensator') != State.PRIMARY_STATE_ACTIVE
 
 
 def test_a_wrong_folder_is_an_error(launch, tmp_path):
