@@ -25,7 +25,7 @@ from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds, write_program
 from fuzzycnc_ros.core.machine.contour import Contour
 
 POINTS = 2000
-"""Points of a curve as lines, even in its parameter, as method sheet 002 has it."""
+"""Points of a curve as lines, even in its parameter."""
 CHORD, SPACING = 1e-3, 2.0
 """Distance of chords from the curve, and length of chords, at most [mm]."""
 DATA = Path(os.environ.get('FUZZYCNC_DATA', Path(__file__).parents[2] / 'shared' / 'data'))

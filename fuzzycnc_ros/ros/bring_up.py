@@ -20,15 +20,13 @@ THERMAL = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'c
 MACHINE = 'simulated_machine'
 BODY = 'simulated_body'
 """Makes the time of a real controller without hardware; it starts last, too."""
-TIME_SOURCES = ('simulated_machine', 'simulated_body', 'player')
+TIME_SOURCES = (MACHINE, BODY, 'player')
 """Nodes that make machine time: a run is over when its one ends, and cannot be resumed."""
 RIVALS = (
     frozenset(TIME_SOURCES),
-    frozenset({'simulated_machine', 'linuxcnc_bridge', 'opcua_bridge'}),
+    frozenset({MACHINE, 'linuxcnc_bridge', 'opcua_bridge'}),
 )
 """Nodes of which a machine has one: what makes its time, and what stands for it."""
-
-
 ACTIVE_TIMEOUT = 20.0
 """Wall time [s] until a managed node must be active."""
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from fuzzycnc_ros.cli.foam.compensate import sheet_size
 from fuzzycnc_ros.cli.foam.records import Recordings
-from fuzzycnc_ros.cli.models.number_table import read_numbers, table_cells
+from fuzzycnc_ros.cli.models.number_table import read_numbers
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 from fuzzycnc_ros.core.deformation.samples import RecordedPath
 from fuzzycnc_ros.core.deformation.stitch_path import LINE, SheetMaterial
@@ -86,14 +86,10 @@ def read_tables(sources: Sequence[Path], options: TrackOptions) -> Recordings | 
 
 def _run(path: Path, sheet: SheetMaterial, path_id: str) -> RecordedPath:
     """Read a run; its commanded places include the offsets, as `foam compensate` writes them."""
-    try:
-        header, _ = table_cells(path, COMMANDED + STITCHED)
-    except ValueError as error:
-        raise ValueError(f'{path}: {error}') from error
-    known = [name for name in OFFSET if name in header]
+    found = read_numbers(path, COMMANDED + STITCHED, optional=OFFSET)
+    known = found.columns[4:]
     if len(known) == 1:
         raise ValueError(f'{path}: line 1: expected both {" and ".join(OFFSET)} or neither')
-    found = read_numbers(path, (*COMMANDED, *STITCHED, *known))
     if len(found.values) < 2:
         raise ValueError(f'{path}: expected two points or more but found {len(found.values)}')
     values = 1e-3 * found.values

@@ -26,11 +26,14 @@ class NumberTable:
         Their lines in the file, from 1.
     labels : tuple of str or None
         Cells of the column of labels; None if the file has none.
+    columns : tuple of str
+        What the columns are: those asked for, then the optional ones that the file has.
     """
 
     values: Array
     lines: NDArray[np.int64]
     labels: tuple[str, ...] | None
+    columns: tuple[str, ...]
 
 
 def table_cells(path: Path, columns: Sequence[str]) -> tuple[list[str], dict[int, list[str]]]:
@@ -66,8 +69,10 @@ def table_cells(path: Path, columns: Sequence[str]) -> tuple[list[str], dict[int
     return header, rows
 
 
-def read_numbers(path: Path, columns: Sequence[str], label: str = '') -> NumberTable:
-    """Read columns of numbers, and if there is one a column of labels.
+def read_numbers(
+    path: Path, columns: Sequence[str], label: str = '', optional: Sequence[str] = ()
+) -> NumberTable:
+    """Read columns of numbers, further ones that the file may have, and a column of labels.
 
     Raises
     ------
@@ -79,6 +84,7 @@ def read_numbers(path: Path, columns: Sequence[str], label: str = '') -> NumberT
         header, cells_of_line = table_cells(path, columns)
     except ValueError as error:
         raise ValueError(f'{path}: {error}') from error
+    columns = (*columns, *(name for name in optional if name in header))
     places = [header.index(name) for name in columns]
     labelled = header.index(label) if label and label in header else None
     rows, labels = [], []
@@ -98,4 +104,5 @@ def read_numbers(path: Path, columns: Sequence[str], label: str = '') -> NumberT
     if not rows:
         raise ValueError(f'{path}: expected rows below the header but found none')
     numbers = np.array(list(cells_of_line))
-    return NumberTable(np.array(rows), numbers, None if labelled is None else tuple(labels))
+    found = None if labelled is None else tuple(labels)
+    return NumberTable(np.array(rows), numbers, found, columns)

@@ -114,11 +114,11 @@ def parse_patterns(names: Sequence[str], sheet: FoamSheet) -> list[PatternOnShee
     Parameters
     ----------
     names : sequence of str
-        `parallelogram:ANGLE` with the interior angle in degrees: the closed track of method sheet
-        000 in the middle of the sheet, and behind it `thickness`, `depth`, `step`, `base` and
+        `parallelogram:ANGLE` with the interior angle in degrees: a closed track in the middle
+        of the sheet, and behind it `thickness`, `depth`, `step`, `base` and
         `side` in metres where they differ, as `parallelogram:30:thickness=0.02:depth=0.008`; or
-        `calibration:COUNT`: so many single lines and arcs spread over the 265 samples of method
-        sheet 000, thin sheets first, each from a fresh start in the middle of a sheet of
+        `calibration:COUNT`: so many single lines and arcs spread over the 265 samples of
+        `foam_samples`, thin sheets first, each from a fresh start in the middle of a sheet of
         200 x 120 mm; all of them without a count.
     sheet : FoamSheet
         Sheet for tracks that say nothing of it, and friction of all.

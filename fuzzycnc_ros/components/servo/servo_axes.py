@@ -20,7 +20,7 @@ FROM_FILE = 'machine_file'
 """Model of an axis whose data come from a machine file."""
 
 MODELS = ('lathe', 'ballscrew', FROM_FILE)
-"""Models of an axis: the lathe of method sheet 004, the ball screw of the EMPS benchmark, and
+"""Models of an axis: the lathe of Long et al. (2014), the ball screw of the EMPS benchmark, and
 that of a machine file."""
 
 _CONFIGS: Mapping[str, type[LatheAxisConfig] | type[BallscrewAxisConfig]] = MappingProxyType(

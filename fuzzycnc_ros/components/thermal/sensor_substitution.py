@@ -3,9 +3,9 @@
 """Rises of a model's inputs, with other sensors standing in for those that failed.
 
 A ridge estimate from all sensors that can be read stands in where the model knows the machine's
-sensors.  It keeps the residual within the limits of method sheet 001 section 8.C, 6 um (Y) and
-4 um (Z), as one cluster mate's rise times its trained gain does, and costs less in the mean;
-taking the dead sensor for zero costs up to 42 um.
+sensors.  It keeps the residual of the simulated mill within 6 um (Y) and 4 um (Z), as one cluster
+mate's rise times its trained gain does, and costs less in the mean; taking the dead sensor for
+zero costs up to 42 um.
 """
 
 import numpy as np

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Process values of a primitive, and what the network is fed with in their place.
 
-Rows x of process values are in the units of method sheet 000: direction [deg], feed depth [mm],
+Rows x of process values: direction [deg], feed depth [mm],
 type (1 arc, 2 line), stitch step [mm], thickness [mm].  Compensations s are in mm of offset per
 50 mm of feed, X then Y.
 """

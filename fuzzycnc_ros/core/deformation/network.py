@@ -64,7 +64,7 @@ def samples_needed(rules: int, folds: int = 1) -> int:
 
 
 class TSFuzzyNetwork(RegressionEstimator):
-    """T-S fuzzy neural network of feed compensation, [1]_; method sheet 000.
+    """T-S fuzzy neural network of feed compensation, [1]_.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class TSFuzzyNetwork(RegressionEstimator):
     Notes
     -----
     A Gaussian process on physical features predicts the sheet's data better than the paper's
-    network does; the tables of method sheet 000 section 6.2 say by how much.
+    network does; docs/deformation.md says by how much.
     """
 
     def __init__(

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bag_libraries import need_bag_libraries
 from benches.component_bench import machine_state
 from benches.feedrate_rig import CONFIG, PROGRAM, SMALL, Rig, check_motion, distance, path_of
 
@@ -359,8 +360,7 @@ def test_program_is_refused_where_it_cannot_be_served():
 
 def test_recorded_run_is_replayed_byte_for_byte(tmp_path):
     """With a request, changes of parameters, a feed hold and a deactivation on the way."""
-    for name in ('mcap', 'zstandard', 'rosbags', 'yaml'):
-        pytest.importorskip(name, reason=f"{name} is missing: pip install 'fuzzycnc_ros[bags]'")
+    need_bag_libraries()
     from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.studies.published_bag import PublishedBag
 

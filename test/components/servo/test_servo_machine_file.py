@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bag_libraries import need_bag_libraries
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -166,6 +167,7 @@ def test_duties_are_those_of_the_core_with_the_controller_that_is_asked_for(name
 
 def test_axes_of_a_file_arrive_and_their_bag_needs_no_file(tmp_path):
     """Also those nowhere near 0; what the file says is in the bag."""
+    need_bag_libraries()
     with PublishedBag(tmp_path / 'bag') as sink:
         moves = run_positioning(('Y:0.1,Z:-0.05', 'Y:0.06,Z:0.0'), of('Y', 'Z'), sink=sink)
     assert [(item.axis, item.target) for item in moves] == [

@@ -29,8 +29,6 @@ from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.runtime.records import Record
 
 CLOCK = '/clock'
-THERMAL = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator')
-"""Nodes of thermal compensation."""
 _CLOCK_TYPE = 'rosgraph_msgs/msg/Clock'
 
 

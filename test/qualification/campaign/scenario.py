@@ -8,13 +8,14 @@ from enum import Enum
 from math import log
 from typing import Any, Protocol
 
-from campaign.relay import THERMAL, Relay
+from campaign.relay import Relay
 from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.servo.servo_axes import make_plant
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
 from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.ros.bring_up import THERMAL
 
 LIMITS, MACHINE = CompensatorConfig(), SimulatedMachineConfig()
 SCHEDULER, SERVO = FeedrateSchedulerConfig(), ServoControllerConfig()

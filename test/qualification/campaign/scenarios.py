@@ -8,9 +8,10 @@ from dataclasses import replace
 from campaign import actions
 from campaign.corrupted_values import FIELDS, KINDS
 from campaign.moving import MOVING
-from campaign.relay import CLOCK, THERMAL
+from campaign.relay import CLOCK
 from campaign.rogue_nodes import FALSE
 from campaign.scenario import BY_COMPENSATOR, BY_MACHINE, Ends, Scenario, Stage
+from fuzzycnc_ros.ros.bring_up import THERMAL
 
 MACHINE = 'simulated_machine'
 ROUTES = {
