@@ -3,14 +3,16 @@
 """`fuzzycnc schema`: JSON Schemas of configuration files, for editors."""
 
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated, Any, Optional
 
 import typer
 
 from fuzzycnc_ros.cli.console import check_folder, say, write_text
 
-KINDS = ('machine',)
+KINDS = ('devices', 'control', 'machine')
 """Files that have a schema."""
+
+DIALECT = 'https://json-schema.org/draft/2020-12/schema'
 
 
 def schema(
@@ -28,17 +30,33 @@ def schema(
     # yaml-language-server: $schema=machine.schema.json
 
         fuzzycnc schema machine --out machine.schema.json
+        fuzzycnc schema devices --out devices.schema.json
+        fuzzycnc schema control --out control.schema.json
     """
     import json
 
-    from fuzzycnc_ros.machine_file.schema import machine_schema
-
     check_folder(out)
     if kind not in KINDS:
-        raise ValueError(f'schema: expected {" or ".join(KINDS)} but found {kind!r}')
-    text = json.dumps(machine_schema(), indent=2, ensure_ascii=False) + '\n'
+        raise ValueError(f'schema: expected one of {", ".join(KINDS)} but found {kind!r}')
+    text = json.dumps(_schema(kind), indent=2, ensure_ascii=False) + '\n'
     if out is None:
         typer.echo(text, nl=False)
         return
     write_text(out, text)
     say(f'{out}: the schema of {kind} files')
+
+
+def _schema(kind: str) -> dict[str, Any]:
+    if kind == 'machine':
+        from fuzzycnc_ros.machine_file.schema import machine_schema
+
+        return machine_schema()
+    if kind == 'devices':
+        from fuzzycnc_ros.adapters.readings.device_file import DeviceFile
+
+        found = DeviceFile.model_json_schema()
+    else:
+        from fuzzycnc_ros.adapters.opcua.control_file import ControlFields
+
+        found = ControlFields.model_json_schema()
+    return {'$schema': DIALECT} | found | {'title': f'File of {kind} of fuzzycnc'}

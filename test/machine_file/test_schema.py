@@ -92,6 +92,6 @@ def test_units_and_bounds_are_told(capfd):
 
 def test_wrong_names_are_refused(capfd, tmp_path):
     assert run(['schema', 'machines']) == 2
-    assert 'expected machine' in capfd.readouterr().err
+    assert 'expected one of devices, control, machine' in capfd.readouterr().err
     assert run(['schema', 'machine', '--out', str(tmp_path / 'no' / 'm.json')]) == 2
     assert 'expected an existing folder' in capfd.readouterr().err
