@@ -40,6 +40,9 @@ ENTRIES = {'devices': 'device', 'sensors': 'sensor', 'axes': 'axis'}
 VARIABLES = ('hand_shake', 'state', 'axes')
 """Sections whose fields are variables of a control."""
 
+SWITCH = ('true', 'false')
+"""Words of a field that says yes or no."""
+
 NO_FIELDS = 'expected fields with values, as name: value, but found none of them'
 
 _LEADING_ZERO = re.compile(r'[-+]?0[0-9_]+')
@@ -117,17 +120,14 @@ class Word(_Scalar):
         return value
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:
-        yes_no = [word == 'true' for word in self.words]
-        switch = tuple(self.words) == SWITCH
-        return handler(core) | {'enum': yes_no if switch else list(self.words)}
-
-
-SWITCH = ('true', 'false')
+        # Editors take true and false for what they are in YAML.
+        words: list[Any] = [True, False] if self.words == SWITCH else list(self.words)
+        return handler(core) | {'enum': words}
 
 
 @dataclass(frozen=True)
 class Number(_Scalar):
-    """A number within bounds; of an `int` field a whole one."""
+    """A number within bounds [unit]; of an `int` field a whole one."""
 
     low: float
     high: float

@@ -43,7 +43,7 @@ def schema(
         typer.echo(text, nl=False)
         return
     write_text(out, text)
-    say(f'{out}: the schema of {kind} files')
+    say(f'{out}: the schema of files of kind {kind}')
 
 
 def _schema(kind: str) -> dict[str, Any]:
