@@ -43,6 +43,9 @@ VARIABLES = ('hand_shake', 'state', 'axes')
 SWITCH = ('true', 'false')
 """Words of a field that says yes or no."""
 
+TOLD_MAX = 50
+"""Most mistakes of which the first line is looked for: each is found by a walk of the file."""
+
 NO_FIELDS = 'expected fields with values, as name: value, but found none of them'
 
 _LEADING_ZERO = re.compile(r'[-+]?0[0-9_]+')
@@ -215,7 +218,8 @@ def read_file(path: Path, model: type[SomeFields], what: str) -> SomeFields:
         try:
             return model.model_validate(data, context=path)
         except ValidationError as error:
-            refusals = [_told(root, item) for item in error.errors(include_url=False)]
+            found = error.errors(include_url=False)[:TOLD_MAX]
+            refusals = [_told(root, item) for item in found]
     line, text = min(refusals, key=lambda item: item[0])
     raise ParameterError(f'{path}: line {line}: {text}') from None
 
@@ -250,7 +254,7 @@ def _tree(root: Any, node: Any, at: tuple[Any, ...], refusals: list[tuple[int, s
         elif name in lines:
             first = lines[name]
             text = f'{name!r} stands here again after line {first}; name everything once'
-        if text:
+        if text and not refusals:
             refusals.append((line, f'{_label(root, at)}{text}'))
         lines[name] = line
         found[name] = _tree(root, value, (*at, name), refusals)
