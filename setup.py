@@ -26,8 +26,9 @@ bags = ['mcap', 'rosbags', 'zstandard']
 command_line = ['typer', 'rich', 'pyyaml', *bags]
 report = ['jinja2', 'matplotlib']
 ml = ['scikit-learn', 'threadpoolctl']
-modbus = ['pymodbus>=3.10']
-opcua = ['asyncua>=1.1.5', 'cryptography']
+device_files = ['pydantic>=2.7', 'pyyaml']
+modbus = ['pymodbus>=3.10', *device_files]
+opcua = ['asyncua>=1.1.5', 'cryptography', *device_files]
 executables = ['fuzzycnc', *nodes]
 
 

@@ -28,6 +28,7 @@ from fuzzycnc_ros.cli.models.train import train
 from fuzzycnc_ros.cli.programs.advise import advise
 from fuzzycnc_ros.cli.programs.pareto import pareto
 from fuzzycnc_ros.cli.programs.schedule import schedule
+from fuzzycnc_ros.cli.schema import schema
 
 HELP = """Measure, predict and compensate the thermal error of a CNC machine.
 
@@ -91,6 +92,7 @@ COMMANDS: Commands = {
     'import-csv': import_csv,
     'security': CommandGroup(SECURITY_HELP, SECURITY_COMMANDS),
     'info': info,
+    'schema': schema,
 }
 """The subcommands in the order of the help; each one's docstring is its manual."""
 

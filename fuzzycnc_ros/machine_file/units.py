@@ -36,8 +36,25 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 )
 """What 1 of each unit is in SI, by the SI unit; the first is the one that is written."""
 
-_NUMBER = re.compile(r'([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)')
+NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
+"""Pattern of a number before its unit."""
+
+_NUMBER = re.compile(rf'({NUMBER})\s*(.*)')
 _SPELLINGS = MappingProxyType({'µm': 'um', 'μm': 'um', 'in': 'inch', 'in/min': 'inch/min'})
+
+
+def unit_names(unit: str) -> list[str]:
+    """Return every way to write a unit of the kind of an SI unit.
+
+    Examples
+    --------
+    >>> unit_names('m/s^3')
+    ['m/s^3', 'mm/s^3', 'm/s³', 'mm/s³']
+    """
+    plain = [name for name in UNITS[unit] if name]
+    spelt = [name for name, meant in _SPELLINGS.items() if meant in plain]
+    raised = [name.replace('^2', '²').replace('^3', '³') for name in plain if '^' in name]
+    return [*plain, *spelt, *raised]
 
 
 def si_value(value: object, unit: str) -> object:

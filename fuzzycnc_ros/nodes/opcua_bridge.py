@@ -14,8 +14,6 @@ from fuzzycnc_ros.adapters.bridge_node import ControllerBridgeNode
 from fuzzycnc_ros.adapters.controller import Controller
 from fuzzycnc_ros.adapters.link import LinkError
 from fuzzycnc_ros.adapters.opcua.control import ControlFile, OpcUaControl
-from fuzzycnc_ros.adapters.opcua.control_file import check_axes, read_control
-from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
 from fuzzycnc_ros.adapters.opcua.offset_lines import LineLimits, LineOrders, LineStatus
 from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge
 from fuzzycnc_ros.adapters.opcua.session import library_trouble
@@ -50,6 +48,10 @@ class OpcuaBridgeNode(ControllerBridgeNode):
         if library_trouble():
             raise ParameterError(library_trouble())
         try:
+            # Need pydantic, which a bridge without a file does not have to have.
+            from fuzzycnc_ros.adapters.opcua.control_file import check_axes, read_control
+            from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
+
             path = Path(config.control_file).expanduser()
             file = read_control(path, self.settings.state_directory)
             if file.server.credentials is not None:
@@ -63,6 +65,8 @@ class OpcuaBridgeNode(ControllerBridgeNode):
         file = self._file
         if file is None:
             raise LinkError('parameter control_file: expected a file of a control but it is empty')
+        from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
+
         return ThreadedController(
             lambda: OpcUaControl(file, self._name, read_credentials),
             self.component.configuration.cycle_period,

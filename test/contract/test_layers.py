@@ -242,7 +242,8 @@ import importlib, sys
 for name in sys.argv[1:]:
     importlib.import_module('fuzzycnc_ros.nodes.' + name)
 on_use = (
-    'asyncua', 'jinja2', 'matplotlib', 'mcap', 'pymodbus', 'rich', 'rosbags', 'sklearn', 'typer'
+    'asyncua', 'jinja2', 'matplotlib', 'mcap', 'pydantic', 'pymodbus', 'rich', 'rosbags',
+    'sklearn', 'typer',
 )
 print(*[name for name in on_use if name in sys.modules])
 """

@@ -8,16 +8,26 @@ docs/opcua-output.md describes it with examples.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from fuzzycnc_ros.adapters.opcua.control import ControlFile
-from fuzzycnc_ros.adapters.opcua.file_fields import read_address, read_server
+from fuzzycnc_ros.adapters.opcua.file_fields import PlaceFields, ServerFields, pin_folder
 from fuzzycnc_ros.adapters.opcua.offset_lines import Travel
-from fuzzycnc_ros.adapters.opcua.session import node_id_trouble
+from fuzzycnc_ros.adapters.opcua.session import Address, node_id_trouble
 from fuzzycnc_ros.adapters.opcua.variables import ControlVariable, Kind
-from fuzzycnc_ros.adapters.readings.device_file import SPEED_UNITS
-from fuzzycnc_ros.adapters.yaml_section import Section
+from fuzzycnc_ros.adapters.readings.device_file import SPEED_UNITS, Scale, SpeedUnit
+from fuzzycnc_ros.adapters.yaml_model import (
+    Field,
+    Fields,
+    Numbers,
+    Shorthand,
+    Word,
+    model_validator,
+    read_file,
+    wrong,
+)
 from fuzzycnc_ros.components.thermal.compensator import AXES
 from fuzzycnc_ros.ros.parameters import ParameterError
 
@@ -26,42 +36,166 @@ TRAVEL_MAX = 1000.0
 """Largest position [m]."""
 
 
+class _Place(PlaceFields):
+    @model_validator(mode='after')
+    def _check_node_id(self) -> '_Place':
+        trouble = node_id_trouble(Address(node=self.node))
+        if trouble:
+            raise wrong(trouble, 'node')
+        return self
+
+
+class _Quantity(_Place):
+    scale: Scale = Field(1.0, description='Units of one count')
+
+
+class _Speed(_Quantity):
+    unit: SpeedUnit = Field('rpm', description='Unit of the speed')
+
+
 @dataclass(frozen=True)
-class _Field:
-    """A variable that a file may name."""
+class _Role:
+    """What a variable is for."""
 
     kind: Kind
     written: bool = False
-    needed: bool = True
     unit: str = ''
     """Which unit of the file its values have: unit or position_unit."""
 
 
-_HAND_SHAKE = {
-    'sequence': _Field(Kind.COUNT, written=True),
-    'heartbeat': _Field(Kind.COUNT, written=True),
-    'valid_for': _Field(Kind.QUANTITY, written=True),
-    'acknowledged': _Field(Kind.COUNT),
-    'owner': _Field(Kind.TEXT, written=True, needed=False),
-}
-_STATE = {
-    'on': _Field(Kind.SWITCH),
-    'homed': _Field(Kind.SWITCH),
-    **{
-        name: _Field(Kind.SWITCH, needed=False)
-        for name in ('allowed', 'running', 'estop', 'fault', 'alive')
-    },
-    'slew': _Field(Kind.QUANTITY, needed=False, unit='unit'),
-    'spindle_speed': _Field(Kind.QUANTITY, needed=False),
-}
-_AXIS = {
-    'offset': _Field(Kind.QUANTITY, written=True, unit='unit'),
-    'slope': _Field(Kind.QUANTITY, written=True, needed=False),
-    'reference_position': _Field(Kind.QUANTITY, written=True, needed=False, unit='position_unit'),
-    'applied': _Field(Kind.QUANTITY, unit='unit'),
-    'limit': _Field(Kind.QUANTITY, needed=False, unit='unit'),
-    'position': _Field(Kind.QUANTITY, needed=False, unit='position_unit'),
-}
+_Named = Annotated[_Place, Shorthand('node')]
+_Scaled = Annotated[_Quantity, Shorthand('node')]
+_READ, _WRITTEN = _Role(Kind.QUANTITY), _Role(Kind.QUANTITY, written=True)
+_COUNT = _Role(Kind.COUNT, written=True)
+_Switch = Annotated[_Named | None, _Role(Kind.SWITCH)]
+
+
+class _HandShake(Fields):
+    sequence: Annotated[_Named, _COUNT] = Field(description='Number of the set; 0: none')
+    heartbeat: Annotated[_Named, _COUNT] = Field(description='Changes with every exchange')
+    valid_for: Annotated[_Scaled, _WRITTEN] = Field(description='How long a set holds [s]')
+    acknowledged: Annotated[_Named, _Role(Kind.COUNT)] = Field(
+        description='Number of the set that the control follows'
+    )
+    owner: Annotated[_Named | None, _Role(Kind.TEXT, written=True)] = Field(
+        None, description='Who writes, to be shown'
+    )
+
+
+class _State(Fields):
+    on: Annotated[_Named, _Role(Kind.SWITCH)] = Field(description='The machine is on')
+    homed: Annotated[_Named, _Role(Kind.SWITCH)] = Field(description='The axes are homed')
+    allowed: _Switch = Field(None, description='The control takes offsets now')
+    running: _Switch = Field(None, description='A program runs')
+    estop: _Switch = Field(None, description='Emergency stop')
+    fault: _Switch = Field(None, description='The machine has a fault')
+    alive: _Switch = Field(None, description='The watchdog of the control hears the bridge')
+    slew: Annotated[_Scaled | None, _Role(Kind.QUANTITY, unit='unit')] = Field(
+        None, description='Largest change per second, in `unit`'
+    )
+    spindle_speed: Annotated[Annotated[_Speed, Shorthand('node')] | None, _READ] = Field(
+        None, description='Spindle speed'
+    )
+
+
+class _Axis(Fields):
+    offset: Annotated[_Scaled, _Role(Kind.QUANTITY, written=True, unit='unit')] = Field(
+        description='K0, in `unit`'
+    )
+    slope: Annotated[_Scaled | None, _WRITTEN] = Field(None, description='Slope [-]')
+    reference_position: Annotated[
+        _Scaled | None, _Role(Kind.QUANTITY, written=True, unit='position_unit')
+    ] = Field(None, description='P0, in `position_unit`')
+    applied: Annotated[_Scaled, _Role(Kind.QUANTITY, unit='unit')] = Field(
+        description='Offset in force now, in `unit`'
+    )
+    limit: Annotated[_Scaled | None, _Role(Kind.QUANTITY, unit='unit')] = Field(
+        None, description='Largest offset of the control, in `unit`'
+    )
+    position: Annotated[_Scaled | None, _Role(Kind.QUANTITY, unit='position_unit')] = Field(
+        None, description='Commanded position without the offset, in `position_unit`'
+    )
+    travel: Annotated[tuple[float, ...], Numbers()] = Field(
+        (), description='Ends of the axis in `position_unit`, the lower one first'
+    )
+
+    @model_validator(mode='after')
+    def _check_slope(self) -> '_Axis':
+        names = ('slope', 'reference_position', 'travel')
+        there = self.model_fields_set.intersection(names)
+        if there and len(there) < len(names):
+            missing = ', '.join(name for name in names if name not in there)
+            raise wrong(
+                f'expected slope, reference_position and travel, or none of them, but {missing} '
+                'is missing; without travel nobody can tell how large an offset a slope makes'
+            )
+        return self
+
+
+class ControlFields(ServerFields):
+    """Where a control is, and which of its variables take part in compensation."""
+
+    unit: Annotated[str, Word(tuple(LENGTHS))] = Field(description='Unit of offsets')
+    position_unit: Annotated[str, Word(tuple(LENGTHS))] = Field(
+        'mm', description='Unit of positions'
+    )
+    hand_shake: _HandShake = Field(description='Variables by which sets are handed over')
+    state: _State = Field(description='Variables with the state of the machine')
+    axes: dict[str, _Axis] = Field(
+        {},
+        description='Axes that take offsets, by their letters',
+        json_schema_extra={'propertyNames': {'enum': list(AXES)}, 'minProperties': 1},
+    )
+
+    @model_validator(mode='after')
+    def _check_axes(self) -> 'ControlFields':
+        if not self.axes:
+            raise wrong('expected axes, as axes: {X: ...}, but found none')
+        unit = LENGTHS[self.position_unit]
+        for name, axis in self.axes.items():
+            if name not in AXES:
+                raise wrong(f'expected one of {", ".join(AXES)} but found {name!r}', 'axes', name)
+            ends = [unit * end for end in axis.travel]
+            if 'travel' in axis.model_fields_set and not (
+                len(ends) == 2 and -TRAVEL_MAX <= ends[0] < ends[1] <= TRAVEL_MAX
+            ):
+                raise wrong(
+                    'expected the two ends of the axis in position_unit, the lower one first, '
+                    'such as [-100, 500]',
+                    *('axes', name, 'travel'),
+                )
+        seen: dict[str, str] = {}
+        variables = self.variables()
+        for name, item in variables.items():  # written under two names, or written and read
+            other = seen.setdefault(item.place, name)
+            if other != name and (item.written or variables[other].written):
+                raise wrong(f'{name} and {other} are the same variable, {item.place}')
+        return self
+
+    def variables(self) -> Mapping[str, ControlVariable]:
+        """Return the variables; those of an axis as `X.offset`."""
+        units = {'': 1.0, 'unit': LENGTHS[self.unit]}
+        units['position_unit'] = LENGTHS[self.position_unit]
+        found = {}
+        sections: list[tuple[str, Fields]] = [('', self.hand_shake), ('', self.state)]
+        for prefix, section in [*sections, *((f'{a}.', axis) for a, axis in self.axes.items())]:
+            for name, item in type(section).model_fields.items():
+                role = next((m for m in item.metadata if isinstance(m, _Role)), None)
+                place = getattr(section, name)
+                if role is None or place is None:
+                    continue
+                scale = units[role.unit] * getattr(place, 'scale', 1.0)
+                if isinstance(place, _Speed):
+                    scale *= SPEED_UNITS[place.unit]
+                found[prefix + name] = ControlVariable(
+                    node=place.node,
+                    path=place.path,
+                    kind=role.kind,
+                    written=role.written,
+                    scale=scale,
+                    scaled='scale' in place.model_fields_set,
+                )
+        return found
 
 
 def read_control(path: Path, state_directory: str = '') -> ControlFile:
@@ -80,104 +214,16 @@ def read_control(path: Path, state_directory: str = '') -> ControlFile:
         If something in it is missing, unknown, out of bounds or there twice; the text names
         file, line and field.
     """
-    whole = Section.read(path, 'a file of a control')
-    server = read_server(whole, state_directory)
-    words = tuple(LENGTHS)
-    units = {
-        'unit': LENGTHS[whole.word('unit', words)],
-        'position_unit': LENGTHS[whole.word('position_unit', words, 'mm')],
-    }
-    variables: dict[str, ControlVariable] = {}
-    for name, fields in (('hand_shake', _HAND_SHAKE), ('state', _STATE)):
-        section = whole.section(name)
-        if section is None:
-            raise whole.error(f'expected the field {name!r} but it is missing')
-        variables |= _variables(section, fields, units, '')
-        section.done()
-    axes: list[str] = []
-    low: list[float] = []
-    high: list[float] = []
-    for axis, section in whole.named('axes', 'axis', 'offset', ()):
-        if axis not in AXES:
-            raise section.error(f'expected one of {", ".join(AXES)} but found {axis!r}')
-        variables |= _variables(section, _AXIS, units, f'{axis}.')
-        ends = _travel(section, units['position_unit'])
-        axes.append(axis)
-        low.append(ends[0])
-        high.append(ends[1])
-        section.done()
-    whole.done()
-    if not axes:
-        raise whole.error('expected axes, as axes: {X: ...}, but found none')
-    _refuse_shared(whole, variables)
+    file = read_file(path, ControlFields, 'a file of a control')
+    unit = LENGTHS[file.position_unit]
+    # Both ends are zero if the control takes no slope.
+    ends = unit * np.array([axis.travel or (0.0, 0.0) for axis in file.axes.values()])
     return ControlFile(
-        server=server,
-        axes=tuple(axes),
-        travel=Travel(low=np.array(low), high=np.array(high)),
-        variables=variables,
+        server=file.server(pin_folder(path, state_directory)),
+        axes=tuple(file.axes),
+        travel=Travel(low=ends[:, 0], high=ends[:, 1]),
+        variables=file.variables(),
     )
-
-
-def _variables(
-    section: Section, fields: Mapping[str, _Field], units: Mapping[str, float], prefix: str
-) -> dict[str, ControlVariable]:
-    """Return the variables that a section names."""
-    found = {}
-    for name, field in fields.items():
-        entry = section.entry(name, 'node')
-        if entry is None:
-            if field.needed:
-                raise section.error(f'expected the variable {name!r} but it is missing')
-            continue
-        address = read_address(entry)
-        trouble = node_id_trouble(address)
-        if trouble:
-            raise entry.line_error('node', trouble)
-        scale, scaled = 1.0, False
-        if field.kind is Kind.QUANTITY:
-            scaled = 'scale' in entry
-            scale = entry.number('scale', -1e9, 1e9, 1.0)
-            if scale == 0.0:
-                raise entry.line_error('scale', 'expected another number than 0')
-            if name == 'spindle_speed':
-                scale *= SPEED_UNITS[entry.word('unit', tuple(SPEED_UNITS), 'rpm')]
-            scale *= units.get(field.unit, 1.0)
-        entry.done()
-        found[prefix + name] = ControlVariable(
-            **vars(address), kind=field.kind, written=field.written, scale=scale, scaled=scaled
-        )
-    return found
-
-
-def _travel(section: Section, unit: float) -> tuple[float, float]:
-    """Return the ends of an axis [m], both zero if its control takes no slope."""
-    names = ('slope', 'reference_position', 'travel')
-    there = [name for name in names if name in section]
-    if not there:
-        return 0.0, 0.0
-    if len(there) < len(names):
-        missing = ', '.join(name for name in names if name not in there)
-        raise section.error(
-            f'expected slope, reference_position and travel, or none of them, but {missing} is '
-            'missing; without travel nobody can tell how large an offset a slope makes'
-        )
-    ends = [unit * float(end) for end in section.numbers('travel')]
-    if len(ends) != 2 or not -TRAVEL_MAX <= ends[0] < ends[1] <= TRAVEL_MAX:
-        raise section.line_error(
-            'travel',
-            'expected the two ends of the axis in position_unit, the lower one first, such as '
-            '[-100, 500]',
-        )
-    return ends[0], ends[1]
-
-
-def _refuse_shared(whole: Section, variables: Mapping[str, ControlVariable]) -> None:
-    """Refuse a variable that is written under two names, or written and read."""
-    seen: dict[str, str] = {}
-    for name, item in variables.items():
-        other = seen.setdefault(item.place, name)
-        if other != name and (item.written or variables[other].written):
-            raise whole.error(f'{name} and {other} are the same variable, {item.place}')
 
 
 def check_axes(file: ControlFile, axes: tuple[str, ...]) -> None:

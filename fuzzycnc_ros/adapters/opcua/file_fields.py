@@ -4,85 +4,162 @@
 
 import re
 from pathlib import Path
+from typing import Annotated, Any
 from urllib.parse import urlsplit
 
 from fuzzycnc_ros.adapters.opcua.pins import pin_file
-from fuzzycnc_ros.adapters.opcua.session import Address, Security, Server
-from fuzzycnc_ros.adapters.yaml_section import Section
+from fuzzycnc_ros.adapters.opcua.session import Security, Server
+from fuzzycnc_ros.adapters.yaml_model import (
+    SWITCH,
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    Fields,
+    Number,
+    Text,
+    ValidationInfo,
+    Word,
+    model_validator,
+    read_file,
+    wrong,
+)
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 POLICIES = ('Basic256Sha256', 'Aes128Sha256RsaOaep', 'Aes256Sha256RsaPss')
 ENCRYPTED = 'SignAndEncrypt'
 MODES = ('Sign', ENCRYPTED)
 
-_NODE = re.compile(r'((ns=[0-9]+|nsu=[^;]+);)?(i=[0-9]+|[sgb]=.+)')
+NODE = r'((ns=[0-9]+|nsu=[^;]+);)?(i=[0-9]+|[sgb]=.+)'
+STEP = r'[0-9]{1,5}:.+'
 
 
-def read_server(section: Section, state_directory: str = '') -> Server:
-    """Return the server that the fields url, timeout, security and credentials describe.
+def _file(node: Any, info: 'ValidationInfo[Path]') -> Path:
+    """Return a file that a field names, relative to the file that it stands in."""
+    path: Path = info.context.parent / Path(Text().read(node)).expanduser()
+    if not path.is_file():
+        raise wrong(f'expected a file but nothing is at {path}')
+    return path
 
-    Parameters
-    ----------
-    section : Section
-        The fields.
-    state_directory : str
-        Where a certificate is pinned on first use; empty: beside the file.
 
-    Raises
-    ------
-    ParameterError
-        If something is missing or wrong, or a password would be readable on the network.
-    """
-    url = section.text('url')
+def _steps(node: Any) -> list[str]:
+    steps = Text().read(node).strip('/').split('/')
+    for step in steps:
+        if not re.fullmatch(STEP, step):
+            raise wrong(
+                'expected steps from the root as namespace:name, such as '
+                f'0:Objects/2:Spindle/2:T1, but found {step!r}'
+            )
+    return steps
+
+
+def _node(text: str) -> str:
+    if not re.fullmatch(NODE, text):
+        raise wrong(
+            'expected a node id such as ns=2;s=Spindle.T1, ns=2;i=1001 or nsu=urn:mill;s=T1 but '
+            f'found {text!r}'
+        )
+    return text
+
+
+def _url(text: str) -> str:
     try:
-        parts = urlsplit(url)
+        parts = urlsplit(text)
         port = parts.port
     except ValueError:
         parts, port = urlsplit(''), None
     if parts.scheme != 'opc.tcp' or not parts.hostname or port is None:
-        raise section.line_error(
-            'url', f'expected opc.tcp://HOST:PORT/PATH, usual port 4840, but found {url!r}'
-        )
+        raise wrong(f'expected opc.tcp://HOST:PORT/PATH, usual port 4840, but found {text!r}')
     if '@' in parts.netloc:
-        raise section.line_error(
-            'url', 'expected no user and password here; put them into the file credentials'
-        )
-    folder = Path(state_directory).expanduser() if state_directory else section.path.parent
-    pin = pin_file(folder, parts.hostname, port)
-    security = _security(section.section('security'), pin)
-    return Server(
-        url=url,
-        timeout=section.number('timeout', 0.05, 60.0, 2.0, unit='s'),
-        security=security,
-        credentials=_credentials(section, security),
+        raise wrong('expected no user and password here; put them into the file credentials')
+    return text
+
+
+File = Annotated[Path, BeforeValidator(_file)]
+
+
+class PlaceFields(Fields):
+    """A variable of a server."""
+
+    node: Annotated[str, Text(NODE), AfterValidator(_node)] = Field(
+        '', description='Node id, such as ns=2;s=Spindle.T1'
+    )
+    path: Annotated[tuple[str, ...], BeforeValidator(_steps, json_schema_input_type=str)] = Field(
+        (), description='Browse path from the root, such as 0:Objects/2:Spindle/2:T1'
+    )
+
+    @model_validator(mode='after')
+    def _check_place(self) -> 'PlaceFields':
+        if bool(self.node) == bool(self.path):
+            raise wrong(
+                'expected either node, such as ns=2;s=Spindle.T1, or path, such as '
+                '0:Objects/2:Spindle/2:T1'
+            )
+        return self
+
+
+class SecurityFields(Fields):
+    """How the connection is secured."""
+
+    policy: Annotated[str, Word(POLICIES)] = Field(description='Security policy')
+    mode: Annotated[str, Word(MODES)] = Field(ENCRYPTED, description='Security mode')
+    certificate: File = Field(description='Own certificate, relative to this file')
+    private_key: File = Field(description='Key of the own certificate')
+    server_certificate: File = Field(
+        default_factory=Path,
+        description='Certificate of the server; the first one is pinned without it',
     )
 
 
-def read_address(entry: Section) -> Address:
-    """Return the address that the field node or path describes."""
-    if ('node' in entry) == ('path' in entry):
-        raise entry.error(
-            'expected either node, such as ns=2;s=Spindle.T1, or path, such as '
-            '0:Objects/2:Spindle/2:T1'
-        )
-    if 'path' in entry:
-        steps = tuple(entry.text('path').strip('/').split('/'))
-        wrong = [step for step in steps if not re.fullmatch(r'[0-9]{1,5}:.+', step)]
-        if wrong:
-            raise entry.line_error(
-                'path',
-                'expected steps from the root as namespace:name, such as '
-                f'0:Objects/2:Spindle/2:T1, but found {wrong[0]!r}',
+class ServerFields(Fields):
+    """Where a server is, and how it is entered."""
+
+    url: Annotated[str, Text(r'opc\.tcp://.+'), AfterValidator(_url)] = Field(
+        description='Address, opc.tcp://HOST:PORT/PATH'
+    )
+    timeout: Annotated[float, Number(0.05, 60.0, 's')] = Field(
+        2.0, description='Longest wait for an answer [s]'
+    )
+    security: SecurityFields | None = Field(None, description='Security of the connection')
+    credentials: File = Field(default_factory=Path, description='File with username and password')
+    allow_plain_password: Annotated[bool, Word(SWITCH)] = Field(
+        False, description='Whether a password may go out so that others can read it'
+    )
+
+    @model_validator(mode='after')
+    def _check_password(self) -> 'ServerFields':
+        safe = self.security is not None and self.security.mode == ENCRYPTED
+        if self.credentials != Path() and not safe and not self.allow_plain_password:
+            raise wrong(
+                f'expected security with mode {ENCRYPTED} beside it, since without it the '
+                'password may be sent so that everybody on the network can read it; add it, or '
+                'say allow_plain_password: true',
+                'credentials',
             )
-        return Address(path=steps)
-    node = entry.text('node')
-    if not _NODE.fullmatch(node):
-        raise entry.line_error(
-            'node',
-            'expected a node id such as ns=2;s=Spindle.T1, ns=2;i=1001 or nsu=urn:mill;s=T1 but '
-            f'found {node!r}',
-        )
-    return Address(node=node)
+        return self
+
+    def server(self, folder: Path) -> Server:
+        """Return the server; `folder` is where its certificate is pinned on first use."""
+        security = None
+        if self.security is not None:
+            parts, given = urlsplit(self.url), dict(self.security)
+            pinned = self.security.server_certificate == Path()
+            if pinned:  # without either any server could pass itself off as this one
+                given['server_certificate'] = pin_file(
+                    folder, parts.hostname or '', parts.port or 0
+                )
+            security = Security(**given, pinned=pinned)
+        entered = self.credentials if self.credentials != Path() else None
+        return Server(url=self.url, timeout=self.timeout, security=security, credentials=entered)
+
+
+def pin_folder(path: Path, state_directory: str) -> Path:
+    """Return where certificates are pinned; without a state directory beside the file."""
+    return Path(state_directory).expanduser() if state_directory else path.parent
+
+
+class _Credentials(Fields):
+    username: Annotated[str, Text()]
+    password: Annotated[str, Text()]
 
 
 def read_credentials(path: Path) -> tuple[str, str]:
@@ -101,48 +178,5 @@ def read_credentials(path: Path) -> tuple[str, str]:
         raise ParameterError(
             f'{path}: expected a file that only its owner can read; run chmod 600 {path}'
         )
-    section = Section.read(path, 'username and password')
-    found = section.text('username'), section.text('password')
-    section.done()
-    return found
-
-
-def _credentials(section: Section, security: Security | None) -> Path | None:
-    """Return the file with user name and password, unless everybody could read them."""
-    plain = section.word('allow_plain_password', ('true', 'false'), 'false') == 'true'
-    if 'credentials' not in section:
-        return None
-    path = _file(section, 'credentials')
-    if not plain and (security is None or security.mode != ENCRYPTED):
-        raise section.line_error(
-            'credentials',
-            f'expected security with mode {ENCRYPTED} beside it, since without it the password '
-            'may be sent so that everybody on the network can read it; add it, or say '
-            'allow_plain_password: true',
-        )
-    return path
-
-
-def _security(section: Section | None, pin: Path) -> Security | None:
-    if section is None:
-        return None
-    given = 'server_certificate' in section
-    security = Security(
-        policy=section.word('policy', POLICIES),
-        mode=section.word('mode', MODES, ENCRYPTED),
-        certificate=_file(section, 'certificate'),
-        private_key=_file(section, 'private_key'),
-        # Without either any server could pass itself off as this one.
-        server_certificate=_file(section, 'server_certificate') if given else pin,
-        pinned=not given,
-    )
-    section.done()
-    return security
-
-
-def _file(section: Section, name: str) -> Path:
-    """Return a file that a field names, relative to the file that it stands in."""
-    path = section.path.parent / Path(section.text(name)).expanduser()
-    if not path.is_file():
-        raise section.line_error(name, f'expected a file but nothing is at {path}')
-    return path
+    found = read_file(path, _Credentials, 'username and password')
+    return found.username, found.password

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from fuzzycnc_ros.adapters.modbus.registers import scaled
-from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
 from fuzzycnc_ros.adapters.opcua.session import (
     MESSAGE_MAX,
     NODES_MAX,
@@ -50,6 +49,8 @@ def check(device: OpcUaDevice) -> None:
         if trouble:
             raise ParameterError(f'device {device.name}, sensor {channel.name}: {trouble}')
     if device.credentials is not None:
+        from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
+
         read_credentials(device.credentials)
 
 
@@ -63,6 +64,8 @@ class OpcUaLink:
     """
 
     def __init__(self, device: OpcUaDevice) -> None:
+        from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
+
         self._device = device
         self._session = OpcUaSession(device, 'fuzzycnc temperature_acquisition', read_credentials)
         self._node: list[ua.NodeId | None] = [None] * len(device.channels)

@@ -7,29 +7,308 @@ docs/temperature-drivers.md describes it with examples.
 
 import math
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
-from fuzzycnc_ros.adapters.opcua.file_fields import read_address, read_server
+from fuzzycnc_ros.adapters.opcua.file_fields import PlaceFields, ServerFields, pin_folder
 from fuzzycnc_ros.adapters.readings.devices import (
     FORMATS,
     SPINDLE,
     AnyDevice,
-    Channel,
     ModbusDevice,
     OpcUaDevice,
     Register,
     Variable,
 )
-from fuzzycnc_ros.adapters.yaml_section import Section
+from fuzzycnc_ros.adapters.yaml_model import (
+    NO_FIELDS,
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Fields,
+    Number,
+    Numbers,
+    Shorthand,
+    Tag,
+    Text,
+    Word,
+    full,
+    model_validator,
+    read_file,
+    wrong,
+)
 
 ORDERS = ('big', 'little')
 SPEED_UNITS = {'rpm': 2.0 * math.pi / 60.0, 'rad/s': 1.0}
-INHERITED = ('table', 'type', 'word_order', 'byte_order', 'scale', 'offset', 'open_circuit')
-"""Fields that a device may give for all of its sensors."""
+PROTOCOLS = ('modbus_tcp', 'opc_ua')
 
-_HOST = re.compile(r'[A-Za-z0-9._:%-]+')
+_HOST = r'[A-Za-z0-9._:%-]+'
+
+
+def nonzero(value: float) -> float:
+    """Refuse a scale of 0."""
+    if value == 0.0:
+        raise wrong('expected another number than 0')
+    return value
+
+
+Scale = Annotated[float, Number(-1e9, 1e9), AfterValidator(nonzero)]
+SpeedUnit = Annotated[str, Word(tuple(SPEED_UNITS))]
+
+
+class _Scaling(Fields):
+    scale: Scale = Field(1.0, description='degC = scale * raw + offset')
+    offset: Annotated[float, Number(-1e9, 1e9)] = Field(
+        0.0, description='degC = scale * raw + offset; -273.15 for kelvin'
+    )
+    open_circuit: Annotated[tuple[int | float, ...], Numbers()] = Field(
+        (), description='Raw values that mean no sensor, before the scale'
+    )
+
+
+class _Layout(_Scaling):
+    table: Annotated[str, Word(('holding', 'input'))] = Field(
+        'holding', description='Which registers: function 3 or 4'
+    )
+    type: Annotated[str, Word(tuple(FORMATS))] = Field('int16', description='Type of raw values')
+    word_order: Annotated[str, Word(ORDERS)] = Field(
+        'big', description='Which register of a longer value comes first'
+    )
+    byte_order: Annotated[str, Word(ORDERS)] = Field(
+        'big', description='Order of the bytes in a register'
+    )
+
+
+class _Register(_Layout):
+    # `register` is a method of the metaclass
+    first: Annotated[
+        int,
+        Number(
+            0,
+            65535,
+            whole=True,
+            remedy='count from 0: what manuals call 40001 is register 0 of the table holding, '
+            '30001 is register 0 of the table input',
+        ),
+    ] = Field(alias='register', description='Address of the first register, counted from 0')
+
+    @model_validator(mode='after')
+    def _check_register(self) -> '_Register':
+        made = self.channel('', 1.0)
+        if made.register + made.count > 65536:
+            raise wrong(f'a {made.type} does not fit behind {made.register}', 'register')
+        bits = 16 * made.count
+        for code in () if made.type.startswith('float') else made.open_circuit:
+            if not isinstance(code, int) or not -(2 ** (bits - 1)) <= code < 2**bits:
+                raise wrong(
+                    f'expected raw values of a {made.type}, before scale and offset, such as '
+                    f'0x7FFF but found {code}',
+                    'open_circuit',
+                )
+        return self
+
+    def channel(self, name: str, unit: float, largest: float = math.inf) -> Register:
+        """Return the channel."""
+        return Register(
+            **_scaled(self, unit),
+            name=name,
+            largest=largest,
+            table=self.table,
+            register=self.first,
+            type=self.type,
+            word_order=self.word_order,
+            byte_order=self.byte_order,
+        )
+
+
+class _Variable(_Scaling, PlaceFields):
+    def channel(self, name: str, unit: float, largest: float = math.inf) -> Variable:
+        """Return the channel."""
+        return Variable(
+            **_scaled(self, unit), name=name, largest=largest, node=self.node, path=self.path
+        )
+
+
+def _scaled(fields: _Scaling, unit: float) -> dict[str, Any]:
+    return {
+        'scale': unit * fields.scale,
+        'offset': unit * fields.offset,
+        'open_circuit': fields.open_circuit,
+    }
+
+
+class _Speed(Fields):
+    unit: SpeedUnit = Field('rpm', description='Unit of the speed')
+    max: Annotated[float, Number(0.0, 1e6)] = Field(
+        default_factory=lambda: math.inf, description='Greatest speed of the spindle, in `unit`'
+    )
+
+
+class _SpeedRegister(_Speed, _Register):
+    pass
+
+
+class _SpeedVariable(_Speed, _Variable):
+    pass
+
+
+class _Device(Fields):
+    INHERITED: ClassVar[tuple[str, ...]]
+    SHORTHAND: ClassVar[str]
+
+    name: Annotated[str, Text()] = Field(description='Name in messages')
+    period: Annotated[float, Number(0.005, 3600.0, 's')] = Field(
+        1.0, description='Time between two readings [s]'
+    )
+
+    @model_validator(mode='before')
+    @classmethod
+    def _inherit(cls, data: Any) -> Any:
+        """Give the sensors what the device says for all of them."""
+        sensors = data.get('sensors') if isinstance(data, dict) else None
+        if not isinstance(sensors, dict):
+            return data
+        common = {name: data[name] for name in cls.INHERITED if name in data}
+        inner = {name: full(entry, cls.SHORTHAND) for name, entry in sensors.items()}
+        return data | {
+            'sensors': {
+                name: common | entry if isinstance(entry, dict) else entry
+                for name, entry in inner.items()
+            }
+        }
+
+    def values(self) -> dict[str, Any]:
+        """Return what all devices have, the spindle speed as the last channel."""
+        sensors, spindle = getattr(self, 'sensors'), getattr(self, SPINDLE)  # noqa: B009
+        channels = [entry.channel(name, 1.0) for name, entry in sensors.items()]
+        if spindle is not None:
+            unit = SPEED_UNITS[spindle.unit]
+            channels.append(spindle.channel(SPINDLE, unit, spindle.max * unit))
+        return {
+            'name': self.name,
+            'period': self.period,
+            'channels': tuple(channels),
+            'has_spindle': spindle is not None,
+        }
+
+    @model_validator(mode='after')
+    def _check_channels(self) -> '_Device':
+        if not self.values()['channels']:
+            raise wrong('expected sensors, as sensors: {T1: ...}, but found none')
+        return self
+
+
+def _host(text: str) -> str:
+    if not re.fullmatch(_HOST, text):
+        raise wrong(f'expected a name or address but found {text!r}')
+    return text
+
+
+class _Modbus(_Layout, _Device):
+    """A Modbus TCP device, or one behind a gateway."""
+
+    INHERITED = tuple(_Layout.model_fields)
+    SHORTHAND = 'register'
+
+    protocol: Annotated[str, Word(('modbus_tcp',))]
+    host: Annotated[str, Text(_HOST), AfterValidator(_host)] = Field(description='Address')
+    port: Annotated[int, Number(1, 65535, whole=True)] = Field(502, description='TCP port')
+    unit: Annotated[int, Number(0, 255, whole=True)] = Field(
+        1, description='Unit of a device behind a gateway'
+    )
+    timeout: Annotated[float, Number(0.05, 60.0, 's')] = Field(
+        2.0, description='Longest wait for an answer [s]'
+    )
+    sensors: dict[str, Annotated[_Register, Shorthand('register')]] = Field(
+        {}, description='Sensors by name; a mere number is the register'
+    )
+    spindle_speed: _SpeedRegister | None = Field(None, description='Spindle speed')
+
+    def device(self, folder: Path) -> ModbusDevice:
+        """Return the device."""
+        return ModbusDevice(
+            **self.values(), timeout=self.timeout, host=self.host, port=self.port, unit=self.unit
+        )
+
+
+class _OpcUa(_Scaling, _Device, ServerFields):
+    """An OPC UA server with sensors."""
+
+    INHERITED = tuple(_Scaling.model_fields)
+    SHORTHAND = 'node'
+
+    protocol: Annotated[str, Word(('opc_ua',))]
+    sensors: dict[str, Annotated[_Variable, Shorthand('node')]] = Field(
+        {}, description='Sensors by name; a mere text is the node id'
+    )
+    spindle_speed: _SpeedVariable | None = Field(None, description='Spindle speed')
+
+    def device(self, folder: Path) -> OpcUaDevice:
+        """Return the device."""
+        return OpcUaDevice(**self.values(), **vars(self.server(folder)))
+
+
+def _check_protocol(data: Any) -> Any:
+    if not isinstance(data, dict):
+        raise wrong(NO_FIELDS)
+    for name in ('name', 'protocol'):
+        if name not in data:
+            raise wrong(f'expected the field {name!r} but it is missing')
+    node = data['protocol']
+    if isinstance(node, (dict, list)) or node.value not in PROTOCOLS:
+        found = 'a list or fields' if isinstance(node, (dict, list)) else repr(node.value)
+        raise wrong(f'expected one of {", ".join(PROTOCOLS)} but found {found}', 'protocol')
+    return data
+
+
+def _list(data: Any) -> Any:
+    if not isinstance(data, list) or not data:
+        raise wrong('expected a list, each item with a dash, of device')
+    return data
+
+
+_AnyDevice = Annotated[
+    Annotated[
+        Annotated[_Modbus, Tag('<modbus_tcp>')] | Annotated[_OpcUa, Tag('<opc_ua>')],
+        Discriminator(lambda data: f'<{data["protocol"].value}>'),
+    ],
+    BeforeValidator(_check_protocol),
+]
+
+
+class DeviceFile(Fields):
+    """Devices with sensors, and where each of their values lies."""
+
+    devices: Annotated[list[_AnyDevice], BeforeValidator(_list)] = Field(
+        description='Devices', min_length=1
+    )
+
+    @model_validator(mode='after')
+    def _check_devices(self) -> 'DeviceFile':
+        seen: dict[str, str] = {}
+        names: set[str] = set()
+        for index, device in enumerate(self.devices):
+            spindle = [f'the {SPINDLE}'] if device.spindle_speed is not None else []
+            for name in [*(f'sensor {name}' for name in device.sensors), *spindle]:
+                if name in seen:
+                    raise wrong(
+                        f'{name} is already read from {seen[name]}; every name can be used once',
+                        'devices',
+                        index,
+                    )
+                seen[name] = f'device {device.name}'
+            if device.name in names:
+                raise wrong(
+                    f'another device is called {device.name} too',
+                    'devices',
+                    index,
+                    'name',
+                )
+            names.add(device.name)
+        if not any(device.sensors for device in self.devices):
+            raise wrong('expected at least one device with sensors but none has any')
+        return self
 
 
 def read_devices(path: Path, state_directory: str = '') -> tuple[AnyDevice, ...]:
@@ -48,139 +327,5 @@ def read_devices(path: Path, state_directory: str = '') -> tuple[AnyDevice, ...]
         If something in it is missing, unknown, out of bounds or there twice; the text names
         file, line and field.
     """
-    whole = Section.read(path, 'a file of devices')
-    devices: list[AnyDevice] = []
-    sections = whole.sections('devices', 'device')
-    whole.done()
-    seen: dict[str, str] = {}
-    for section in sections:
-        device = _device(section, state_directory)
-        for channel in device.channels:
-            spindle = device.has_spindle and channel is device.channels[-1]
-            name = f'the {SPINDLE}' if spindle else f'sensor {channel.name}'
-            if name in seen:
-                raise section.error(
-                    f'{name} is already read from {seen[name]}; every name can be used once'
-                )
-            seen[name] = f'device {device.name}'
-        if any(device.name == other.name for other in devices):
-            raise section.line_error('name', f'another device is called {device.name} too')
-        devices.append(device)
-    if not any(device.sensors for device in devices):
-        raise whole.error('expected at least one device with sensors but none has any')
-    return tuple(devices)
-
-
-def _device(section: Section, state_directory: str) -> AnyDevice:
-    name = section.text('name')
-    section.label = f'device {name}'
-    kind = section.word('protocol', tuple(_KINDS))
-    return _KINDS[kind](section, name, state_directory)
-
-
-def _modbus(section: Section, name: str, state_directory: str) -> ModbusDevice:
-    host = section.text('host')
-    if not _HOST.fullmatch(host):
-        raise section.line_error('host', f'expected a name or address but found {host!r}')
-    port = section.whole('port', 1, 65535, 502)
-    unit = section.whole('unit', 0, 255, 1)
-    period, timeout = _times(section)
-    channels, has_spindle = _channels(section, _register, 'register')
-    section.done()
-    return ModbusDevice(
-        name=name,
-        host=host,
-        port=port,
-        unit=unit,
-        period=period,
-        timeout=timeout,
-        channels=channels,
-        has_spindle=has_spindle,
-    )
-
-
-def _opc_ua(section: Section, name: str, state_directory: str) -> OpcUaDevice:
-    period, _ = _times(section)
-    server = read_server(section, state_directory)
-    channels, has_spindle = _channels(section, _variable, 'node')
-    section.done()
-    return OpcUaDevice(
-        name=name, period=period, channels=channels, has_spindle=has_spindle, **vars(server)
-    )
-
-
-_KINDS: dict[str, Callable[[Section, str, str], AnyDevice]] = {
-    'modbus_tcp': _modbus,
-    'opc_ua': _opc_ua,
-}
-
-
-def _times(section: Section) -> tuple[float, float]:
-    period = section.number('period', 0.005, 3600.0, 1.0, unit='s')
-    return period, section.number('timeout', 0.05, 60.0, 2.0, unit='s')
-
-
-def _channels(section: Section, make: Callable[..., Channel], shorthand: str) -> tuple[Any, bool]:
-    """Return the channels of a device, the spindle speed last, and whether there is one."""
-    channels = []
-    for name, entry in section.named('sensors', 'sensor', shorthand, INHERITED):
-        channels.append(make(entry, **_scaled(entry, name, 1.0)))
-        entry.done()
-    spindle = section.section(SPINDLE)
-    if spindle is not None:
-        unit = SPEED_UNITS[spindle.word('unit', tuple(SPEED_UNITS), 'rpm')]
-        # Without one any finite speed counts.
-        largest = spindle.number('max', 0.0, 1e6, math.inf) * unit
-        channels.append(make(spindle, **_scaled(spindle, SPINDLE, unit), largest=largest))
-        spindle.done()
-    if not channels:
-        raise section.error('expected sensors, as sensors: {T1: ...}, but found none')
-    return tuple(channels), spindle is not None
-
-
-def _scaled(entry: Section, name: str, unit: float) -> dict[str, Any]:
-    """Return the fields that all channels have."""
-    scale = entry.number('scale', -1e9, 1e9, 1.0)
-    if scale == 0.0:
-        raise entry.line_error('scale', 'expected another number than 0')
-    return {
-        'name': name,
-        'scale': unit * scale,
-        'offset': unit * entry.number('offset', -1e9, 1e9, 0.0),
-        'open_circuit': entry.numbers('open_circuit'),
-    }
-
-
-def _register(entry: Section, **common: Any) -> Register:
-    register = Register(
-        table=entry.word('table', ('holding', 'input'), 'holding'),
-        register=entry.whole(
-            'register',
-            0,
-            65535,
-            remedy='count from 0: what manuals call 40001 is register 0 of the table holding, '
-            '30001 is register 0 of the table input',
-        ),
-        type=entry.word('type', tuple(FORMATS), 'int16'),
-        word_order=entry.word('word_order', ORDERS, 'big'),
-        byte_order=entry.word('byte_order', ORDERS, 'big'),
-        **common,
-    )
-    if register.register + register.count > 65536:
-        raise entry.line_error(
-            'register', f'a {register.type} does not fit behind {register.register}'
-        )
-    if not register.type.startswith('float'):
-        bits = 16 * register.count
-        for code in register.open_circuit:
-            if not isinstance(code, int) or not -(2 ** (bits - 1)) <= code < 2**bits:
-                raise entry.line_error(
-                    'open_circuit',
-                    f'expected raw values of a {register.type}, before scale and offset, such '
-                    f'as 0x7FFF but found {code}',
-                )
-    return register
-
-
-def _variable(entry: Section, **common: Any) -> Variable:
-    return Variable(**vars(read_address(entry)), **common)
+    file = read_file(path, DeviceFile, 'a file of devices')
+    return tuple(device.device(pin_folder(path, state_directory)) for device in file.devices)

@@ -11,7 +11,6 @@ from rclpy.node import Node
 
 from fuzzycnc_ros.adapters.modbus import link as modbus
 from fuzzycnc_ros.adapters.opcua import readings_link as opc_ua
-from fuzzycnc_ros.adapters.readings.device_file import read_devices
 from fuzzycnc_ros.adapters.readings.devices import (
     SPINDLE,
     AnyDevice,
@@ -54,6 +53,9 @@ class DeviceSource(Source):
         path = Path(config.device_file).expanduser()
         state_directory = str(node.get_parameter('state_directory').value)
         try:
+            # Needs pydantic, which nobody else has to have.
+            from fuzzycnc_ros.adapters.readings.device_file import read_devices
+
             self._devices = read_devices(path, state_directory)
             for device in self._devices:
                 _check(device, config)

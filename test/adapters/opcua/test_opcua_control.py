@@ -3,12 +3,14 @@
 """Control files, and the adapter to a control against a real OPC UA server, without a node."""
 
 import hashlib
+import re
 import time
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip('rclpy')
 pytest.importorskip('asyncua')
@@ -19,7 +21,7 @@ from equipment.secured_server import PINNING, SECURITY, secured, user_file
 
 from fuzzycnc_ros.adapters.link import LinkError
 from fuzzycnc_ros.adapters.opcua.control import OpcUaControl
-from fuzzycnc_ros.adapters.opcua.control_file import check_axes, read_control
+from fuzzycnc_ros.adapters.opcua.control_file import ControlFields, check_axes, read_control
 from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
 from fuzzycnc_ros.adapters.opcua.offset_lines import LineOrders, Lines
 from fuzzycnc_ros.adapters.threaded import ThreadedController
@@ -265,6 +267,27 @@ def test_lengths_are_in_the_unit_of_the_file(tmp_path, unit, metres):
     file = read_control(edited(tmp_path, 'position_unit: mm', f'position_unit: {unit}'))
     assert file.travel.low[0] == pytest.approx(-200.0 * metres)
     assert file.travel.high[0] == pytest.approx(300.0 * metres)
+
+
+def test_the_schema_takes_what_is_read_and_refuses_what_is_not(root):
+    jsonschema = pytest.importorskip('jsonschema')
+    validator = jsonschema.Draft202012Validator(ControlFields.model_json_schema())
+
+    def fields(text):
+        read = yaml.safe_load(text)
+        if True in read.get('state', {}):  # YAML 1.1 takes `on` for a switch, editors do not
+            read['state']['on'] = read['state'].pop(True)
+        return read
+
+    page = (root / 'docs' / 'opcua-output.md').read_text()
+    examples = re.findall(r'^```yaml\n(url:.*?)^```', page, re.M | re.S)
+    good = FILE.format(host='10.0.0.7', port=4840, timeout=2.0)
+    good = good.replace('1e-9', '1.0e-9')  # a number in YAML 1.1 too
+    assert examples
+    for text in [*examples, good]:
+        validator.validate(fields(text))
+    for old, new in [('unit: um', 'unit: ym'), ('  Z:', '  Q:'), ('slew:', 'slow:')]:
+        assert not validator.is_valid(fields(good.replace(old, new, 1))), new
 
 
 def test_file_without_axes_is_refused(tmp_path):

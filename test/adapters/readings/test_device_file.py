@@ -2,12 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The file of devices: what it means, and what is said where it is wrong."""
 
+import importlib
 import math
 import re
 import struct
+import sys
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,7 +18,7 @@ pytest.importorskip('rclpy')
 
 from fuzzycnc_ros.adapters.modbus.registers import REGISTERS_MAX, blocks, value_of
 from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
-from fuzzycnc_ros.adapters.readings.device_file import read_devices
+from fuzzycnc_ros.adapters.readings.device_file import DeviceFile, read_devices
 from fuzzycnc_ros.adapters.readings.devices import FORMATS, Register
 from fuzzycnc_ros.ros.parameters import ParameterError
 
@@ -192,6 +195,62 @@ def test_every_example_of_the_docs_is_a_device_file(root, read, tmp_path):
         (tmp_path / name).touch()
     for example in examples:
         assert read(example)
+
+
+def test_the_schema_takes_what_is_read_and_refuses_what_is_not(root):
+    jsonschema = pytest.importorskip('jsonschema')
+    validator = jsonschema.Draft202012Validator(DeviceFile.model_json_schema())
+    page = (root / 'docs' / 'temperature-drivers.md').read_text()
+    examples = re.findall(r'^```yaml\n(devices:\n.*?)^```', page, re.M | re.S)
+    for text in [*examples, MODBUS, OPC_UA]:
+        validator.validate(yaml.safe_load(text))
+    wrong = [
+        ('T1: 0', 'T1: 70000'),
+        ('T1: 0', 'T1: {table: input}'),
+        ('table: input', 'tabel: input'),
+        ('type: float32', 'type: float'),
+        ('host: 10.0.0.5', 'port: 502'),
+        ('modbus_tcp', 'modbus'),
+        ('scale: 0.1', 'period: 0'),
+        ('devices:', 'device:'),
+    ]
+    for old, new in wrong:
+        assert not validator.is_valid(yaml.safe_load(MODBUS.replace(old, new, 1))), new
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'text'),
+    [
+        ('name: rtd', 'name: [a]', 'line 2: device 1: name: expected a text but found a list'),
+        ('name: rtd', 'nam: rtd', "line 2: device 1: expected the field 'name' but it is"),
+        ('modbus_tcp', '[1]', 'line 3: device rtd: protocol: expected one of modbus_tcp, opc_ua'),
+        (
+            'scale: 0.1',
+            'scale: true',
+            "line 5: device rtd: scale: expected a number but found 'tr",
+        ),
+        ('scale: 0.1', 'scale: 1\n    scale: 2', "line 6: device rtd: 'scale' stands here again"),
+        ('T1: 0', '"": 0', 'line 8: device rtd: sensors: expected a printable name but found'),
+        (
+            'T1: 0',
+            'T1:',
+            "line 8: device rtd, sensor T1: register: expected a number but found ''",
+        ),
+        ('T1: 0', '\tT1: 0', "found character '\\t' that cannot start any token"),
+        ('scale: 0.1', 'periode: 2', "line 5: device rtd: unknown field 'periode'; did you mean"),
+        ('max: 6000', 'unit: 1', 'line 11: device rtd, spindle_speed: unit: expected one of rpm'),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_place(read, old, new, text):
+    with pytest.raises(ParameterError, match=re.escape(text)):
+        read(MODBUS.replace(old, new, 1))
+
+
+def test_without_pydantic_2_one_sentence_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'pydantic', None)
+    monkeypatch.delitem(sys.modules, 'fuzzycnc_ros.adapters.yaml_model')
+    with pytest.raises(ParameterError, match=r"pydantic 2 .*pip install 'fuzzycnc_ros\[modbus,op"):
+        importlib.import_module('fuzzycnc_ros.adapters.yaml_model')
 
 
 def registers(*places):

@@ -1,0 +1,62 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc schema`: JSON Schemas of configuration files, for editors."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Optional
+
+import typer
+
+from fuzzycnc_ros.cli.console import check_folder, say, write_text
+
+KINDS = ('devices', 'control', 'machine')
+"""Files that have a schema."""
+
+DIALECT = 'https://json-schema.org/draft/2020-12/schema'
+
+
+def schema(
+    kind: Annotated[
+        str, typer.Argument(metavar='|'.join(KINDS), help='Which file the schema is of.')
+    ],
+    out: Annotated[
+        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Option(metavar='FILE.json', show_default=False, help='Write it here.'),
+    ] = None,
+) -> None:
+    """Print the JSON Schema of a configuration file, so that editors complete and check it.
+
+    Editors with a YAML language server take it from the first line of the file:
+    # yaml-language-server: $schema=machine.schema.json
+
+        fuzzycnc schema machine --out machine.schema.json
+        fuzzycnc schema devices --out devices.schema.json
+        fuzzycnc schema control --out control.schema.json
+    """
+    check_folder(out)
+    if kind not in KINDS:
+        raise ValueError(f'schema: expected one of {", ".join(KINDS)} but found {kind!r}')
+    text = json.dumps(_schema(kind), indent=2, ensure_ascii=False, allow_nan=False)
+    if out is None:
+        for line in text.splitlines():
+            say(line)
+        return
+    write_text(out, text + '\n')
+    say(f'{out}: the schema of files of kind {kind}')
+
+
+def _schema(kind: str) -> dict[str, Any]:
+    if kind == 'machine':
+        from fuzzycnc_ros.machine_file.schema import machine_schema
+
+        return machine_schema()
+    if kind == 'devices':
+        from fuzzycnc_ros.adapters.readings.device_file import DeviceFile
+
+        found = DeviceFile.model_json_schema()
+    else:
+        from fuzzycnc_ros.adapters.opcua.control_file import ControlFields
+
+        found = ControlFields.model_json_schema()
+    return {'$schema': DIALECT} | found | {'title': f'File of {kind} of fuzzycnc'}
