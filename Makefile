@@ -11,7 +11,7 @@ FLOOR := $(CURDIR)/.venv-floor
 BIN := $(VENV)/bin
 PYTHON ?=
 ARGS ?=
-FLOOR_TESTS := test/core test/runtime test/components test/studies test/papers test/contract fuzzycnc_ros/core
+FLOOR_TESTS := test/core test/simulation test/runtime test/components test/studies test/papers test/contract fuzzycnc_ros/core fuzzycnc_ros/simulation
 
 # What a sourced ROS installation or another environment left behind would be mixed with ours.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH

@@ -22,7 +22,6 @@ import numpy as np
 
 from fuzzycnc_ros.core.fuzzy.hybrid_learning import Premises, train_rules
 from fuzzycnc_ros.core.fuzzy.takagi_sugeno import log_firing, normalised_firing
-from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal.anfis import (
     STEP,
     WIDTH_MIN,
@@ -32,6 +31,7 @@ from fuzzycnc_ros.core.thermal.anfis import (
     grid_premises,
 )
 from fuzzycnc_ros.core.thermal.recursions import Stream, combine
+from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 SENSORS = ('T18', 'T55', 'T63', 'T68', 'T71')
 TRAINING, UNSEEN = ('D0', 'T1', 'D0b'), ('T2', 'T3')

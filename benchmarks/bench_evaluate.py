@@ -25,7 +25,6 @@ import numpy as np
 
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.core.machine import record_run
 from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, evaluate, train_model
 from fuzzycnc_ros.runtime.component import Component
 from fuzzycnc_ros.runtime.merge import Merger
@@ -36,6 +35,7 @@ from fuzzycnc_ros.runtime.records import (
     Temperatures,
     ThermalReference,
 )
+from fuzzycnc_ros.simulation.thermal.duties import record_run
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 

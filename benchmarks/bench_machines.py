@@ -29,7 +29,6 @@ from soak.growth import held_by
 
 from fuzzycnc_ros.cli.live.free_domain import own_domain
 from fuzzycnc_ros.cli.live.graph_processes import COMPOSED, GraphProcesses
-from fuzzycnc_ros.core.machine.duties import DUTIES, simulate_duty
 from fuzzycnc_ros.core.thermal import train_model
 from fuzzycnc_ros.ros.bring_up import THERMAL, NodeSpec
 from fuzzycnc_ros.ros.processes import prepare_environment
@@ -45,6 +44,7 @@ from fuzzycnc_ros.runtime.records import (
     Record,
     Temperatures,
 )
+from fuzzycnc_ros.simulation.thermal.duties import DUTIES, simulate_duty
 
 MACHINES, SECONDS = 20, 60
 PERIOD = 1.0

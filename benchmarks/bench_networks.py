@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.core.machine.grinder_runs import record_grinder
 from fuzzycnc_ros.core.thermal.networks import (
     Arma,
     DynamicNetwork,
@@ -37,6 +36,7 @@ from fuzzycnc_ros.core.thermal.networks.filters import NetworkTraining, past
 from fuzzycnc_ros.core.thermal.networks.hybrid_stages import Feedback, Front
 from fuzzycnc_ros.core.thermal.networks.tanh_network import TanhNetwork, train_network
 from fuzzycnc_ros.core.thermal.recursions import Stream, combine
+from fuzzycnc_ros.simulation.thermal.grinder_runs import record_grinder
 
 HIDDEN, SCALE = 30, 50e-6
 REPEATS = 7

@@ -21,13 +21,9 @@ from time import process_time
 
 import numpy as np
 
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis
-from fuzzycnc_ros.core.servo import (
-    CascadeController,
-    PidController,
-    VariableUniverseController,
-    position,
-)
+from fuzzycnc_ros.core.servo import CascadeController, PidController, VariableUniverseController
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.positioning import position
 
 STEPS, REPEATS = 1000, 15
 BARE_MAX, OBSERVER_MAX, RATIO_MIN, APART_MAX = 2e-6, 5e-6, 15.0, 1e-12

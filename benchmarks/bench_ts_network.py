@@ -24,7 +24,7 @@ from fuzzycnc_ros.core.deformation import FEATURE_SETS, TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.features import load
 from fuzzycnc_ros.core.deformation.model import DeformationModel
 from fuzzycnc_ros.core.deformation.training import equal_rows, grouped_split
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 
 SEEDS, SPLITS = (1, 2), 3
 HELD_OUT = 32

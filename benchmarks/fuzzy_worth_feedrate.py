@@ -46,8 +46,8 @@ from fuzzycnc_ros.core.feedrate.schedulers.refinement import (
     UnreachableToleranceError,
     knob_at_error,
 )
-from fuzzycnc_ros.core.machine.contouring import simulate_contouring
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 from fuzzycnc_ros.studies.pareto.pareto_path import CURVES, POINTS, curve_path
 from fuzzycnc_ros.studies.programs.program_drive import drive_paths
 

@@ -18,7 +18,7 @@ from fuzzy_worth_rows import FUZZY, LAW, NOTHING, PLAIN, Part, Way
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.deformation import CompensatedPath, TSFuzzyNetwork, compensate_path
 from fuzzycnc_ros.core.deformation.training import equal_rows
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.studies.soft.foam_comparison import TrackCase
 from fuzzycnc_ros.studies.soft.foam_training import (
     Predictor,

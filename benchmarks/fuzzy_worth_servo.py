@@ -24,13 +24,7 @@ from scipy.io import loadmat
 from scipy.optimize import differential_evolution
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.machine import (
-    BallscrewAxis,
-    BallscrewAxisConfig,
-    LatheAxis,
-    LinearAxis,
-    random_moves,
-)
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.servo import (
     AxisController,
     BallscrewController,
@@ -39,19 +33,20 @@ from fuzzycnc_ros.core.servo import (
     FixedUniverseController,
     ObserverNoise,
     PidController,
-    PositioningRun,
     ProfileLimits,
     Reference,
     VariableUniverseController,
     VariableUniverseParams,
     point_to_point,
-    position,
-    position_many,
-    tune,
 )
+from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning
 from fuzzycnc_ros.core.servo.surface import FixedSurface
-from fuzzycnc_ros.core.servo.tuning import BOUNDS, production
+from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+from fuzzycnc_ros.simulation.servo.lathe_axes import random_moves
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.positioning import PositioningRun, position, position_many
+from fuzzycnc_ros.simulation.servo.tuning import BOUNDS, production, tune
 from fuzzycnc_ros.studies.servo.servo_cases import ServoCase, drive_many
 
 SETTLED, LEFT = 'settled to 2 um [s]', 'error after 3 s [um]'

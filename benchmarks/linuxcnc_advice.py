@@ -30,7 +30,7 @@ from fuzzycnc_ros.core.feedrate.job.controller_program import PathMode, program_
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 from fuzzycnc_ros.core.feedrate.program.blocks import Program
 from fuzzycnc_ros.core.feedrate.program.reader import read_program
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.programs.advice import Adviser, advised_program
 from fuzzycnc_ros.studies.programs.advice_mode import program_with_mode

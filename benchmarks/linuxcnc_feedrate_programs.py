@@ -16,13 +16,13 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSch
 from fuzzycnc_ros.components.motion.program_request import program_settings
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.job.program_schedule import schedule_program
+from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.program.reader import read_program
 from fuzzycnc_ros.core.feedrate.program.sampling import sample_path
 from fuzzycnc_ros.core.feedrate.program.segments import Segment
 from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds, write_program
-from fuzzycnc_ros.core.machine.contour import Contour
 
 POINTS = 2000
 """Points of a curve as lines, even in its parameter."""

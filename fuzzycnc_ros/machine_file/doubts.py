@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import LINEAR_AXES, AxisData, MachineData
 
 _FAR = 2.0

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
-from fuzzycnc_ros.core.machine.machine_data import MachineData, loop_of_constant
+from fuzzycnc_ros.core.machine.machine_data import MachineData
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig, loop_of_constant
 
 
 def scheduler_parameters(machine: MachineData) -> dict[str, Any]:

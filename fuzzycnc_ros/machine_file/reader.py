@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, TypeVar
 
 from fuzzycnc_ros.bags.yaml_file import compose, construct
 from fuzzycnc_ros.core.config import Config
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
 from fuzzycnc_ros.core.machine.machine_data import (
     PLANTS,
     AxisData,
@@ -22,6 +21,7 @@ from fuzzycnc_ros.core.machine.machine_data import (
     PathLimits,
     PlantConfig,
 )
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.core.repeated_names import repeated_names
 from fuzzycnc_ros.machine_file.linuxcnc_ini import LinuxcncLimits, read_linuxcnc_ini
 from fuzzycnc_ros.machine_file.units import si_value

@@ -13,8 +13,8 @@ from itertools import combinations
 from typing import Any
 
 from fuzzycnc_ros.core.config import Config
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
 from fuzzycnc_ros.core.machine.machine_data import LINEAR_AXES, PLANTS, AxisLimits, PathLimits
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.machine_file.reader import FAULTS
 from fuzzycnc_ros.machine_file.units import NUMBER, unit_names
 

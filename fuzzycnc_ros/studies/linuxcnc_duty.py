@@ -6,8 +6,8 @@ from dataclasses import replace
 from math import pi
 from typing import Any
 
-from fuzzycnc_ros.core.machine.duties import Duty
 from fuzzycnc_ros.runtime.records import Displacement, ThermalReference
+from fuzzycnc_ros.simulation.thermal.duties import Duty
 from fuzzycnc_ros.studies.shift.shift_log import ShiftLog, offsets_of
 
 RADIUS = 10.0

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.feedrate import LogFuzzyScheduler
-from fuzzycnc_ros.core.machine import LatheAxis
 from fuzzycnc_ros.core.servo import VariableUniverseController, VariableUniverseParams
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.studies.pareto.pareto_path import CURVES, curve_path
 
 BENCHMARKS = Path(__file__).parents[2] / 'benchmarks'

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from rules import for_each
 
-from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal import ThermalRun, evaluate, train_model
 from fuzzycnc_ros.registry import COMPONENTS, MACHINES
 from fuzzycnc_ros.ros.bring_up import LAUNCH_ARGUMENTS
 from fuzzycnc_ros.runtime.component import LATCHED
+from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 ROOT = Path(__file__).parents[2]
 TABLES = runpy.run_path(str(ROOT / 'tools' / 'make_tables.py'))

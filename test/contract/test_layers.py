@@ -18,14 +18,15 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 # Ring -> rings that it may import besides itself.
 RINGS = {
     'core': set(),
+    'simulation': {'core'},
     'runtime': {'core'},
-    'components': {'runtime', 'core'},
+    'components': {'runtime', 'simulation', 'core'},
     'machine_file': {'bags', 'core'},
     'bags': {'registry', 'components', 'runtime', 'core'},
     'ros': {'machine_file', 'bags', 'registry', 'components', 'runtime', 'core'},
     'adapters': {'ros', 'bags', 'components', 'runtime', 'core'},
     'registry': {'adapters', 'components', 'runtime'},
-    'studies': {'machine_file', 'bags', 'registry', 'components', 'runtime', 'core'},
+    'studies': {'machine_file', 'bags', 'registry', 'components', 'runtime', 'simulation', 'core'},
     'nodes': {
         'adapters',
         'ros',
@@ -46,6 +47,7 @@ RINGS = {
         'bags',
         'components',
         'runtime',
+        'simulation',
         'core',
     },
     'start': set(),
@@ -65,6 +67,7 @@ ROS = {
 }
 WITHOUT_ROS = (
     'core',
+    'simulation',
     'runtime',
     'components',
     'registry',
@@ -72,7 +75,7 @@ WITHOUT_ROS = (
     'machine_file',
     'studies',
 )
-PURE = ('core', 'runtime', 'components')
+PURE = ('core', 'simulation', 'runtime', 'components')
 LOADED_ON_USE = {
     'asyncua',
     'cryptography',

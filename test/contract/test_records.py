@@ -13,7 +13,7 @@ import pytest
 from rules import for_each
 
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
-from fuzzycnc_ros.core.machine.offset_input import OffsetStatus
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.runtime import enums as codes
 from fuzzycnc_ros.runtime import host as host_records
 from fuzzycnc_ros.runtime import records

@@ -18,8 +18,6 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSch
 from fuzzycnc_ros.components.soft.stitch_patterns import stitch_pattern
 from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive
-from fuzzycnc_ros.core.machine import FoamTrack
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
 from fuzzycnc_ros.core.text_hash import text_hash
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import LATCHED
@@ -31,6 +29,8 @@ from fuzzycnc_ros.runtime.records import (
     StitchPattern,
     TrajectoryState,
 )
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.soft.pattern import STITCH_BLEND, run_patterns
 from fuzzycnc_ros.studies.soft.pattern_log import PatternLog

@@ -7,11 +7,8 @@ from dataclasses import replace
 import pytest
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.core.machine import (
-    BallscrewAxisConfig,
-    LatheAxisConfig,
-)
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.machine_file.doubts import machine_doubts
 from fuzzycnc_ros.machine_file.feeds import scheduler_parameters, simulated_loop
 from fuzzycnc_ros.machine_file.listing import machine_values
@@ -19,6 +16,7 @@ from fuzzycnc_ros.machine_file.parameters import node_parameters, parameter_text
 from fuzzycnc_ros.machine_file.reader import BUILT_IN, is_machine_file, read_machine_file
 from fuzzycnc_ros.machine_file.units import UNITS, si_value, written
 from fuzzycnc_ros.machine_file.writer import machine_text
+from fuzzycnc_ros.simulation.servo.simulated_axis import simulated_axis
 
 INI = """
 [EMC]
@@ -199,11 +197,11 @@ def test_a_drive_has_to_reach_what_it_is_asked_for(machine):
 
 def test_a_plant_is_simulated_with_changes():
     axis = read_machine_file('lathe').axes['X']
-    assert axis.simulated(direction=-1.0).linear().gain == -0.286
+    assert simulated_axis(axis, direction=-1.0).linear().gain == -0.286
     with pytest.raises(ValueError, match='expected a parameter of the model lags'):
-        axis.simulated(mass=3.0)
+        simulated_axis(axis, mass=3.0)
     with pytest.raises(ValueError, match='limits alone'):
-        read_machine_file('mill').axes['X'].simulated()
+        simulated_axis(read_machine_file('mill').axes['X'])
 
 
 def test_other_yaml_is_no_machine_file(tmp_path):

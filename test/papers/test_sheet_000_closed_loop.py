@@ -17,8 +17,9 @@ from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.core.deformation.relaxation import identify_relaxation
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
-from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack, TrackQuality, true_compensation
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples, true_compensation
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack, TrackQuality
 
 pytestmark = pytest.mark.paper
 

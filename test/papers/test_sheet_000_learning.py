@@ -14,7 +14,7 @@ from fuzzycnc_ros.core.deformation import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.training import equal_rows, grouped_split
 from fuzzycnc_ros.core.fuzzy import GustafsonKessel
 from fuzzycnc_ros.core.fuzzy.gustafson_kessel import class_values
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 
 pytestmark = pytest.mark.paper
 

@@ -5,8 +5,9 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack, true_compensation
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples, true_compensation
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 
 pytestmark = pytest.mark.paper
 

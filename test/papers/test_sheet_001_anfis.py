@@ -10,7 +10,6 @@ never seen.
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal import (
     GreyModel,
     LagRidge,
@@ -19,6 +18,7 @@ from fuzzycnc_ros.core.thermal import (
     select_sensors,
 )
 from fuzzycnc_ros.core.thermal.anfis import Anfis, GreyAnfis
+from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 pytestmark = pytest.mark.paper
 

@@ -5,9 +5,9 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine.duties import DUTIES, record_runs, simulate_duty
-from fuzzycnc_ros.core.machine.mill import MILL_SENSORS
-from fuzzycnc_ros.core.machine.mill_network import NODES, RPM, sensor_weights
+from fuzzycnc_ros.simulation.thermal.duties import DUTIES, record_runs, simulate_duty
+from fuzzycnc_ros.simulation.thermal.mill import MILL_SENSORS
+from fuzzycnc_ros.simulation.thermal.mill_network import NODES, RPM, sensor_weights
 
 pytestmark = pytest.mark.paper
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.fuzzy import FuzzyCMeans
-from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal import (
     GreyModel,
     LagRidge,
@@ -19,6 +18,7 @@ from fuzzycnc_ros.core.thermal import (
     sensor_count_curve,
     train_model,
 )
+from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 TRAINING = ('D0', 'T1', 'D0b')
 SEEDS = range(12)

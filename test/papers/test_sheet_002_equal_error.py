@@ -10,6 +10,7 @@ import pytest
 from scipy.interpolate import BSpline
 from scipy.optimize import brentq
 
+from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
@@ -20,9 +21,8 @@ from fuzzycnc_ros.core.feedrate.schedulers.plain import (
     LookAheadFeed,
 )
 from fuzzycnc_ros.core.feedrate.schedulers.refinement import knob_at_error, refine
-from fuzzycnc_ros.core.machine.contour import Contour
-from fuzzycnc_ros.core.machine.contouring import simulate_contouring
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 
 pytestmark = pytest.mark.paper
 

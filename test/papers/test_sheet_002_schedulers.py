@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
@@ -17,8 +18,7 @@ from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantNormalAcceleration, JerkLimitedFeed
 from fuzzycnc_ros.core.feedrate.schedulers.refinement import knob_at_error
 from fuzzycnc_ros.core.fuzzy.mamdani import MamdaniTable
-from fuzzycnc_ros.core.machine.contour import Contour
-from fuzzycnc_ros.core.machine.contouring import simulate_contouring
+from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 
 pytestmark = pytest.mark.paper
 

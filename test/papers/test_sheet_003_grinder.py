@@ -5,15 +5,15 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine.grinder_network import NODES, SENSORS
-from fuzzycnc_ros.core.machine.grinder_runs import (
+from fuzzycnc_ros.core.thermal import GreyModel, LagRidge, StaticRidge
+from fuzzycnc_ros.simulation.thermal.grinder_network import NODES, SENSORS
+from fuzzycnc_ros.simulation.thermal.grinder_runs import (
     FLUX_CASES,
     GRINDER_EXPERIMENTS,
     record_flux_case,
     record_grinder,
     simulate_grinder,
 )
-from fuzzycnc_ros.core.thermal import GreyModel, LagRidge, StaticRidge
 
 pytestmark = pytest.mark.paper
 

@@ -9,13 +9,13 @@ reading, as the sheet has them.  Single seeds flatter, hence ten.
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine.grinder_runs import record_flux_case, record_grinder
 from fuzzycnc_ros.core.thermal.networks import (
     Arma,
     HybridFilterNetwork,
     LinearNetwork,
     StaticNetwork,
 )
+from fuzzycnc_ros.simulation.thermal.grinder_runs import record_flux_case, record_grinder
 
 SEEDS = range(10)
 FLUX_SEEDS = range(5)

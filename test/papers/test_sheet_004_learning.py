@@ -7,17 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.servo import (
     PidController,
     VariableUniverseController,
     VariableUniverseParams,
     learn_rules,
-    position,
     published_rules,
 )
 from fuzzycnc_ros.core.servo.rule_learning import records_of_run
 from fuzzycnc_ros.core.servo.rule_table import SETS, RuleTableWarning
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.positioning import position
 
 pytestmark = pytest.mark.paper
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from fuzzycnc_ros.core.machine import LatheAxis, LatheAxisConfig
-from fuzzycnc_ros.core.machine.position_sensor import PositionSensor
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.position_sensor import PositionSensor
 
 pytestmark = pytest.mark.paper
 

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.fuzzy.mamdani import memberships
-from fuzzycnc_ros.core.machine.axis_batch import random_moves
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.servo import (
     ProfileLimits,
     StickSlipParams,
     VariableUniverseController,
     VariableUniverseParams,
     point_to_point,
-    position,
-    position_many,
     stability_report,
 )
 from fuzzycnc_ros.core.servo.observer import ObserverDesign
 from fuzzycnc_ros.core.servo.rule_table import CENTRES, RuleTable, published_rules
+from fuzzycnc_ros.simulation.servo.lathe_axes import random_moves
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.positioning import position, position_many
 
 pytestmark = pytest.mark.paper
 

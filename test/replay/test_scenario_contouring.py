@@ -9,9 +9,9 @@ from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
-from fuzzycnc_ros.core.machine.contour import Contour
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.contour.contouring import SETTLE, ContouringError, run_contouring
 from fuzzycnc_ros.studies.contour.contouring_log import ContouringLog
 from fuzzycnc_ros.studies.published_bag import PublishedBag

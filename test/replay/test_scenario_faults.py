@@ -36,11 +36,11 @@ from stepped_shift import (
     with_fault,
 )
 
-from fuzzycnc_ros.core.machine.duties import DUTIES
 from fuzzycnc_ros.core.thermal import load_model, train_model
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.enums import CompensationState, Reason
 from fuzzycnc_ros.runtime.records import Displacement, MachineState
+from fuzzycnc_ros.simulation.thermal.duties import DUTIES
 from fuzzycnc_ros.studies.shift.thermal_shift import run_shift
 
 

@@ -22,8 +22,9 @@ from fuzzycnc_ros.core.deformation import (
 )
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, write_offsets
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
-from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack, true_compensation
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples, true_compensation
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.soft.pattern import TRACK, PatternError, run_patterns
 from fuzzycnc_ros.studies.soft.pattern_log import PatternLog

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack
 from fuzzycnc_ros.runtime.enums import PrimitiveKind
 from fuzzycnc_ros.runtime.records import CompensatedPath, Material, StitchedPath
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 
 SECOND = 10**9

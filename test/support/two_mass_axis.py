@@ -7,7 +7,8 @@ from math import exp, pi, sin, sqrt
 
 import numpy as np
 
-from fuzzycnc_ros.core.machine.axis_plant import AxisPlant, DutyDelay, LinearAxis
+from fuzzycnc_ros.core.servo.axis import LinearAxis
+from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant, DutyDelay
 
 
 @dataclass(frozen=True, kw_only=True)

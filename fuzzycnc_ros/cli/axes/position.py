@@ -3,6 +3,7 @@
 """`fuzzycnc position`: one move of a simulated axis."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -33,9 +34,9 @@ from fuzzycnc_ros.cli.options import MachineFile, Report
 from fuzzycnc_ros.cli.quantities import LENGTHS, SHARES, quantity
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
     from fuzzycnc_ros.core.machine.machine_data import AxisData, PlantConfig
     from fuzzycnc_ros.core.servo import AxisController, Reference
+    from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant
 
 DURATION_MIN, DURATION_MAX = 0.05, 120.0
 """Lengths of a run that are simulated [s]."""
@@ -134,7 +135,8 @@ def position(
         fuzzycnc position --axis ballscrew --to 100mm --friction 2
         fuzzycnc position --machine-file tuned.yaml --axis X --to 100mm --load 10%
     """
-    from fuzzycnc_ros.core.servo import position as moved
+    from fuzzycnc_ros.simulation.servo.positioning import position as moved
+    from fuzzycnc_ros.simulation.servo.simulated_axis import simulated_axis
     from fuzzycnc_ros.studies.servo import positioning_page as shown
 
     known = _known(machine_file, axis)
@@ -171,7 +173,7 @@ def position(
         knobs['noise'] = ('--noise', rms)
     if profile is None:
         profile = axis != 'lathe'
-    plant = made_with(data.simulated, knobs)
+    plant = made_with(partial(simulated_axis, data), knobs)
     with warnings_said():
         chosen = _controller(known, controller, plant, params)
     controller = controller or known.controller
@@ -279,7 +281,7 @@ def _knobs(
     plain: 'PlantConfig', gain: float, friction: float, breakaway: float | None
 ) -> dict[str, tuple[str, Any]]:
     """Return gain and friction as parameters of the axis."""
-    from fuzzycnc_ros.core.machine import LatheAxisConfig
+    from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 
     knobs: dict[str, tuple[str, Any]] = {'gain_factor': ('--gain', gain)}
     if isinstance(plain, LatheAxisConfig):

@@ -193,8 +193,8 @@ def tune(
     axis = axis or AXES[0]
     from fuzzycnc_ros.cli.axes.servo_search import default_cost, swinging
     from fuzzycnc_ros.cli.axes.servo_settings import write_settings
-    from fuzzycnc_ros.core.servo.tuning import BOUNDS, production
-    from fuzzycnc_ros.core.servo.tuning import tune as searched
+    from fuzzycnc_ros.simulation.servo.tuning import BOUNDS, production
+    from fuzzycnc_ros.simulation.servo.tuning import tune as searched
     from fuzzycnc_ros.studies.servo.positioning_rules import tuning_table
 
     check_axis(axis)

@@ -18,8 +18,8 @@ from fuzzycnc_ros.cli.quantities import quantity
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.axes.servo_settings import ServoSettings
-    from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
     from fuzzycnc_ros.core.servo import AxisController
+    from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant
 
 AXES = ('lathe', 'ballscrew')
 """Simulated axes."""
@@ -89,12 +89,9 @@ def make_axis(axis: str, knobs: Mapping[str, tuple[str, Any]]) -> AxisPlant:
     ValueError
         If a value is out of its bounds; the message names the option.
     """
-    from fuzzycnc_ros.core.machine import (
-        BallscrewAxis,
-        BallscrewAxisConfig,
-        LatheAxis,
-        LatheAxisConfig,
-    )
+    from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
+    from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+    from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 
     if axis == 'lathe':
         return made_with(lambda **values: LatheAxis(LatheAxisConfig(**values)), knobs)
@@ -140,7 +137,7 @@ def make_controller(
         )
     if settings is None:
         if axis == 'ballscrew':
-            from fuzzycnc_ros.core.machine import BallscrewAxisConfig
+            from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
             from fuzzycnc_ros.core.servo import BallscrewController
 
             direction = 1.0 if plant.linear().gain > 0.0 else -1.0

@@ -13,8 +13,8 @@ from fuzzycnc_ros.cli.console import progress_bar, remark, say, show, write_json
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.workers import Progress
     from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
-    from fuzzycnc_ros.core.servo.axis_tuning import TunedController
     from fuzzycnc_ros.core.servo.controller import AxisController
+    from fuzzycnc_ros.simulation.servo.axis_tuning import TunedController
 
 
 @dataclass(frozen=True)
@@ -153,8 +153,8 @@ def tune_machine_axis(
     """Tune all controllers of an axis, and write the machine file with the one that suits it."""
     from fuzzycnc_ros.cli.workers import in_workers
     from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS
-    from fuzzycnc_ros.core.servo.axis_tuning import AxisTuning, axis_cases
     from fuzzycnc_ros.machine_file.writer import machine_text
+    from fuzzycnc_ros.simulation.servo.axis_tuning import AxisTuning, axis_cases
     from fuzzycnc_ros.studies.servo.axis_tuning_tables import (
         axis_tuning_document,
         axis_tuning_remarks,
@@ -185,7 +185,7 @@ def tune_machine_axis(
 def compare_machine_axis(file: str, axis: str, seed: int, json_file: Path | None) -> None:
     """Put all controllers on the same cases of an axis, with its settings or untuned."""
     from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS
-    from fuzzycnc_ros.core.servo.axis_tuning import AxisTuning, axis_cases, judged_controller
+    from fuzzycnc_ros.simulation.servo.axis_tuning import AxisTuning, axis_cases, judged_controller
     from fuzzycnc_ros.studies.servo.axis_tuning_tables import (
         axis_tuning_document,
         axis_tuning_remarks,
@@ -209,7 +209,7 @@ def compare_machine_axis(file: str, axis: str, seed: int, json_file: Path | None
 
 
 def _tuned(piece: Any, progress: Progress) -> TunedController:
-    from fuzzycnc_ros.core.servo.axis_tuning import tune_controller
+    from fuzzycnc_ros.simulation.servo.axis_tuning import tune_controller
 
     data, kind, effort = piece
     return tune_controller(

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from fuzzycnc_ros.cli.console import write_text
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
     from fuzzycnc_ros.core.servo import AxisController, RuleTable, VariableUniverseParams
+    from fuzzycnc_ros.core.servo.axis import LinearAxis
 
 NUMBERS = (
     'error_range',

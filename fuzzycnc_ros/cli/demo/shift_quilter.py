@@ -19,7 +19,7 @@ compared with in one process."""
 def trained_foam(seed: int) -> str:
     """Return the text of a foam model, trained on 265 samples of sheets that scatter."""
     from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
-    from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+    from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 
     return write_model(TSFuzzyNetwork().fit(*foam_samples(FOAM_SEED + seed)).model_)
 

@@ -16,7 +16,7 @@ import typer
 if TYPE_CHECKING:
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
     from fuzzycnc_ros.core.config import Config
-    from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+    from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 
     SomeConfig = TypeVar('SomeConfig', bound=Config)
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from fuzzycnc_ros.components.servo.setpoints import trajectory_part
 from fuzzycnc_ros.core.config import Config
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringAxes, ContouringConfig
-from fuzzycnc_ros.core.machine.path_error import PathError
-from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInput, TrajectoryInputConfig
+from fuzzycnc_ros.core.feedrate.path.path_error import PathError
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInput, TrajectoryInputConfig
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
 from fuzzycnc_ros.runtime.enums import TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
@@ -27,6 +27,7 @@ from fuzzycnc_ros.runtime.records import (
     TrajectoryState,
     nanoseconds,
 )
+from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes
 
 MOTION_AXES = ('X', 'Y', 'Z')
 """Axes of the machine that move along paths."""

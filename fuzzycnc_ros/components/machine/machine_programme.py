@@ -12,7 +12,7 @@ from fuzzycnc_ros.components.machine.simulated_machine_config import (
     MACHINE_DUTIES,
     SimulatedMachineConfig,
 )
-from fuzzycnc_ros.core.machine.foam_sheet import FoamSheet
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.components.machine.pattern_programme import PatternProgramme

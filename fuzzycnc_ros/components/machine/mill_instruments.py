@@ -7,11 +7,16 @@ from typing import Protocol
 
 import numpy as np
 
-from fuzzycnc_ros.core.machine.duties import Duty
-from fuzzycnc_ros.core.machine.mill import DISPLACEMENT_NOISE, MILL_AXES, MILL_SENSORS, ThermalMill
-from fuzzycnc_ros.core.machine.sensor_faults import parse_sensor_fault
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.records import Displacement, Floats, Temperatures, nanoseconds
+from fuzzycnc_ros.simulation.thermal.duties import Duty
+from fuzzycnc_ros.simulation.thermal.mill import (
+    DISPLACEMENT_NOISE,
+    MILL_AXES,
+    MILL_SENSORS,
+    ThermalMill,
+)
+from fuzzycnc_ros.simulation.thermal.sensor_faults import parse_sensor_fault
 
 RUN_SEED_STEP = 1000
 """What the seed goes up by from one duty to the next."""

@@ -12,16 +12,16 @@ import numpy as np
 from fuzzycnc_ros.components.machine.path_programme import Programme
 from fuzzycnc_ros.components.soft.stitch_patterns import stitch_pattern
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, Primitive
-from fuzzycnc_ros.core.machine.foam_samples import (
+from fuzzycnc_ros.runtime.component import Emission
+from fuzzycnc_ros.runtime.records import Material, nanoseconds
+from fuzzycnc_ros.simulation.soft.foam_samples import (
     ARC_LENGTH,
     ARC_RADIUS,
     LINE_LENGTH,
     foam_samples,
 )
-from fuzzycnc_ros.core.machine.foam_sheet import FoamSheet
-from fuzzycnc_ros.core.machine.foam_tracks import FoamTrack
-from fuzzycnc_ros.runtime.component import Emission
-from fuzzycnc_ros.runtime.records import Material, nanoseconds
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 
 TRACK, CALIBRATION = 'parallelogram', 'calibration'
 CLAMPING = 0.5

@@ -4,8 +4,9 @@
 
 from collections.abc import Mapping, Sequence
 
-from fuzzycnc_ros.core.machine.axis_plant import AxisPlant, velocity_lag
+from fuzzycnc_ros.core.servo.axis import velocity_lag
 from fuzzycnc_ros.runtime.records import AxisCommand
+from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant
 
 
 class ServoDrives:

@@ -20,7 +20,6 @@ from fuzzycnc_ros.components.machine.simulated_machine_config import (
     SimulatedMachineConfig,
 )
 from fuzzycnc_ros.core.config import Config, param
-from fuzzycnc_ros.core.machine.mill import MILL_AXES
 from fuzzycnc_ros.runtime.component import Component, Emission, Health, Input, Level, Output
 from fuzzycnc_ros.runtime.records import (
     CompensationApplied,
@@ -30,6 +29,7 @@ from fuzzycnc_ros.runtime.records import (
     Temperatures,
     nanoseconds,
 )
+from fuzzycnc_ros.simulation.thermal.mill import MILL_AXES
 
 OFFSET_MAX = 1e-3
 """Offset beyond which a read-back means nothing [m]."""

@@ -27,7 +27,6 @@ from fuzzycnc_ros.components.machine.simulated_machine_config import (
 )
 from fuzzycnc_ros.components.machine.simulated_machine_warmth import Warmth
 from fuzzycnc_ros.components.machine.stitching import Stitching
-from fuzzycnc_ros.core.machine.duties import Duty, DutyBlock
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     REQUEST,
@@ -59,6 +58,7 @@ from fuzzycnc_ros.runtime.records import (
     TrajectoryState,
     nanoseconds,
 )
+from fuzzycnc_ros.simulation.thermal.duties import Duty, DutyBlock
 
 __all__ = ['DAY', 'DAY_START', 'WAIT', 'SimulatedMachine', 'SimulatedMachineConfig']
 

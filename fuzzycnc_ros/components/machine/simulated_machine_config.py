@@ -8,8 +8,8 @@ from types import MappingProxyType
 
 from fuzzycnc_ros.components.machine.contouring_motion import axis_param
 from fuzzycnc_ros.core.config import Config, param
-from fuzzycnc_ros.core.machine.duties import DUTIES, Duty, DutyBlock
-from fuzzycnc_ros.core.machine.mill_network import RPM
+from fuzzycnc_ros.simulation.thermal.duties import DUTIES, Duty, DutyBlock
+from fuzzycnc_ros.simulation.thermal.mill_network import RPM
 
 WHOLE_SHIFT = Duty(
     'shift',

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 from fuzzycnc_ros.components.machine.mill_instruments import MillInstruments
 from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
-from fuzzycnc_ros.core.machine.duties import Duty
-from fuzzycnc_ros.core.machine.mill import MILL_AXES
-from fuzzycnc_ros.core.machine.offset_input import OffsetInput, OffsetInputConfig
+from fuzzycnc_ros.core.inputs.offset_input import OffsetInput, OffsetInputConfig
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
 from fuzzycnc_ros.runtime.records import Compensation, CompensationApplied
+from fuzzycnc_ros.simulation.thermal.duties import Duty
+from fuzzycnc_ros.simulation.thermal.mill import MILL_AXES
 
 
 class Warmth:

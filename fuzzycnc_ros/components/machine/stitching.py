@@ -12,7 +12,6 @@ from typing import Protocol
 import numpy as np
 
 from fuzzycnc_ros.components.soft.compensated_paths import check_compensated
-from fuzzycnc_ros.core.machine.foam_sheet import FoamSheet, FoamStitching
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
 from fuzzycnc_ros.runtime.records import (
     SECOND,
@@ -21,6 +20,7 @@ from fuzzycnc_ros.runtime.records import (
     Material,
     StitchedPath,
 )
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet, FoamStitching
 
 REACH = 0.5
 """Share of the way from one point to the next within which the tool comes by the next."""

@@ -13,9 +13,9 @@ from fuzzycnc_ros.components.servo.servo_axes import (
 )
 from fuzzycnc_ros.components.servo.servo_plausibility import MotionDoubt
 from fuzzycnc_ros.core.config import Config, param
-from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxisConfig
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInputConfig
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
-from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInputConfig
 from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, make_axis_controller
 from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
 from fuzzycnc_ros.core.servo.controller import AxisController

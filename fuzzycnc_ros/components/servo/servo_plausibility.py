@@ -13,7 +13,7 @@ from math import exp, inf, sqrt
 
 import numpy as np
 
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis, velocity_lag
+from fuzzycnc_ros.core.servo.axis import LinearAxis, velocity_lag
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 
 WINDOW = 5

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fuzzycnc_ros.core.machine.trajectory_input import (
+from fuzzycnc_ros.core.inputs.trajectory_input import (
     TrajectoryInput,
     TrajectoryInputConfig,
     TrajectoryPart,

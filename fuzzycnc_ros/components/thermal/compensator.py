@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.core.config import Config, param
-from fuzzycnc_ros.core.machine.offset_input import EPOCH_STEP
+from fuzzycnc_ros.core.inputs.offset_input import EPOCH_STEP
 from fuzzycnc_ros.runtime.component import (
     REQUEST,
     Answer,

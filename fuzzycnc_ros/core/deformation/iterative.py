@@ -56,7 +56,8 @@ def learn_offsets(
     --------
     Three cycles on the test track of method sheet 000, a recorded run each:
 
-    >>> from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack
+    >>> from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+    >>> from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
     >>> track, rng = FoamTrack.parallelogram(np.pi / 4), np.random.default_rng(0)
     >>> path, errors = CompensatedPath.unchanged(track.points), []
     >>> for cycle in range(4):

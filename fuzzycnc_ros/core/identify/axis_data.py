@@ -12,7 +12,7 @@ import numpy as np
 
 from fuzzycnc_ros.core.identify.axis_fit import AxisFit, AxisRecording, told
 from fuzzycnc_ros.core.identify.frequency import FrequencyResponse
-from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 
 _ROOM = 1.1

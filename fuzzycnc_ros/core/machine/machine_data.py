@@ -5,17 +5,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from itertools import combinations
-from math import sqrt
 from types import MappingProxyType
-from typing import Any
 
 from fuzzycnc_ros.core.config import Config, param
-from fuzzycnc_ros.core.machine.axis_plant import AxisPlant
-from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxis, BallscrewAxisConfig
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 
 PlantConfig = LatheAxisConfig | BallscrewAxisConfig
 """Model of a driven axis: lags in a row, or a mass with friction."""
@@ -137,33 +133,20 @@ class AxisData:
         """Name of the plant's model, of `PLANTS`; empty where there is none."""
         return next((name for name, kind in PLANTS.items() if type(self.plant) is kind), '')
 
-    def simulated(self, **changes: Any) -> AxisPlant:
-        """Return the axis as a simulated plant.
-
-        Parameters
-        ----------
-        **changes
-            What differs from the plant's parameters, faults among them: `load=0.1`.
+    def known_plant(self) -> PlantConfig:
+        """Return the plant's model.
 
         Raises
         ------
         ValueError
-            If the machine data have no plant, or a change is unknown or out of its bounds.
+            If only the limits of the axis are known.
         """
         if self.plant is None:
             raise ValueError(
                 'plant: expected a model of the axis but found its limits alone; '
                 '`fuzzycnc machine identify` finds one from a recording'
             )
-        known = {item.name for item in fields(self.plant)}
-        for name in changes:
-            if name not in known:
-                raise ValueError(
-                    f'{name}: expected a parameter of the model {self.model}: '
-                    f'{", ".join(sorted(known))}'
-                )
-        plant = replace(self.plant, **changes)
-        return LatheAxis(plant) if isinstance(plant, LatheAxisConfig) else BallscrewAxis(plant)
+        return self.plant
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,46 +228,3 @@ class MachineData:
         ]
         x, y, z = (found.get(axis, min(given)) for axis in LINEAR_AXES)
         return x, y, z
-
-
-def loop_of_constant(constant: float, nominal: ContouringConfig | None = None) -> ContouringConfig:
-    """Return a loop with a contour constant, slower or faster throughout than the nominal one.
-
-    Parameters
-    ----------
-    constant : float
-        Contour error over normal acceleration, C [s^2]; positive.
-    nominal : ContouringConfig, optional
-        Loop whose ratio of gains is kept; the interpolator's filter stays as it is.
-
-    Returns
-    -------
-    ContouringConfig
-        With `contour_constant` equal to C.
-
-    Raises
-    ------
-    ValueError
-        If the interpolator's filter alone leaves more than that.
-
-    Examples
-    --------
-    >>> f'{loop_of_constant(1e-4).contour_constant:.6e}'
-    '1.000000e-04'
-    """
-    base = nominal or ContouringConfig()
-    window = base.filter_samples * base.interpolation_period
-    loops = constant - window**2 / 24.0
-    if not loops > 0.0:
-        raise ValueError(
-            f'contour_constant: expected more than {window**2 / 24.0:.3g} s^2, which the '
-            f'interpolator alone leaves, but found {constant:g} s^2'
-        )
-    factor = sqrt((base.contour_constant - window**2 / 24.0) / loops)
-    fast = max(1, round(base.control_steps * factor))
-    return replace(
-        base,
-        position_gain=base.position_gain * factor,
-        velocity_bandwidth=base.velocity_bandwidth * factor,
-        control_steps=fast,
-    )

@@ -21,12 +21,6 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
     from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise
     from fuzzycnc_ros.core.servo.params import VariableUniverseParams
-    from fuzzycnc_ros.core.servo.positioning import (
-        PositioningBatch,
-        PositioningRun,
-        position,
-        position_many,
-    )
     from fuzzycnc_ros.core.servo.profile import (
         Profile,
         ProfileLimits,
@@ -37,7 +31,6 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.servo.rule_table import RuleTable, published_rules, rules_with_zero
     from fuzzycnc_ros.core.servo.stability import StabilityReport, stability_report
     from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
-    from fuzzycnc_ros.core.servo.tuning import TuningResult, tune
     from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 
 __all__ = [
@@ -52,26 +45,20 @@ __all__ = [
     'LearnedRules',
     'ObserverNoise',
     'PidController',
-    'PositioningBatch',
-    'PositioningRun',
     'Profile',
     'ProfileLimits',
     'Reference',
     'RuleTable',
     'StabilityReport',
     'StickSlipParams',
-    'TuningResult',
     'VariableUniverseController',
     'VariableUniverseParams',
     'learn_rules',
     'make_controller',
     'point_to_point',
-    'position',
-    'position_many',
     'published_rules',
     'rules_with_zero',
     'stability_report',
-    'tune',
 ]
 
 _MODULES = {
@@ -82,13 +69,11 @@ _MODULES = {
     'feedback_watch': ('FeedbackLimits',),
     'observer': ('DisturbanceObserver', 'ObserverNoise'),
     'params': ('VariableUniverseParams',),
-    'positioning': ('PositioningBatch', 'PositioningRun', 'position', 'position_many'),
     'profile': ('Profile', 'ProfileLimits', 'Reference', 'point_to_point'),
     'rule_learning': ('LearnedRules', 'learn_rules'),
     'rule_table': ('RuleTable', 'published_rules', 'rules_with_zero'),
     'stability': ('StabilityReport', 'stability_report'),
     'stick_slip': ('StickSlipParams',),
-    'tuning': ('TuningResult', 'tune'),
     'variable_universe': ('VariableUniverseController',),
 }
 

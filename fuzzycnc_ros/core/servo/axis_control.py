@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis, response_lag, velocity_lag
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
+from fuzzycnc_ros.core.servo.axis import LinearAxis, response_lag, velocity_lag
 from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
@@ -294,18 +294,18 @@ DEFAULT = 'pid'
 
 def _common(data: AxisData) -> tuple[LinearAxis, dict[str, Any]]:
     """Return the nominal model, and what all controllers are told alike."""
-    axis = data.simulated().linear()
-    assert data.plant is not None
+    plant = data.known_plant()
+    axis = plant.linear()
     limits = FeedbackLimits.of(
         axis,
-        count=data.plant.count,
-        noise=data.plant.noise,
+        count=plant.count,
+        noise=plant.noise,
         travel=data.limits.travel_high - data.limits.travel_low,
         load=min(max(data.limits.load + data.limits.friction, 0.2), 1.0),
     )
     # An encoder at the motor sees it swing against its load, with its own mass alone.
     limits = replace(limits, acceleration_max=_ELASTIC * limits.acceleration_max)
-    return axis, {'duty_max': data.plant.duty_max, 'limits': limits}
+    return axis, {'duty_max': plant.duty_max, 'limits': limits}
 
 
 def _bandwidths(
@@ -329,8 +329,7 @@ def _damping(axis: LinearAxis, bandwidth: float, settings: Mapping[str, float]) 
 
 def _friction(data: AxisData) -> tuple[float, float]:
     """Return what friction takes in positive and negative motion [-], as duty."""
-    plant = data.plant
-    assert plant is not None
+    plant = data.known_plant()
     if isinstance(plant, LatheAxisConfig):
         return plant.coulomb, plant.coulomb
     full = plant.force_max
@@ -345,10 +344,10 @@ def _reference_friction(data: AxisData, axis: LinearAxis) -> ReferenceFriction:
 
 def _reading_error(data: AxisData) -> float:
     """Return the RMS of a reading's error [m]."""
-    assert data.plant is not None
-    return sqrt(data.plant.count**2 / 12.0 + data.plant.noise**2) or 1e-8
+    plant = data.known_plant()
+    return sqrt(plant.count**2 / 12.0 + plant.noise**2) or 1e-8
 
 
 def _relief(data: AxisData) -> StickSlipParams:
-    assert data.plant is not None
-    return StickSlipParams.for_sensor(data.plant.count, data.plant.noise)
+    plant = data.known_plant()
+    return StickSlipParams.for_sensor(plant.count, plant.noise)

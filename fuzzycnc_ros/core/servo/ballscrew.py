@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxis, BallscrewAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.friction import FrictionFedController
 from fuzzycnc_ros.core.servo.observer import ObserverNoise
@@ -52,6 +52,7 @@ class BallscrewController(FrictionFedController):
 
     Examples
     --------
+    >>> from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
     >>> axis, controller = BallscrewAxis(), BallscrewController()
     >>> for step in range(1500):
     ...     axis.drive(controller.step(min(1e-4 * step, 0.1), axis.measure()))
@@ -72,7 +73,7 @@ class BallscrewController(FrictionFedController):
         known = config or BallscrewAxisConfig()
         if not 0.0 <= friction <= 1.0:
             raise ValueError(f'friction: expected 0 to 1 but found {friction}')
-        axis = BallscrewAxis(known).linear()
+        axis = known.linear()
         coulomb = 0.5 * friction * (known.coulomb_forward + known.coulomb_backward)
         super().__init__(
             axis,

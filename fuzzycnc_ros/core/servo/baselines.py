@@ -13,7 +13,7 @@ from __future__ import annotations
 from math import isfinite
 from typing import Any
 
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
 from fuzzycnc_ros.core.servo.filtered_rate import STILL, FilteredRate, Integrator
 from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import inf, isfinite, nan
 
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits, FeedbackWatch
 
 

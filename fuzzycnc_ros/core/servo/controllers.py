@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.baselines import (
     CascadeController,
     FixedUniverseController,

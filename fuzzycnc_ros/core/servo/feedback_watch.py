@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import gcd, inf, isfinite
 
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis, response_lag, velocity_lag
+from fuzzycnc_ros.core.servo.axis import LinearAxis, response_lag, velocity_lag
 
 _INCREMENTS = 32
 """Changes of the reading after which their common divisor is judged."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 
 _MOVING = 1e-3

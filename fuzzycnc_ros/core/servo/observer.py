@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis, velocity_lag
+from fuzzycnc_ros.core.servo.axis import LinearAxis, velocity_lag
 from fuzzycnc_ros.core.servo.predictor import predictor
 
 

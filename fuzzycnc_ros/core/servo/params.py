@@ -10,7 +10,7 @@ from math import isfinite
 
 import numpy as np
 
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis, response_lag, velocity_lag
+from fuzzycnc_ros.core.servo.axis import LinearAxis, response_lag, velocity_lag
 from fuzzycnc_ros.core.servo.rule_table import RuleTable, published_rules
 
 _DAMPING = 1.32

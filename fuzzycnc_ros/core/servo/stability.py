@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.params import ultimate_gain
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 

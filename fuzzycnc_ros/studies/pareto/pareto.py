@@ -23,8 +23,8 @@ from fuzzycnc_ros.core.feedrate.schedulers.refinement import (
     knob_at_error,
     refine,
 )
-from fuzzycnc_ros.core.machine.contouring import ContouringRun, simulate_contouring
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.motion.contouring import ContouringRun, simulate_contouring
 from fuzzycnc_ros.studies.pareto.pareto_model import MethodCurve, Pareto, ParetoPoint
 from fuzzycnc_ros.studies.pareto.pareto_path import ParetoPath
 

@@ -26,7 +26,7 @@ from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 from fuzzycnc_ros.core.feedrate.program.blocks import Program
 from fuzzycnc_ros.core.feedrate.program.reader import read_program
 from fuzzycnc_ros.core.feedrate.program.writer import write_program
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.programs.advice_mode import program_with_mode
 from fuzzycnc_ros.studies.programs.advice_refine import cuts_near_errors, refine
 from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath

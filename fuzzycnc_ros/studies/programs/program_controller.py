@@ -17,7 +17,7 @@ from fuzzycnc_ros.core.feedrate.job.controller_program import (
 from fuzzycnc_ros.core.feedrate.job.settings import AXES, ProgramSettings
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 from fuzzycnc_ros.core.feedrate.program.blocks import Block
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
 
 LONGEST = 600.0

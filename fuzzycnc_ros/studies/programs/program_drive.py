@@ -23,13 +23,14 @@ from fuzzycnc_ros.core.feedrate.job.program_schedule import (
     schedule_program,
 )
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.path.contour import Contour
+from fuzzycnc_ros.core.feedrate.path.path_error import WINDOW_LENGTH, WINDOW_TIME
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.program.blocks import Program
 from fuzzycnc_ros.core.feedrate.reference.nodes import own_curvature
 from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed
-from fuzzycnc_ros.core.machine.contour import Contour
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringAxes, ContouringConfig
-from fuzzycnc_ros.core.machine.path_error import WINDOW_LENGTH, WINDOW_TIME
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes
 
 METHODS = tuple(
     {item.name: item for item in fields(FeedrateSchedulerConfig)}['method'].metadata['choices']

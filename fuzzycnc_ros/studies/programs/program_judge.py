@@ -15,9 +15,10 @@ from fuzzycnc_ros.core.feedrate.job.controller_program import ProgramMoves, simu
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 from fuzzycnc_ros.core.feedrate.motion.controller_motion import Commanded
 from fuzzycnc_ros.core.feedrate.motion.controller_moves import Moves
-from fuzzycnc_ros.core.machine.contour import Contour
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringAxes, ContouringConfig
-from fuzzycnc_ros.core.machine.path_error import WINDOW_TIME
+from fuzzycnc_ros.core.feedrate.path.contour import Contour
+from fuzzycnc_ros.core.feedrate.path.path_error import WINDOW_TIME
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes
 
 CORNER = np.radians(20.0)
 """Turn between two moves from which they meet at a corner [rad]."""

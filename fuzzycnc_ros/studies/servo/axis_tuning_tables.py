@@ -12,7 +12,7 @@ from fuzzycnc_ros.studies.page.remark import Remark
 from fuzzycnc_ros.studies.page.table import Column, Table
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.servo.axis_tuning import AxisTuning, TunedController
+    from fuzzycnc_ros.simulation.servo.axis_tuning import AxisTuning, TunedController
 
 LABELS = {
     'pid': 'PID with feedforward',

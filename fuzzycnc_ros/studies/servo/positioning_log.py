@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.servo.positioning import settle_times
 from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
@@ -18,6 +17,7 @@ from fuzzycnc_ros.runtime.records import (
     PositionCommand,
     ServoState,
 )
+from fuzzycnc_ros.simulation.servo.positioning import settle_times
 from fuzzycnc_ros.studies.record_log import RecordLog
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.servo.positioning import PositioningRun
+    from fuzzycnc_ros.simulation.servo.positioning import PositioningRun
 
 LABELS = {
     'variable_universe_paper': 'as published',

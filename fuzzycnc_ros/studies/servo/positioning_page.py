@@ -14,7 +14,7 @@ from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.servo.positioning_model import LABELS
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.servo.positioning import PositioningRun
+    from fuzzycnc_ros.simulation.servo.positioning import PositioningRun
 
 TOLERANCE = 2e-6
 """Distance to the target within which an axis is settled [m]."""

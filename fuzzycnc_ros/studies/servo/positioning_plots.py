@@ -27,7 +27,7 @@ from fuzzycnc_ros.studies.servo.positioning_model import DEFAULT, LABELS
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.arrays import Array
-    from fuzzycnc_ros.core.servo.positioning import PositioningRun
+    from fuzzycnc_ros.simulation.servo.positioning import PositioningRun
 
 BAND = 2.0
 """Error within which an axis is settled [um]; the scale is linear there."""

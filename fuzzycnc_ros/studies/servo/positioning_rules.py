@@ -15,7 +15,8 @@ from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.servo.positioning_page import microns
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.servo import LearnedRules, StabilityReport, TuningResult
+    from fuzzycnc_ros.core.servo import LearnedRules, StabilityReport
+    from fuzzycnc_ros.simulation.servo.tuning import TuningResult
 
 MARKS = {'data': '', 'mirrored': '*', 'filled': '~'}
 """What stands behind a consequent, by where it is from."""

@@ -11,19 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.core.machine.axis_batch import LatheAxes, random_moves
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
-from fuzzycnc_ros.core.servo import (
-    CONTROLLERS,
-    AxisController,
-    PositioningRun,
-    Reference,
-    point_to_point,
-    position,
-    position_many,
-)
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
+from fuzzycnc_ros.core.servo import CONTROLLERS, AxisController, Reference, point_to_point
+from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.profile import step_reference
+from fuzzycnc_ros.simulation.servo.lathe_axes import LatheAxes, random_moves
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.positioning import PositioningRun, position, position_many
 from fuzzycnc_ros.studies.servo.positioning_model import (
     LABELS,
     ControllerFigures,

@@ -21,8 +21,9 @@ from fuzzycnc_ros.core.deformation import (
     compensate_path,
     learn_offsets,
 )
-from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack, TrackQuality
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack, TrackQuality
 from fuzzycnc_ros.studies.soft.foam_model import (
     NONE,
     NTS,

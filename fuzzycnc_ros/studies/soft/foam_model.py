@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.arrays import Array
-    from fuzzycnc_ros.core.machine import TrackQuality
+    from fuzzycnc_ros.simulation.soft.foam_tracks import TrackQuality
 
 NONE, STS, NTS, PUBLISHED = 'none', 'sts', 'nts', 'published'
 

@@ -18,7 +18,7 @@ from fuzzycnc_ros.studies.soft.foam_model import METHODS, NONE, NTS, PUBLISHED_M
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from fuzzycnc_ros.core.machine import TrackQuality
+    from fuzzycnc_ros.simulation.soft.foam_tracks import TrackQuality
     from fuzzycnc_ros.studies.soft.foam_model import FoamComparison, FoamTraining, TrackFigures
 
 _STARTS = {NONE: 'from nothing', NTS: 'from the model (NTS)'}

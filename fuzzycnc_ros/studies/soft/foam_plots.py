@@ -23,7 +23,7 @@ from fuzzycnc_ros.studies.page.drawing import (
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.arrays import Array
-    from fuzzycnc_ros.core.machine import TrackQuality
+    from fuzzycnc_ros.simulation.soft.foam_tracks import TrackQuality
 
 
 def plot_tracks(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Any:

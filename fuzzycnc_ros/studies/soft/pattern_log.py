@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.components.machine.pattern_programme import track_of
-from fuzzycnc_ros.core.machine import FoamSheet, TrackQuality
 from fuzzycnc_ros.runtime.records import CompensatedPath, Material, StitchedPath
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+from fuzzycnc_ros.simulation.soft.foam_tracks import TrackQuality
 from fuzzycnc_ros.studies.record_log import RecordLog
 
 Floats = NDArray[np.float64]

@@ -17,7 +17,7 @@ from fuzzycnc_ros.studies.soft.foam_plots import plot_deviation, plot_tracks
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.arrays import Array
-    from fuzzycnc_ros.core.machine import TrackQuality
+    from fuzzycnc_ros.simulation.soft.foam_tracks import TrackQuality
 
 
 class Stitched(Protocol):

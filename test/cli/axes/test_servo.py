@@ -13,13 +13,12 @@ from fuzzycnc_ros.cli.axes.servo_bag import read_bag
 from fuzzycnc_ros.cli.axes.servo_search import swinging
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.servo import (
     PidController,
     VariableUniverseController,
     VariableUniverseParams,
     point_to_point,
-    position,
 )
 from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.records import (
@@ -27,6 +26,8 @@ from fuzzycnc_ros.runtime.records import (
     AxisState,
     ServoState,
 )
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.positioning import position
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.servo.positioning import run_positioning
 

@@ -12,8 +12,9 @@ from fuzzycnc_ros.cli.foam.command import COMMANDS
 from fuzzycnc_ros.cli.foam.samples import COLUMNS
 from fuzzycnc_ros.core.deformation import read_model
 from fuzzycnc_ros.core.deformation.offset_file import read_offsets
-from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 
 TRACK = FoamTrack.parallelogram(np.radians(45.0))
 

@@ -16,8 +16,9 @@ from fuzzycnc_ros.core.deformation import (
     write_model,
 )
 from fuzzycnc_ros.core.feedrate.program.reader import read_program
-from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 
 TRACK = FoamTrack.parallelogram(np.radians(45.0))
 CORNERS = 1e3 * TRACK.points[list(TRACK.corners)]

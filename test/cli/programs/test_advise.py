@@ -13,7 +13,7 @@ from fuzzycnc_ros.core.feedrate.job.split_program import check_same_path
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 from fuzzycnc_ros.core.feedrate.program.reader import read_program
 from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.programs.program_judge import ProgramPath
 
 PART = """(part)

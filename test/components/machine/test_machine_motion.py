@@ -17,16 +17,16 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachineConfig,
 )
 from fuzzycnc_ros.core.feedrate import ConstantNormalAcceleration, SampledPath
+from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import SHEET_SCALES, butterfly
-from fuzzycnc_ros.core.machine.contour import Contour
-from fuzzycnc_ros.core.machine.contouring import (
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
+from fuzzycnc_ros.runtime.records import SECOND, nanoseconds
+from fuzzycnc_ros.simulation.motion.contouring import (
     controller_feed,
     simulate_contouring,
     travel,
 )
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
-from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
-from fuzzycnc_ros.runtime.records import SECOND, nanoseconds
 
 STEP = round(PERIOD * SECOND)
 START = nanoseconds(DAY_START)

@@ -16,13 +16,13 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     ServoControllerConfig,
     make_controllers,
 )
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis
 from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisCommand,
     nanoseconds,
 )
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 
 PERIOD = 1_000_000
 START = nanoseconds(DAY_START)

@@ -21,8 +21,6 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
 )
 from fuzzycnc_ros.components.machine.stitching import Stitching
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, StitchPath
-from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack, true_compensation
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
@@ -31,6 +29,9 @@ from fuzzycnc_ros.runtime.records import (
     CompensatedPath,
     nanoseconds,
 )
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples, true_compensation
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 
 SHEET = FoamSheet(15e-3, (0.15, 0.1))
 PERIOD = nanoseconds(1e-3)

@@ -14,8 +14,8 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
 )
-from fuzzycnc_ros.core.machine.duties import DUTIES
-from fuzzycnc_ros.core.machine.mill import MILL_AXES
+from fuzzycnc_ros.simulation.thermal.duties import DUTIES
+from fuzzycnc_ros.simulation.thermal.mill import MILL_AXES
 
 MICRON = 1e-6
 SPEED = DUTIES['T2'].spindle_speed(0.0)

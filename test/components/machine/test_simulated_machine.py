@@ -11,8 +11,6 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
 )
-from fuzzycnc_ros.core.machine.duties import DUTIES, simulate_duty
-from fuzzycnc_ros.core.machine.mill import MILL_AXES, MILL_SENSORS
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.records import (
@@ -20,6 +18,8 @@ from fuzzycnc_ros.runtime.records import (
     Compensation,
     nanoseconds,
 )
+from fuzzycnc_ros.simulation.thermal.duties import DUTIES, simulate_duty
+from fuzzycnc_ros.simulation.thermal.mill import MILL_AXES, MILL_SENSORS
 
 MICRON = 1e-6
 

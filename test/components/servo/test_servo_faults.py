@@ -9,10 +9,11 @@ from benches.servo_bench import PERIOD, START, Axis
 
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.servo.servo_controller import ServoController
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.servo.controllers import FOR_USE
 from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.records import SECOND, AxisCommand, AxisState, MachineState
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.studies.servo.positioning import PositioningError, run_positioning
 
 

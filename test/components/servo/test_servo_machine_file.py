@@ -20,14 +20,15 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     ServoControllerConfig,
     make_controllers,
 )
-from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxisConfig
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData, AxisLimits, MachineData
-from fuzzycnc_ros.core.servo import point_to_point, position
+from fuzzycnc_ros.core.servo import point_to_point
 from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, make_axis_controller
 from fuzzycnc_ros.core.servo.axis_text import axis_texts, parse_axis_texts
 from fuzzycnc_ros.core.servo.profile import ProfileLimits
 from fuzzycnc_ros.machine_file.parameters import node_parameters
+from fuzzycnc_ros.simulation.servo.positioning import position
+from fuzzycnc_ros.simulation.servo.simulated_axis import simulated_axis
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.servo.positioning import PositioningError, run_positioning
 
@@ -156,7 +157,7 @@ def test_duties_are_those_of_the_core_with_the_controller_that_is_asked_for(name
     velocity, acceleration, jerk = HEAVY.limits.positioning
     limits = ProfileLimits(velocity=velocity, acceleration=acceleration, jerk=jerk)
     reference = point_to_point(0.0, 0.05, limits).sample(1e-3)
-    alone = position(own, HEAVY.simulated(), reference, 0.7)
+    alone = position(own, simulated_axis(HEAVY), reference, 0.7)
     moving = np.flatnonzero(move.duty)[0]
     begun = np.flatnonzero(alone.duty)[0]
     size = 600

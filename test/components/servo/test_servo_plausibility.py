@@ -15,10 +15,11 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     profile_limits,
 )
 from fuzzycnc_ros.components.servo.servo_plausibility import MotionDoubt, MotionWatch
-from fuzzycnc_ros.core.machine.axis_batch import random_moves
-from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxis, BallscrewAxisConfig
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.servo import FeedbackLimits
+from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+from fuzzycnc_ros.simulation.servo.lathe_axes import random_moves
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 
 
 def moved(plant, target, *, model='lathe', rest=0.3):

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.components.machine.stitching import Stitching
-from fuzzycnc_ros.core.machine import FoamSheet
 from fuzzycnc_ros.runtime.component import Level
 from fuzzycnc_ros.runtime.records import CompensatedPath
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 
 PATH = CompensatedPath(
     stamp=0,

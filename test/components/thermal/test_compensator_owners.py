@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
-from fuzzycnc_ros.core.machine.offset_input import OffsetInput, OffsetInputConfig
+from fuzzycnc_ros.core.inputs.offset_input import OffsetInput, OffsetInputConfig
 from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
 from fuzzycnc_ros.runtime.records import SECOND, CompensationApplied
 

@@ -9,13 +9,13 @@ import pytest
 from benches.component_bench import Bench
 
 from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector, SensorSelectorConfig
-from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalRun, select_sensors
 from fuzzycnc_ros.runtime.records import (
     Displacement,
     Temperatures,
     nanoseconds,
 )
+from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 
 @cache

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
-from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal import ModelMismatchError, ThermalModel, train_model
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatch
 from fuzzycnc_ros.runtime.records import (
@@ -17,6 +16,7 @@ from fuzzycnc_ros.runtime.records import (
     ThermalReference,
     nanoseconds,
 )
+from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 
 @pytest.fixture(scope='module')

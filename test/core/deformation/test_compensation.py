@@ -14,7 +14,8 @@ from fuzzycnc_ros.core.deformation.compensation import (
 )
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag, limit_offsets
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
-from fuzzycnc_ros.core.machine import FoamTrack, true_compensation
+from fuzzycnc_ros.simulation.soft.foam_samples import true_compensation
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 
 SHEET = SheetMaterial(15e-3, (0.15, 0.1))
 TRACK = FoamTrack.parallelogram(np.pi / 4)

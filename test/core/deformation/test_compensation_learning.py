@@ -12,7 +12,8 @@ from fuzzycnc_ros.core.deformation import (
     learn_offsets,
 )
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
-from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 
 TRACK = FoamTrack.parallelogram(np.pi / 4)
 START = CompensatedPath.unchanged(TRACK.points)

@@ -24,7 +24,7 @@ from fuzzycnc_ros.core.deformation.training import (
     levenberg_marquardt,
     project,
 )
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples, true_compensation
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples, true_compensation
 
 KINDS = [('nts', 'load'), ('sts', 'load'), ('nts', 'paper'), ('sts', 'thickness')]
 
@@ -285,7 +285,7 @@ def test_a_model_runs_without_scikit_learn():
 import sys
 sys.modules['sklearn'] = None
 from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, read_model, write_model
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 x, s = foam_samples(0)
 model = TSFuzzyNetwork('sts', ridge=0.1).fit(x, s).model_
 assert (read_model(write_model(model)).predict(x) == model.predict(x)).all()

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.deformation import AxisGain, TSFuzzyNetwork, read_model, write_model
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
 from fuzzycnc_ros.core.thermal.document import ModelFileError
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 
 
 @pytest.fixture(scope='module')

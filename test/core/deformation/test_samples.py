@@ -7,7 +7,9 @@ import pytest
 
 from fuzzycnc_ros.core.deformation.samples import RecordedPath, joined_groups, samples_of_paths
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, LINE, Primitive, SheetMaterial
-from fuzzycnc_ros.core.machine import FoamSheet, FoamTrack, true_compensation
+from fuzzycnc_ros.simulation.soft.foam_samples import true_compensation
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 
 MATERIAL = SheetMaterial(15e-3, (0.2, 0.12), 'foam')
 SHEET = FoamSheet(15e-3)

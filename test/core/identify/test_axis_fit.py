@@ -13,7 +13,9 @@ from fuzzycnc_ros.core.identify.axis_data import identified_axis, identified_dea
 from fuzzycnc_ros.core.identify.axis_fit import AxisRecording, fit_axis
 from fuzzycnc_ros.core.identify.frequency import frequency_response
 from fuzzycnc_ros.core.identify.loop_fit import fit_loop, following
-from fuzzycnc_ros.core.machine import BallscrewAxis, BallscrewAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
+from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+from fuzzycnc_ros.simulation.servo.simulated_axis import simulated_axis
 
 PERIOD = 1e-3
 
@@ -85,7 +87,7 @@ def test_machine_data_of_an_axis(one_friction):
     assert data.plant.mass == pytest.approx(config.mass, rel=0.03)
     assert data.plant.count == pytest.approx(1e-6)
     assert data.limits.travel_high > recording.position.max()
-    data.simulated().drive(0.1)
+    simulated_axis(data).drive(0.1)
     assert identified_axis(fit, response, [recording]).plant.mass == 1.0
 
 

@@ -8,8 +8,7 @@ from math import nan
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxis, BallscrewAxisConfig
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.servo import (
     CascadeController,
     FeedbackLimits,
@@ -19,10 +18,12 @@ from fuzzycnc_ros.core.servo import (
     VariableUniverseController,
     VariableUniverseParams,
     point_to_point,
-    position,
 )
 from fuzzycnc_ros.core.servo.filtered_rate import Integrator
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning
+from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.positioning import position
 
 AXIS = LatheAxis().linear()
 CONTROLLERS = {

@@ -5,9 +5,9 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxis
 from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits, FeedbackWatch
+from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
 
 COUNT = 5e-8
 

@@ -7,34 +7,33 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine.axis_batch import LatheMove
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis, response_lag
-from fuzzycnc_ros.core.machine.ballscrew_axis import BallscrewAxis
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.servo import (
     DisturbanceObserver,
     FeedbackLimits,
     ObserverNoise,
     PidController,
-    PositioningRun,
     StickSlipParams,
     VariableUniverseController,
     VariableUniverseParams,
     point_to_point,
-    position,
-    position_many,
     stability_report,
-    tune,
 )
+from fuzzycnc_ros.core.servo.axis import LinearAxis, response_lag
 from fuzzycnc_ros.core.servo.observer import ObserverDesign
 from fuzzycnc_ros.core.servo.params import settles, ultimate_gain
 from fuzzycnc_ros.core.servo.predictor import predictor
 from fuzzycnc_ros.core.servo.stability import spectral_radii
-from fuzzycnc_ros.core.servo.tuning import (
+from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+from fuzzycnc_ros.simulation.servo.lathe_axes import LatheMove
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.positioning import PositioningRun, position, position_many
+from fuzzycnc_ros.simulation.servo.tuning import (
     GAIN_SPREAD,
     move_costs,
     production,
     swing_cost,
+    tune,
     tuning_moves,
 )
 

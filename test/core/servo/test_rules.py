@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis
-from fuzzycnc_ros.core.servo import VariableUniverseController, position
+from fuzzycnc_ros.core.servo import VariableUniverseController
 from fuzzycnc_ros.core.servo.rule_learning import (
     DATA,
     EMPTY,
@@ -27,6 +26,8 @@ from fuzzycnc_ros.core.servo.rule_table import (
     published_rules,
     rules_with_zero,
 )
+from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.positioning import position
 
 RULES = published_rules()
 NUMBER = st.floats(-2.0, 2.0)

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal import GreyModel, LagRidge, select_sensors
 from fuzzycnc_ros.core.thermal.band import (
     GROWTHS,
@@ -19,6 +18,7 @@ from fuzzycnc_ros.core.thermal.band import (
 from fuzzycnc_ros.core.thermal.baselines import GaussianProcess
 from fuzzycnc_ros.core.thermal.domain import trained_domain
 from fuzzycnc_ros.core.thermal.moments import Fold
+from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 TRAINING = ('D0', 'T1', 'D0b')
 UNSEEN = ('T2', 'T3')

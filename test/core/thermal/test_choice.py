@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal import ThermalDataError, evaluate, train_model
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED, Candidate
 from fuzzycnc_ros.core.thermal.candidates import JudgedCandidate
@@ -17,6 +16,7 @@ from fuzzycnc_ros.core.thermal.comparison import judge, splits
 from fuzzycnc_ros.core.thermal.moments import Fold
 from fuzzycnc_ros.core.thermal.recursions import LinearRecursion
 from fuzzycnc_ros.core.thermal.training_set import TrainingSet
+from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 PLAIN = ('static_ridge', 'lag_ridge', 'stable_grey')
 TRAINING = ('D0', 'T1', 'D0b', 'T2')

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal.plausibility import (
     DISPLACEMENT_STEP,
     TEMPERATURE_STEP,
@@ -16,6 +15,7 @@ from fuzzycnc_ros.core.thermal.plausibility import (
     turned_channels,
 )
 from fuzzycnc_ros.core.thermal.run import ThermalRun
+from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 TIME = 60.0 * np.arange(240)
 

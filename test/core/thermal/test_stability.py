@@ -12,8 +12,6 @@ import numpy as np
 import pytest
 from random_streams import largest_output, random_streams
 
-from fuzzycnc_ros.core.machine.duties import record_runs
-from fuzzycnc_ros.core.machine.grinder_runs import record_flux_case, record_grinder
 from fuzzycnc_ros.core.thermal import select_sensors, train_model
 from fuzzycnc_ros.core.thermal.anfis import Anfis, GreyAnfis
 from fuzzycnc_ros.core.thermal.baselines import GaussianProcess, Mlp
@@ -28,6 +26,8 @@ from fuzzycnc_ros.core.thermal.networks import (
 )
 from fuzzycnc_ros.core.thermal.recursions import combine
 from fuzzycnc_ros.core.thermal.recursions.bounded import BoundedRecursion, bound_of
+from fuzzycnc_ros.simulation.thermal.duties import record_runs
+from fuzzycnc_ros.simulation.thermal.grinder_runs import record_flux_case, record_grinder
 
 FACTOR = 1.5
 CLAMP = 50e-6

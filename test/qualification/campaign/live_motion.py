@@ -19,7 +19,6 @@ from campaign.pattern_verdict import BLEND
 from campaign.relay import direct, durability
 from campaign.scenario import Stage
 from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
 from fuzzycnc_ros.ros.bring_up import NodeSpec
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.convert import encode
@@ -37,6 +36,7 @@ from fuzzycnc_ros.runtime.records import (
     Trajectory,
     TrajectoryState,
 )
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 
 MOVES = 5e-3
 """Speed from which on an axis moves [m/s]; readings of one that rests show less."""

@@ -14,7 +14,7 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSch
 from fuzzycnc_ros.components.servo.servo_axes import make_plant
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
-from fuzzycnc_ros.core.machine.axis_plant import LinearAxis
+from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.ros.bring_up import THERMAL
 
 LIMITS, MACHINE = CompensatorConfig(), SimulatedMachineConfig()

@@ -24,12 +24,12 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
 )
-from fuzzycnc_ros.core.machine.duties import DUTIES
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.runtime.component import Component
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.runtime.records import Record
+from fuzzycnc_ros.simulation.thermal.duties import DUTIES
 from soak.growth import (
     GROWTH_MAX,
     LATENCY_GROWTH_MAX,

@@ -5,8 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine import FLUX_CASES, record_flux_case, record_grinder
 from fuzzycnc_ros.core.thermal import StaticRidge
+from fuzzycnc_ros.simulation.thermal.grinder_runs import (
+    FLUX_CASES,
+    record_flux_case,
+    record_grinder,
+)
 from fuzzycnc_ros.studies.grinder.grinder_comparison import (
     NOISES,
     compare_on_grinder,

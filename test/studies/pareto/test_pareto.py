@@ -10,8 +10,8 @@ import pytest
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.core.feedrate.program.reader import read_program
 from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed
-from fuzzycnc_ros.core.machine.contouring import simulate_contouring
-from fuzzycnc_ros.core.machine.contouring_axes import ContouringConfig
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 from fuzzycnc_ros.studies.pareto import pareto as module
 from fuzzycnc_ros.studies.pareto.pareto import ERRORS, KNOBS, pareto_of
 from fuzzycnc_ros.studies.pareto.pareto_page import pareto_document, pareto_lines, pareto_table

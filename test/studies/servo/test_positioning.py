@@ -5,9 +5,10 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.servo import PositioningRun, learn_rules
+from fuzzycnc_ros.core.servo import learn_rules
 from fuzzycnc_ros.core.servo.rule_table import SETS
 from fuzzycnc_ros.core.servo.stability import StabilityReport
+from fuzzycnc_ros.simulation.servo.positioning import PositioningRun
 from fuzzycnc_ros.studies.page.sections import render_page
 from fuzzycnc_ros.studies.servo import positioning_compare
 from fuzzycnc_ros.studies.servo import positioning_page as positioning
@@ -189,8 +190,9 @@ def test_stability_says_what_swings():
 
 
 def test_cases_side_by_side_are_those_one_by_one():
-    from fuzzycnc_ros.core.machine.lathe_axis import LatheAxis, LatheAxisConfig
-    from fuzzycnc_ros.core.servo import position
+    from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
+    from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+    from fuzzycnc_ros.simulation.servo.positioning import position
 
     cases, axis = servo_cases(), LatheAxis().linear()
     for name in ('20 um', 'circle X'):

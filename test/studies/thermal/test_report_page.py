@@ -8,7 +8,7 @@ from subprocess import run as start
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine import DUTIES, record_run
+from fuzzycnc_ros.simulation.thermal.duties import DUTIES, record_run
 from fuzzycnc_ros.studies.thermal.report_data import (
     CompensationRun,
     Latency,

@@ -17,7 +17,7 @@ from fuzzycnc_ros.components.motion.tool_paths import (
 )
 from fuzzycnc_ros.core.feedrate.path.curves import trident
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
-from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryInput, TrajectoryPart
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInput, TrajectoryPart
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
 from fuzzycnc_ros.runtime.host import MachineTick

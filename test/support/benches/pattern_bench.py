@@ -16,9 +16,9 @@ from fuzzycnc_ros.components.soft.deformation_compensator import (
 from fuzzycnc_ros.components.soft.stitch_patterns import stitch_pattern
 from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive
-from fuzzycnc_ros.core.machine import FoamTrack
-from fuzzycnc_ros.core.machine.foam_samples import foam_samples
 from fuzzycnc_ros.runtime.records import Material, nanoseconds
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 
 FRAME = 'mill/workpiece'
 TRACK = FoamTrack.parallelogram(np.radians(45.0))

@@ -15,7 +15,6 @@ from fuzzycnc_ros.components.thermal.thermal_predictor import (
     ThermalPredictor,
     ThermalPredictorConfig,
 )
-from fuzzycnc_ros.core.machine.duties import record_runs
 from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, load_model, train_model
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.runtime.enums import MachineMode
@@ -27,6 +26,7 @@ from fuzzycnc_ros.runtime.records import (
     ThermalReference,
     nanoseconds,
 )
+from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 START = 6 * 3600.0
 """Machine time of the first sample [s]."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryPart
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryPart
 from fuzzycnc_ros.runtime.records import Trajectory
 
 PERIOD = 1e-3

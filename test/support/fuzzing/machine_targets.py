@@ -17,7 +17,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
 )
-from fuzzycnc_ros.core.machine.trajectory_input import TrajectoryPart
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryPart
 from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
 from fuzzycnc_ros.runtime.records import (
     SECOND,

@@ -13,7 +13,7 @@ from fuzzing.targets import CopiedTarget, work
 
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, write_offsets
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
-from fuzzycnc_ros.core.machine.foam_tracks import FoamTrack
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 
 LEARNT = 'learnt track'
 """Name of the pattern that offsets were learnt for."""

@@ -1,0 +1,471 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which controller suits an axis: all kinds tuned with equal effort, judged on other moves."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf, isfinite, log, sqrt
+from typing import Any
+
+import numpy as np
+from scipy.optimize import differential_evolution
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
+from fuzzycnc_ros.core.machine.machine_data import AxisData
+from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, SETTINGS, make_axis_controller
+from fuzzycnc_ros.core.servo.controller import AxisController
+from fuzzycnc_ros.core.servo.params import ServoParamsWarning
+from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
+from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant
+from fuzzycnc_ros.simulation.servo.simulated_axis import simulated_axis
+
+REST = 0.3
+"""Rest before, between and after the two ways of a case [s]."""
+
+GAINS = (0.5, 0.75, 1.0, 1.4, 2.0)
+"""Factors on the gain for which an axis is tuned."""
+
+MARGINS = (0.4, 2.4)
+"""Gains beyond these, with a period more of dead time, on a long fast way with little friction:
+what swings there has no margin."""
+
+HELD_OUT_GAINS = (0.5, 0.62, 0.85, 1.2, 1.7, 2.0)
+"""Factors on the gain on which it is judged."""
+
+_EQUAL = 1.05
+"""Factor between the errors of two controllers up to which the simpler one is taken [-]."""
+
+_GIVEN_UP = 0.1
+"""Error that a run counts which ends in a fault, as share of the axis' travel [-]."""
+
+_PER_FAULT = 100.0
+"""Factor on the cost for each case that is given up [-]."""
+
+Progress = Callable[[int, int], None]
+"""Told how many generations are done, and how many there are."""
+
+Plant = Callable[['AxisCase'], AxisPlant]
+"""Makes the axis that a case is driven on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisCase:
+    """A way there and back, with what is off against the nominal axis.
+
+    Parameters
+    ----------
+    way : float
+        Length of the way [m], with its sign.
+    gain : float
+        Factor on the axis' gain [-].
+    friction : float
+        Factor on its friction [-].
+    load : float
+        Load [-], as duty, that sets in amid the rest before the way back.
+    pace : float
+        Share of the axis' limits at which it goes [-].
+    delay : float
+        Dead time beyond that of the model [s].
+    seed : int
+        Seed of the noise.
+    """
+
+    way: float
+    gain: float = 1.0
+    friction: float = 1.0
+    load: float = 0.0
+    pace: float = 1.0
+    delay: float = 0.0
+    seed: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisFigures:
+    """What a controller did in a case.
+
+    Attributes
+    ----------
+    rms, largest, rest : float
+        Following error [m]: RMS, largest, and RMS over the last parts of the rests.
+    fault : str
+        Why it gave up; empty if it did not.
+    """
+
+    rms: float
+    largest: float
+    rest: float
+    fault: str = ''
+
+
+@dataclass(frozen=True)
+class TunedController:
+    """A controller with the settings that the search found.
+
+    Attributes
+    ----------
+    name : str
+        Of `AXIS_CONTROLLERS`.
+    settings : dict of str to float
+        Of `SETTINGS`.
+    cost : float
+        Cost on the cases of the search [m]; infinite without one.
+    trials : int
+        Settings that were tried.
+    held_out : tuple of AxisFigures
+        Figures on cases that nothing was tuned on.
+    held_out_cost : float
+        Cost on these [m].
+    """
+
+    name: str
+    settings: dict[str, float]
+    cost: float
+    trials: int
+    held_out: tuple[AxisFigures, ...]
+    held_out_cost: float
+
+    @property
+    def faults(self) -> int:
+        """Held-out cases that it gave up."""
+        return sum(bool(one.fault) for one in self.held_out)
+
+    def against(self, other: TunedController) -> tuple[float, float]:
+        """Return how much worse it is than another one on the held-out cases.
+
+        Returns
+        -------
+        ratio : float
+            Geometric mean of its errors over the other's [-].
+        spread : float
+            Factor of one standard error of it [-], from case to case.
+        """
+        logs = _logs(self.held_out) - _logs(other.held_out)
+        error = float(logs.std(ddof=1)) / sqrt(len(logs))
+        return float(np.exp(logs.mean())), float(np.exp(error))
+
+
+@dataclass(frozen=True)
+class AxisTuning:
+    """All controllers after tuning with equal effort.
+
+    Attributes
+    ----------
+    controllers : tuple of TunedController
+        In the order of `AXIS_CONTROLLERS`, the simplest first.
+    held_out : tuple of AxisCase
+        What they were judged on.
+    """
+
+    controllers: tuple[TunedController, ...]
+    held_out: tuple[AxisCase, ...]
+
+    @property
+    def best(self) -> TunedController:
+        """The one with the least cost on the held-out cases; of equal faults."""
+        return min(self.controllers, key=lambda one: (one.faults, one.held_out_cost))
+
+    @property
+    def winner(self) -> TunedController:
+        """The simplest of those that are as good as the best one, to 5 %."""
+        best = self.best
+        return next(
+            one
+            for one in self.controllers
+            if one is best or (one.faults <= best.faults and one.against(best)[0] <= _EQUAL)
+        )
+
+
+def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tuple[AxisCase, ...]:
+    """Return the cases of an axis: ways from some counts to half its travel, gains, loads.
+
+    Parameters
+    ----------
+    data : AxisData
+        The axis.
+    held_out : bool
+        Whether those to judge by, with other ways, gains and seeds, instead of those to tune on.
+    seed : int
+        What the ways and loads are drawn from.
+    """
+    draw = np.random.default_rng([seed, int(held_out)])
+    gains = HELD_OUT_GAINS if held_out else GAINS
+    travel = data.limits.travel_high - data.limits.travel_low
+    plant = data.known_plant()
+    short = max(20.0 * plant.count, 2e-5)
+    ways = np.exp(np.linspace(log(short), log(0.4 * travel), len(gains)))
+    ways = draw.permutation(ways * np.exp(draw.uniform(-0.3, 0.0, len(gains))))
+    load = data.limits.load * (1.0 if held_out else 0.9)
+    cases = [
+        AxisCase(
+            way=float(way) * (-1.0 if draw.random() < 0.5 else 1.0),
+            gain=gain,
+            friction=float(draw.uniform(0.6, 1.6)),
+            # A weaker axis bears less; a load beyond its force is nobody's to hold.
+            load=float(draw.choice([-1.0, 0.0, 1.0])) * load * min(gain, 1.0),
+            pace=min(float(draw.uniform(0.4, 1.0)), gain),
+            seed=1000 * held_out + index,
+        )
+        for index, (gain, way) in enumerate(zip(gains, ways, strict=True))
+    ]
+    if not held_out:
+        cases += [
+            AxisCase(
+                way=0.3 * travel,
+                gain=gain,
+                friction=0.3,
+                pace=min(gain, 1.0),
+                delay=plant.period,
+                seed=index,
+            )
+            for index, gain in enumerate(MARGINS, len(cases))
+        ]
+    return tuple(cases)
+
+
+def drive_case(
+    controller: AxisController, plant: AxisPlant, data: AxisData, case: AxisCase
+) -> AxisFigures:
+    """Drive a case on a plant, and return the figures.
+
+    Parameters
+    ----------
+    controller : AxisController
+        The controller, made for the nominal axis.
+    plant : AxisPlant
+        The axis as it is in this case, at 0; its load sets in by itself (`load_time`).
+    data : AxisData
+        Limits of the way.
+    case : AxisCase
+        Way and pace.
+    """
+    period = plant.period
+    rows, judged = _course(data, case, period)
+    controller.reset(plant.measure())
+    errors = np.empty(len(rows))
+    for step, (place, speed, rise) in enumerate(rows.tolist()):
+        errors[step] = place - plant.position
+        plant.drive(controller.step(place, plant.measure(), speed, rise))
+        if controller.watch.fault:
+            lost = _GIVEN_UP * (data.limits.travel_high - data.limits.travel_low)
+            return AxisFigures(rms=lost, largest=lost, rest=lost, fault=controller.watch.fault)
+    return AxisFigures(
+        rms=float(np.sqrt((errors**2).mean())),
+        largest=float(np.abs(errors).max()),
+        rest=float(np.sqrt((errors[judged] ** 2).mean())),
+    )
+
+
+def load_time(data: AxisData, case: AxisCase, period: float) -> float:
+    """Return when the load of a case sets in: amid the rest before the way back [s]."""
+    return REST + _way(data, case, period)[:, 0].size * period + 0.3 * REST
+
+
+def simulated_case(data: AxisData, case: AxisCase) -> AxisPlant:
+    """Return the axis of the machine file as it is in a case."""
+    plant = data.known_plant()
+    changes: dict[str, Any] = {
+        'gain_factor': case.gain,
+        'delay': plant.delay + case.delay,
+        'seed': case.seed,
+        'load_time': load_time(data, case, plant.period),
+    }
+    if isinstance(plant, LatheAxisConfig):
+        changes |= {
+            'coulomb': case.friction * plant.coulomb,
+            'breakaway': case.friction * plant.breakaway,
+            'load': case.load,
+            'substeps': min(plant.substeps, 5),
+        }
+    else:
+        changes |= {'friction_factor': case.friction, 'load': case.load * plant.force_max}
+    return simulated_axis(data, **changes)
+
+
+def tune_controller(
+    data: AxisData,
+    name: str,
+    *,
+    seed: int = 0,
+    generations: int = 8,
+    population: int = 6,
+    progress: Progress | None = None,
+) -> TunedController:
+    """Tune one kind of controller for an axis by differential evolution.
+
+    The cost of a case is the geometric mean of three errors: RMS and largest following error, and
+    the RMS error at rest; that of several their geometric mean, so that none is all that counts.
+
+    Parameters
+    ----------
+    data : AxisData
+        The axis, with a plant.
+    name : str
+        Of `AXIS_CONTROLLERS`.
+    seed : int
+        Seed of cases and search.
+    generations, population : int
+        Generations after the first population, and candidates per setting.
+    progress : callable, optional
+        Told after every generation: which, of how many.
+
+    Raises
+    ------
+    ValueError
+        If the axis has no plant or the name is unknown.
+    """
+    cases = axis_cases(data, seed=seed)
+    tried = done = 0
+
+    def cost(point: Array) -> float:
+        nonlocal tried
+        tried += 1
+        return _cost(data, figures_of(data, name, _settings(point), cases))
+
+    def told(best: Array, convergence: float = 0.0) -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, generations)
+
+    search: Any = differential_evolution
+    outcome = search(
+        cost,
+        [(log(low), log(high)) for low, high, _ in SETTINGS.values()],
+        maxiter=generations,
+        popsize=population,
+        seed=np.random.default_rng(seed),  # SciPy before 1.15 knows no other name
+        polish=False,
+        updating='deferred',
+        x0=[log(plain) for _, _, plain in SETTINGS.values()],
+        callback=told,
+        tol=0.0,
+    )
+    judged = judged_controller(data, name, _settings(outcome.x), seed=seed)
+    return replace(judged, cost=float(outcome.fun), trials=tried)
+
+
+def judged_controller(
+    data: AxisData, name: str, settings: Mapping[str, float], *, seed: int = 0
+) -> TunedController:
+    """Return a controller with its figures on the held-out cases, without a search."""
+    cases = axis_cases(data, held_out=True, seed=seed)
+    figures = figures_of(data, name, settings, cases)
+    return TunedController(name, dict(settings), inf, 0, figures, _cost(data, figures))
+
+
+def tune_axis(
+    data: AxisData, *, seed: int = 0, generations: int = 8, population: int = 6
+) -> AxisTuning:
+    """Tune all controllers of an axis with equal effort, and find which suits it.
+
+    Every kind has the same three settings, the same bounds and the same number of trials on the
+    same cases.  They are judged on cases that nothing was tuned on.
+
+    Parameters
+    ----------
+    data : AxisData
+        The axis, with a plant.
+    seed : int
+        Seed of cases and search.
+    generations, population : int
+        As `tune_controller`.
+
+    Raises
+    ------
+    ValueError
+        If the axis has no plant.
+    """
+    found = [
+        tune_controller(data, name, seed=seed, generations=generations, population=population)
+        for name in AXIS_CONTROLLERS
+    ]
+    return AxisTuning(tuple(found), axis_cases(data, held_out=True, seed=seed))
+
+
+def figures_of(
+    data: AxisData,
+    name: str,
+    settings: Mapping[str, float],
+    cases: Sequence[AxisCase],
+    plant: Plant | None = None,
+) -> tuple[AxisFigures, ...]:
+    """Return the figures of a controller on some cases.
+
+    Parameters
+    ----------
+    data : AxisData
+        The axis that the controller is made for.
+    name : str
+        Of `AXIS_CONTROLLERS`.
+    settings : mapping of str to float
+        Of `SETTINGS`.
+    cases : sequence of AxisCase
+        What is driven.
+    plant : callable, optional
+        Makes the axis that is driven, by default the simulated one of the data.
+    """
+    made = plant or (lambda case: simulated_case(data, case))
+    with warnings.catch_warnings():
+        # What does not settle shows in its figures.
+        warnings.simplefilter('ignore', ServoParamsWarning)
+        controller = make_axis_controller(data, name, settings)
+        return tuple(drive_case(controller, made(case), data, case) for case in cases)
+
+
+def case_cost(data: AxisData, figures: AxisFigures) -> float:
+    """Return what a case costs [m]: the geometric mean of its three errors, not below a count."""
+    plant = data.known_plant()
+    least = max(0.5 * plant.count, plant.noise, 1e-9)
+    errors = (figures.rms, figures.largest, figures.rest)
+    return float(np.exp(np.mean([log(max(error, least)) for error in errors])))
+
+
+def _cost(data: AxisData, figures: Sequence[AxisFigures]) -> float:
+    costs = [case_cost(data, one) for one in figures]
+    if not all(map(isfinite, costs)):
+        return inf
+    # No accuracy elsewhere makes up for a loop that gives up.
+    lost = sum(bool(one.fault) for one in figures)
+    return float(np.exp(np.mean(np.log(costs)))) * _PER_FAULT**lost
+
+
+def _logs(figures: Sequence[AxisFigures]) -> Array:
+    """Return logarithms of the errors of figures, one a case."""
+    return np.array(
+        [np.mean([log(max(e, 1e-9)) for e in (one.rms, one.largest, one.rest)]) for one in figures]
+    )
+
+
+def _settings(point: Array) -> dict[str, float]:
+    return {
+        name: float(np.clip(np.exp(value), low, high))
+        for (name, (low, high, _)), value in zip(SETTINGS.items(), point, strict=True)
+    }
+
+
+def _way(data: AxisData, case: AxisCase, period: float) -> Array:
+    """Return position, velocity and acceleration over a way, shape (n, 3)."""
+    velocity, acceleration, jerk = data.limits.positioning
+    limits = ProfileLimits(
+        velocity=velocity * case.pace, acceleration=acceleration * case.pace, jerk=jerk
+    )
+    course = point_to_point(0.0, case.way, limits).sample(period)
+    return np.column_stack([course.position, course.velocity, course.acceleration])
+
+
+def _course(data: AxisData, case: AxisCase, period: float) -> tuple[Array, Array]:
+    """Return the reference of a case, shape (n, 3), and which samples are judged at rest."""
+    there = _way(data, case, period)
+    rest = round(REST / period)
+    hold, end = np.zeros((rest, 3)), np.array([case.way, 0.0, 0.0])
+    stay, back = hold + end, end - there
+    rows = np.concatenate([hold, there, stay, back, hold])
+    judged = np.zeros(len(rows), bool)
+    late = rest // 3
+    for place in (len(hold) + len(there) + len(stay), len(rows)):
+        judged[place - late : place] = True
+    return rows, judged

@@ -1,0 +1,3 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A soft sheet that creeps under the needle, and samples and tracks stitched on it."""
