@@ -22,7 +22,7 @@ import numpy as np
 
 from fuzzycnc_ros.core.fuzzy.hybrid_learning import Premises, train_rules
 from fuzzycnc_ros.core.fuzzy.takagi_sugeno import log_firing, normalised_firing
-from fuzzycnc_ros.core.thermal.anfis import (
+from fuzzycnc_ros.core.thermal.fit.anfis import (
     STEP,
     WIDTH_MIN,
     Anfis,

@@ -29,7 +29,7 @@ from soak.growth import held_by
 
 from fuzzycnc_ros.cli.live.free_domain import own_domain
 from fuzzycnc_ros.cli.live.graph_processes import COMPOSED, GraphProcesses
-from fuzzycnc_ros.core.thermal import train_model
+from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.ros.bring_up import THERMAL, NodeSpec
 from fuzzycnc_ros.ros.processes import prepare_environment
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, subscription_qos

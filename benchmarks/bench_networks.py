@@ -25,16 +25,10 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.core.thermal.networks import (
-    Arma,
-    DynamicNetwork,
-    HybridFilterNetwork,
-    LinearNetwork,
-    StaticNetwork,
-)
-from fuzzycnc_ros.core.thermal.networks.filters import NetworkTraining, past
-from fuzzycnc_ros.core.thermal.networks.hybrid_stages import Feedback, Front
-from fuzzycnc_ros.core.thermal.networks.tanh_network import TanhNetwork, train_network
+from fuzzycnc_ros.core.thermal.fit.filters import NetworkTraining, past
+from fuzzycnc_ros.core.thermal.fit.hybrid import Feedback, Front, HybridFilterNetwork
+from fuzzycnc_ros.core.thermal.fit.rivals import Arma, DynamicNetwork, LinearNetwork, StaticNetwork
+from fuzzycnc_ros.core.thermal.fit.tanh_network import TanhNetwork, train_network
 from fuzzycnc_ros.core.thermal.recursions import Stream, combine
 from fuzzycnc_ros.simulation.thermal.grinder_runs import record_grinder
 

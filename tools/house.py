@@ -59,7 +59,7 @@ record_calibration = find(
     'studies.shift.thermal_shift.record_calibration', 'scenario.thermal_shift.record_calibration')
 Graph = find('runtime.graph.InProcessGraph', 'components.graph.InProcessGraph')
 COMPONENTS = find('registry.COMPONENTS', 'components.registry.COMPONENTS')
-train = find('core.thermal.train_model')
+train = find('core.thermal.fit.train_model', 'core.thermal.train_model')
 model = train(record_calibration(('D0', 'T1')).runs, candidates=('lag_ridge',))
 nodes = ('temperature_acquisition', 'thermal_predictor', 'compensator')
 Machine = COMPONENTS['simulated_machine']

@@ -13,7 +13,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from fuzzycnc_ros.core.thermal import train_model  # noqa: E402
+from fuzzycnc_ros.core.thermal.fit import train_model  # noqa: E402
 from fuzzycnc_ros.studies.published_bag import PublishedBag  # noqa: E402
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift  # noqa: E402
 

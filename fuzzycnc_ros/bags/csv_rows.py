@@ -12,7 +12,7 @@ from fuzzycnc_ros.bags.csv_mapping import CsvMapping
 from fuzzycnc_ros.bags.csv_text import read_text
 from fuzzycnc_ros.bags.csv_time import known_forms
 from fuzzycnc_ros.bags.errors import CsvError
-from fuzzycnc_ros.core.repeated_names import repeated_names
+from fuzzycnc_ros.core.names import repeated_names
 
 _DELIMITERS = (';', '\t', ',')
 _EXCEL = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # it takes this line for an instruction

@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.cli.background_output import background_output
 from fuzzycnc_ros.cli.console import complain
-from fuzzycnc_ros.core.visible import visible
+from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros.bring_up import GraphError
 from fuzzycnc_ros.ros.processes import interruptible
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 import typer
 
 from fuzzycnc_ros.bags.atomic import write_text as write_whole
-from fuzzycnc_ros.core.visible import visible
+from fuzzycnc_ros.core.names import visible
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -10,7 +10,7 @@ from rich.progress import Task, TextColumn
 from rich.segment import Segment
 from rich.text import Text
 
-from fuzzycnc_ros.core.visible import visible
+from fuzzycnc_ros.core.names import visible
 
 
 class Terminal(Console):

@@ -22,7 +22,7 @@ from fuzzycnc_ros.core.machine.machine_data import (
     PlantConfig,
 )
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
-from fuzzycnc_ros.core.repeated_names import repeated_names
+from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.machine_file.linuxcnc_ini import LinuxcncLimits, read_linuxcnc_ini
 from fuzzycnc_ros.machine_file.units import si_value
 

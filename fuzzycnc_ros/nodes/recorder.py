@@ -21,8 +21,8 @@ from fuzzycnc_ros.bags.holes import HoleCounter, not_explained
 from fuzzycnc_ros.bags.metadata import Qos
 from fuzzycnc_ros.bags.recorder import Progress, RecordingThread
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.core.text_hash import text_hash
-from fuzzycnc_ros.core.visible import visible
+from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.bag_node import BagNode, bag_refused, closed_on_failure, pattern
 from fuzzycnc_ros.ros.clocks import wall_timer

@@ -26,7 +26,7 @@ from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
-from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.core.thermal.model_document import SIZE_MAX
 from fuzzycnc_ros.ros import run
@@ -71,7 +71,7 @@ class Training:
     def work(self, bags: Sequence[str], name: str) -> None:
         """Read the runs and train; what goes wrong ends up in `error`."""
         # Loaded on use: a node that is never asked to train starts a second faster.
-        from fuzzycnc_ros.core.thermal import train_model
+        from fuzzycnc_ros.core.thermal.fit import train_model
 
         try:
             if self.before is not None:

@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 
 from fuzzycnc_ros.bags.uninterrupted import uninterrupted
-from fuzzycnc_ros.core.visible import visible
+from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros.arguments import initialise
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.presence import Presence

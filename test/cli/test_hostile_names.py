@@ -16,7 +16,7 @@ from small_recordings import warm_up
 
 from fuzzycnc_ros.cli import console
 from fuzzycnc_ros.cli.terminal import Description, Terminal
-from fuzzycnc_ros.core.visible import CONTROLS
+from fuzzycnc_ros.core.names import CONTROLS
 from fuzzycnc_ros.studies.page.table import Column, Table
 
 TITLE, CLEAR, TURNED, MARKUP = '\x1b]0;title\x07', '\x1b[2J', '\u202egnp', '[red]'

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.visible import CONTROLS, visible
+from fuzzycnc_ros.core.names import CONTROLS, visible
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.typestore import message_definition
 from fuzzycnc_ros.cli.models.evaluate import judge_bag
 from fuzzycnc_ros.cli.models.many_bags import NamedBag
-from fuzzycnc_ros.core.thermal import train_model
+from fuzzycnc_ros.core.thermal.fit import train_model
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

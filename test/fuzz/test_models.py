@@ -14,8 +14,9 @@ from hypothesis import given
 from kept import kept
 
 from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, read_model, write_model
-from fuzzycnc_ros.core.thermal import load_model, train_model
-from fuzzycnc_ros.core.thermal.document import ModelFileError
+from fuzzycnc_ros.core.document import ModelFileError
+from fuzzycnc_ros.core.thermal import load_model
+from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')

@@ -24,7 +24,7 @@ from fuzzycnc_ros.cli.axes.servo_settings import read_settings
 from fuzzycnc_ros.cli.bags.import_csv import _read_mapping
 from fuzzycnc_ros.cli.programs.scheduling_machine import read_machine
 from fuzzycnc_ros.core.deformation.offset_file import read_offsets
-from fuzzycnc_ros.core.thermal.document import ModelFileError
+from fuzzycnc_ros.core.document import ModelFileError
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')

@@ -18,7 +18,7 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSch
 from fuzzycnc_ros.components.soft.stitch_patterns import stitch_pattern
 from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive
-from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import LATCHED
 from fuzzycnc_ros.runtime.convert import encode

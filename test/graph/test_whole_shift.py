@@ -7,7 +7,7 @@ from live_graph import ANSWER_TIMEOUT
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.cli.demo.shift import mill_specs
-from fuzzycnc_ros.core.thermal import train_model
+from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration

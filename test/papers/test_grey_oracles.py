@@ -5,8 +5,8 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal import GreyModel
-from fuzzycnc_ros.core.thermal.grey import constant_input
+from fuzzycnc_ros.core.thermal.fit import GreyModel
+from fuzzycnc_ros.core.thermal.fit.grey import constant_input
 
 GM11 = [
     (

@@ -10,14 +10,14 @@ never seen.
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal import (
+from fuzzycnc_ros.core.thermal.fit import (
     GreyModel,
     LagRidge,
     LeastSquares,
     StaticRidge,
     select_sensors,
 )
-from fuzzycnc_ros.core.thermal.anfis import Anfis, GreyAnfis
+from fuzzycnc_ros.core.thermal.fit.anfis import Anfis, GreyAnfis
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 pytestmark = pytest.mark.paper

@@ -8,9 +8,13 @@ Residuals in um, Y then Z; T2 and T3 are never seen; medians over noise seeds.
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal import GreyModel, select_sensors, train_model
-from fuzzycnc_ros.core.thermal.drift_alarm import DriftAlarm, drift_deviation
-from fuzzycnc_ros.core.thermal.probing import OffsetGainFilter, OffsetReset
+from fuzzycnc_ros.core.thermal.fit import GreyModel, select_sensors, train_model
+from fuzzycnc_ros.core.thermal.probing import (
+    DriftAlarm,
+    OffsetGainFilter,
+    OffsetReset,
+    drift_deviation,
+)
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 SEEDS = range(12)

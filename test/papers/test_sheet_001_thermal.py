@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.fuzzy import FuzzyCMeans
-from fuzzycnc_ros.core.thermal import (
+from fuzzycnc_ros.core.thermal.fit import (
     GreyModel,
     LagRidge,
     evaluate,

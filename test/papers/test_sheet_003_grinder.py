@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal import GreyModel, LagRidge, StaticRidge
+from fuzzycnc_ros.core.thermal.fit import GreyModel, LagRidge, StaticRidge
 from fuzzycnc_ros.simulation.thermal.grinder_network import NODES, SENSORS
 from fuzzycnc_ros.simulation.thermal.grinder_runs import (
     FLUX_CASES,

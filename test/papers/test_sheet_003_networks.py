@@ -9,12 +9,8 @@ reading, as the sheet has them.  Single seeds flatter, hence ten.
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal.networks import (
-    Arma,
-    HybridFilterNetwork,
-    LinearNetwork,
-    StaticNetwork,
-)
+from fuzzycnc_ros.core.thermal.fit.hybrid import HybridFilterNetwork
+from fuzzycnc_ros.core.thermal.fit.rivals import Arma, LinearNetwork, StaticNetwork
 from fuzzycnc_ros.simulation.thermal.grinder_runs import record_flux_case, record_grinder
 
 SEEDS = range(10)

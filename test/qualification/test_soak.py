@@ -5,7 +5,7 @@
 import pytest
 from soak.run import TICKS_MIN
 
-from fuzzycnc_ros.core.thermal import train_model
+from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
 NODES = (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from soak.run import HELD, SoakRun
 
-from fuzzycnc_ros.core.thermal import train_model
+from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
 

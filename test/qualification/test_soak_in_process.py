@@ -23,7 +23,7 @@ from soak.run import (
 
 from fuzzycnc_ros.components.thermal.compensator import Compensator
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.core.thermal import train_model
+from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
 pytestmark = pytest.mark.qualify

@@ -16,7 +16,7 @@ from fuzzycnc_ros.components.thermal.thermal_predictor import (
     ThermalPredictor,
     ThermalPredictorConfig,
 )
-from fuzzycnc_ros.core.thermal import train_model
+from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift

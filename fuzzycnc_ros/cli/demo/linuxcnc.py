@@ -100,7 +100,7 @@ def linuxcnc_demo(console: Console, out: Path, seed: int, rate: float = RATE) ->
 
 def _run(out: Path, seed: int, rate: float, progress: Steps) -> tuple[ClosedLoopResult, Any]:
     from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
-    from fuzzycnc_ros.core.thermal import train_model
+    from fuzzycnc_ros.core.thermal.fit import train_model
     from fuzzycnc_ros.studies.linuxcnc_duty import ClosedLoopLog
     from fuzzycnc_ros.studies.shift.shift_log import compensation_runs
     from fuzzycnc_ros.studies.shift.shift_report import shift_report

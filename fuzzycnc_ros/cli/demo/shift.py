@@ -150,7 +150,7 @@ def _run(
 
 def _models(seed: int) -> tuple[str, str]:
     """Return the texts of a thermal model of calibration runs and of a foam model of samples."""
-    from fuzzycnc_ros.core.thermal import train_model
+    from fuzzycnc_ros.core.thermal.fit import train_model
     from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
     from fuzzycnc_ros.studies.shift.whole_shift import TICK
 

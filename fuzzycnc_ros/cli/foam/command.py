@@ -178,7 +178,7 @@ def _train(
 ) -> None:
     """Judge and train, and write what came of it."""
     from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
-    from fuzzycnc_ros.core.text_hash import text_hash
+    from fuzzycnc_ros.core.document import text_hash
     from fuzzycnc_ros.studies.soft import foam_page as shown
     from fuzzycnc_ros.studies.soft import foam_training as judged
 
@@ -246,7 +246,7 @@ def _adapt(samples: 'Samples', source: Path, out: Path, json_file: Path | None) 
     """Fit the gains of a model to samples, and write it."""
     from fuzzycnc_ros.cli.foam.gains import fit_gains
     from fuzzycnc_ros.core.deformation import write_model
-    from fuzzycnc_ros.core.text_hash import text_hash
+    from fuzzycnc_ros.core.document import text_hash
 
     model = read_model_file(source)
     for line in samples.lines:

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from fuzzycnc_ros.cli.background_output import BackgroundOutput
 from fuzzycnc_ros.cli.live.supervision import State, Supervised
-from fuzzycnc_ros.core.visible import visible
+from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.runtime.component import Level
 
 if TYPE_CHECKING:

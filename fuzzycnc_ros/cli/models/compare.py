@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
     from fuzzycnc_ros.cli.workers import Progress
     from fuzzycnc_ros.core.thermal import ThermalRun
-    from fuzzycnc_ros.core.thermal.comparison import Comparison, HeldOut, Split
+    from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut, Split
     from fuzzycnc_ros.studies.grinder.grinder_comparison import GrinderComparison, Trial
 
 MACHINES = ('grinder',)
@@ -257,8 +257,8 @@ def usable_run(
         If it cannot be read, is too slow, or lacks readings for longer than is bridged.
     """
     from fuzzycnc_ros.bags.runs import read_run
-    from fuzzycnc_ros.core.thermal.training import at_interval
-    from fuzzycnc_ros.core.thermal.training_runs import check_gaps
+    from fuzzycnc_ros.core.thermal.fit.training import at_interval
+    from fuzzycnc_ros.core.thermal.fit.training_runs import check_gaps
 
     progress('reading', bag.name, 0, 1)
     run = read_run(bag.path, name=bag.name, **options)
@@ -269,7 +269,7 @@ def usable_run(
 def speed_missing(runs: 'Sequence[ThermalRun]', interval: float) -> str:
     """Return why the spindle speed cannot be used in all runs; empty if it can."""
     from fuzzycnc_ros.core.thermal.drivers import drivers_of
-    from fuzzycnc_ros.core.thermal.training import at_interval
+    from fuzzycnc_ros.core.thermal.fit.training import at_interval
 
     even = [at_interval(run, interval) for run in runs]
     lacking = [run.name for run in even if run.spindle_speed is None]
@@ -281,7 +281,7 @@ def speed_missing(runs: 'Sequence[ThermalRun]', interval: float) -> str:
 def judge_split(split: 'Split', progress: 'Progress', **options: Any) -> 'HeldOut | BadBag':
     """Judge one held-out run; what is wrong names it."""
     from fuzzycnc_ros.core.thermal import ThermalDataError
-    from fuzzycnc_ros.core.thermal.comparison import judge
+    from fuzzycnc_ros.core.thermal.fit.comparison import judge
 
     try:
         return judge(split, progress=progress, **options)
@@ -313,7 +313,7 @@ def _compared(
 ) -> 'tuple[Comparison, tuple[BadBag, ...]]':
     """Hold everything out in turn; return also what could not be judged."""
     from fuzzycnc_ros.cli.workers import in_workers
-    from fuzzycnc_ros.core.thermal.comparison import Comparison, HeldOut, splits
+    from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut, splits
 
     held_out = splits(runs, windows, options['interval'])
     names = [split.name for split in held_out]

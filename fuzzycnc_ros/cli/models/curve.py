@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from fuzzycnc_ros.core.thermal import ThermalRun
-    from fuzzycnc_ros.core.thermal.comparison import Split
+    from fuzzycnc_ros.core.thermal.fit.comparison import Split
     from fuzzycnc_ros.studies.thermal.sensor_curve import HeldOutCurve
 
 STEPS = 1000
@@ -63,9 +63,9 @@ def curve(
         fuzzycnc curve monday tuesday wednesday
         fuzzycnc curve shift --counts 1,2,4,8 --report sensors.html
     """
-    from fuzzycnc_ros.core.thermal.comparison import splits
-    from fuzzycnc_ros.core.thermal.training import at_interval
-    from fuzzycnc_ros.core.thermal.training_runs import check_training_runs
+    from fuzzycnc_ros.core.thermal.fit.comparison import splits
+    from fuzzycnc_ros.core.thermal.fit.training import at_interval
+    from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
     from fuzzycnc_ros.studies.thermal.sensor_curve import (
         SensorCurves,
         sensor_curve_document,
@@ -122,7 +122,8 @@ def _curves(
     held_out: 'Sequence[Split]', counts: tuple[int, ...], seed: int
 ) -> 'tuple[HeldOutCurve, ...]':
     """Judge every number of sensors on everything that is held out."""
-    from fuzzycnc_ros.core.thermal import ThermalDataError, sensor_count_curve
+    from fuzzycnc_ros.core.thermal import ThermalDataError
+    from fuzzycnc_ros.core.thermal.fit import sensor_count_curve
     from fuzzycnc_ros.studies.thermal.sensor_curve import HeldOutCurve
 
     curves = []
@@ -162,7 +163,7 @@ def _judged(split: 'Split') -> 'ThermalRun':
 
 def _warming(runs: 'Sequence[ThermalRun]') -> int:
     """Return how many sensors warm up."""
-    from fuzzycnc_ros.core.thermal.selection import all_sensors
+    from fuzzycnc_ros.core.thermal.fit.selection import all_sensors
 
     return len(all_sensors(runs).chosen)
 

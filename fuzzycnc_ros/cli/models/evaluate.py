@@ -41,7 +41,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from fuzzycnc_ros.cli.workers import Progress
-    from fuzzycnc_ros.core.thermal import Evaluation, ThermalModel, ThermalRun
+    from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun
+    from fuzzycnc_ros.core.thermal.fit import Evaluation
     from fuzzycnc_ros.studies.page.remark import Remark
     from fuzzycnc_ros.studies.thermal.probed_evaluation import ProbedEvaluation
     from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
@@ -158,8 +159,8 @@ def judge_bag(
         If the bag or its run cannot be used.
     """
     from fuzzycnc_ros.bags.runs import read_run
-    from fuzzycnc_ros.core.thermal import evaluate as judge
     from fuzzycnc_ros.core.thermal import load_model
+    from fuzzycnc_ros.core.thermal.fit import evaluate as judge
 
     progress('evaluating', bag.name, 0, 1)
     trained = load_model(model_text)
@@ -216,8 +217,8 @@ def _document(
     found: Sorted[Judged], file: Path, model: 'ThermalModel', text: str
 ) -> dict[str, Any]:
     """Return all figures."""
-    from fuzzycnc_ros.core.text_hash import text_hash
-    from fuzzycnc_ros.core.thermal.evaluation import pooled_rms
+    from fuzzycnc_ros.core.document import text_hash
+    from fuzzycnc_ros.core.thermal.fit.evaluation import pooled_rms
     from fuzzycnc_ros.studies.thermal.comparison import judged_document, residual_document
     from fuzzycnc_ros.studies.thermal.judged import worse_than_none
     from fuzzycnc_ros.studies.thermal.many_runs import overall_document
@@ -250,7 +251,7 @@ def _document(
 
 def _page(model: 'ThermalModel', run: 'ThermalRun', result: 'Evaluation') -> 'CompensationRun':
     """Return the judged part of a run with the predictions of all candidates, for plots."""
-    from fuzzycnc_ros.core.thermal.training import at_interval
+    from fuzzycnc_ros.core.thermal.fit.training import at_interval
     from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
 
     even = at_interval(run, model.interval)

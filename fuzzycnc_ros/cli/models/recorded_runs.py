@@ -108,7 +108,7 @@ def as_predicted(
         If an input is missing for longer than that, or the run is too slow for the model.
     """
     from fuzzycnc_ros.core.thermal import ThermalDataError
-    from fuzzycnc_ros.core.thermal.training import at_interval
+    from fuzzycnc_ros.core.thermal.fit.training import at_interval
 
     at_interval(run, model.interval)  # refuses what is too slow
     even = run.averaged(model.interval)

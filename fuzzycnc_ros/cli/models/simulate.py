@@ -165,7 +165,8 @@ class _Shift:
 
     def run(self, out: Path | None) -> None:
         """Carry it out; record it if `out` is given."""
-        from fuzzycnc_ros.core.thermal import load_model, train_model
+        from fuzzycnc_ros.core.thermal import load_model
+        from fuzzycnc_ros.core.thermal.fit import train_model
         from fuzzycnc_ros.studies.published_bag import PublishedBag
         from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 

@@ -102,7 +102,7 @@ def train(
         fuzzycnc train shift --models all --no-speed --out mill.json
     """
     from fuzzycnc_ros.bags.runs import read_run
-    from fuzzycnc_ros.core.thermal import train_model
+    from fuzzycnc_ros.core.thermal.fit import train_model
     from fuzzycnc_ros.studies.thermal.judged import choice_remarks
 
     if not force:

@@ -32,7 +32,7 @@ from fuzzycnc_ros.core.deformation.compensation import CompensationConfig
 from fuzzycnc_ros.core.deformation.gain import GAIN_MAX, GAIN_MIN
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, read_offsets
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag, limit_offsets
-from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.runtime import records
 from fuzzycnc_ros.runtime.component import (
     LATCHED,

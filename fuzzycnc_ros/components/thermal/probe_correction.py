@@ -14,10 +14,15 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.components.thermal.predictor_stream import Probe
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal import ThermalModel
-from fuzzycnc_ros.core.thermal.adaptation import GainAdaptation
-from fuzzycnc_ros.core.thermal.drift_alarm import DriftAlarm, drift_deviation
 from fuzzycnc_ros.core.thermal.fade import Fade
-from fuzzycnc_ros.core.thermal.probing import OffsetGainFilter, OffsetReset, Verdict
+from fuzzycnc_ros.core.thermal.probing import (
+    DriftAlarm,
+    GainAdaptation,
+    OffsetGainFilter,
+    OffsetReset,
+    Verdict,
+    drift_deviation,
+)
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.records import (
     SECOND,

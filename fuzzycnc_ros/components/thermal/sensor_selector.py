@@ -113,7 +113,7 @@ class SensorSelector(Component[SensorSelectorConfig]):
     def select(self, runs: Sequence[ThermalRun], clusters: int) -> Selection:
         """Select with the configured method; see `select_sensors` for the errors."""
         # Loaded on use: a node that is never asked to select starts a second faster.
-        from fuzzycnc_ros.core.thermal import select_sensors
+        from fuzzycnc_ros.core.thermal.fit import select_sensors
 
         return select_sensors(
             runs,

@@ -15,7 +15,7 @@ import numpy as np
 
 from fuzzycnc_ros.components.thermal.compensator import NEGLIGIBLE, describe
 from fuzzycnc_ros.core.config import Config, param
-from fuzzycnc_ros.core.repeated_names import repeated_names
+from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,

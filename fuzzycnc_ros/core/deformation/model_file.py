@@ -13,7 +13,7 @@ from fuzzycnc_ros.core.deformation.gain import GAIN_MAX, GAIN_MIN, AxisGain
 from fuzzycnc_ros.core.deformation.gate import Gate
 from fuzzycnc_ros.core.deformation.model import DeformationModel
 from fuzzycnc_ros.core.deformation.rule_network import RuleNetwork
-from fuzzycnc_ros.core.thermal.document import Node, parse_document
+from fuzzycnc_ros.core.document import Node, parse_document
 
 SCHEMA = 'fuzzycnc/deformation-model'
 """What a model file says it is."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.document import parse_document
+from fuzzycnc_ros.core.document import parse_document
 
 FORMAT = 'fuzzycnc stitch offsets'
 """What the file says it is."""

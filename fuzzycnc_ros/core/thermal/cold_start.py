@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.document import Node
+from fuzzycnc_ros.core.document import Node
 from fuzzycnc_ros.core.thermal.run import ThermalRun
 
 TOLERANCE_MIN = 1.0

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.thermal.document import Node
+from fuzzycnc_ros.core.document import Node
 from fuzzycnc_ros.core.thermal.run import ThermalRun
 
 SHINGLE = 4

@@ -2,29 +2,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """A trained thermal model: inputs, fitted candidates, domain and uncertainty."""
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.core.document import ModelFileError, text_hash
 from fuzzycnc_ros.core.thermal.band import Band
 from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, UNCOMPENSATED, Candidate
 from fuzzycnc_ros.core.thermal.cold_start import ColdStart
-from fuzzycnc_ros.core.thermal.document import ModelFileError
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.drivers import (
+    SPINDLE_SPEED,
     drive_of,
     driven_speed,
     speed_drive,
     speed_known,
 )
 from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
-from fuzzycnc_ros.core.thermal.model_checks import check_output, check_parts
-from fuzzycnc_ros.core.thermal.model_document import read_document, write_document
+from fuzzycnc_ros.core.thermal.model_document import SIZE_MAX, read_document, write_document
 from fuzzycnc_ros.core.thermal.recursions import (
     BoundedRecursion,
     Recursion,
@@ -33,8 +34,7 @@ from fuzzycnc_ros.core.thermal.recursions import (
     combine,
 )
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, ThermalRun
-from fuzzycnc_ros.core.thermal.selected import SensorSelection
-from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatchModel
+from fuzzycnc_ros.core.thermal.sensor_watch import SensorSelection, SensorWatchModel
 
 REFERENCE_RULE = 'mean of the first three samples'
 """What rises are meant against, unless a thermal reference says otherwise."""
@@ -415,3 +415,118 @@ class ThermalModel:
             else:
                 candidates[name] = replace(item, recursion=recursion)
         return replace(self, interval=interval, candidates=candidates, omitted=omitted)
+
+
+def check_parts(model: 'ThermalModel') -> None:
+    """Refuse parts that contradict each other.
+
+    Raises
+    ------
+    ValueError
+        The message names the part.
+    """
+    inputs, channels = len(model.inputs), len(model.channel)
+    if not inputs or len(set(model.inputs)) != inputs:
+        raise ValueError(f'inputs: expected each sensor once, but found {model.inputs}')
+    if not channels or len(set(model.channel)) != channels:
+        raise ValueError(f'channel: expected each channel once, but found {model.channel}')
+    for name, found in (
+        ('axis', len(model.axis)),
+        ('default', len(model.default)),
+        ('residual_deviation', len(model.band.deviation)),
+    ):
+        if found != channels:
+            raise ValueError(f'{name}: expected one per channel ({channels}), but found {found}')
+    if model.selection.chosen != model.inputs:
+        raise ValueError(
+            f'selection: expected the inputs {", ".join(model.inputs)} as chosen sensors, but '
+            f'found {", ".join(model.selection.chosen)}'
+        )
+    if model.drivers not in ((), (SPINDLE_SPEED,)):
+        raise ValueError(
+            f'drivers: expected none or {SPINDLE_SPEED}, but found {", ".join(model.drivers)}'
+        )
+    if model.domain.drive.shape != (len(model.drivers),):
+        raise ValueError(
+            f'domain: expected {len(model.drivers)} drivers, but found {len(model.domain.drive)}'
+        )
+    if model.watch is not None and model.watch.input != model.inputs:
+        raise ValueError(
+            f'watch: expected the inputs {", ".join(model.inputs)}, but found '
+            f'{", ".join(model.watch.input)}'
+        )
+    if model.cold_start is not None and model.cold_start.pattern.shape != (inputs,):
+        raise ValueError(
+            f'cold_start: expected {inputs} inputs, but found {model.cold_start.pattern.shape}'
+        )
+    if model.domain.mean.shape != (inputs,):
+        raise ValueError(f'domain: expected {inputs} inputs, but found {model.domain.mean.shape}')
+    for name, candidate in model.candidates.items():
+        shape = (candidate.recursion.channels, candidate.recursion.inputs)
+        width = inputs + len(model.drivers)
+        if shape != (channels, width):
+            raise ValueError(
+                f'candidate {name!r}: expected {channels} channels and {width} inputs, but '
+                f'found {shape[0]} and {shape[1]}'
+            )
+    for name in model.default:
+        if name not in model.candidates:
+            raise ValueError(
+                f'default: expected one of {", ".join(model.candidates)}, but found {name!r}'
+            )
+        if model.candidates[name].problems:
+            raise ValueError(
+                f'default: expected a reliable candidate, but found {name!r}: '
+                f'{"; ".join(model.candidates[name].problems)}'
+            )
+
+
+def check_output(model: 'ThermalModel') -> None:
+    """Refuse numbers that are finite one by one, but of which no finite prediction follows.
+
+    Raises
+    ------
+    ValueError
+        If an error or a deviation amid the training is not finite.
+    """
+    sample = np.concatenate([model.domain.mean, model.domain.drive])
+    stream = model.start()
+    with np.errstate(all='ignore'):
+        values = [stream.step(sample) for _ in range(3)]
+        deviation = model.standard_deviation(sample)
+    if not (np.isfinite(values).all() and np.isfinite(deviation).all()):
+        raise ValueError(
+            f'default: expected finite errors and deviations amid the training, but found '
+            f'{values[-1]} and {deviation}; train the model anew'
+        )
+
+
+def load_model(source: str | os.PathLike[str]) -> ThermalModel:
+    """Return the model of a file, or of a text that `ThermalModel.to_json` returned.
+
+    Parameters
+    ----------
+    source : str or path
+        Path of a model file; a text that begins with a brace is taken for the document itself.
+
+    Raises
+    ------
+    ModelFileError
+        If the file cannot be read or is no usable model.
+
+    Notes
+    -----
+    This is the one place where the core reads a file: a model is what users load by path.
+    """
+    if isinstance(source, str) and source.lstrip().startswith('{'):
+        return ThermalModel.from_json(source)
+    path = Path(source)
+    try:
+        with path.open(encoding='utf-8') as file:
+            text = file.read(SIZE_MAX + 1)
+    except (OSError, ValueError) as error:
+        raise ModelFileError(f'{path}: expected a readable model file, but: {error}') from error
+    try:
+        return ThermalModel.from_json(text)
+    except ModelFileError as error:
+        raise ModelFileError(f'{path}: {error}') from error

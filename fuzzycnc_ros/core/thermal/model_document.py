@@ -14,15 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.document import ModelFileError, Node, parse_document
 from fuzzycnc_ros.core.thermal.band import Band
 from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, UNCOMPENSATED, Candidate, Settings
 from fuzzycnc_ros.core.thermal.cold_start import ColdStart
-from fuzzycnc_ros.core.thermal.document import ModelFileError, Node, parse_document
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
 from fuzzycnc_ros.core.thermal.recursions import read_recursion, write_recursion
-from fuzzycnc_ros.core.thermal.selected import SensorCluster, SensorSelection
-from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatchModel
+from fuzzycnc_ros.core.thermal.sensor_watch import SensorCluster, SensorSelection, SensorWatchModel
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.model import ThermalModel

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from fuzzycnc_ros.core.thermal import (
+from fuzzycnc_ros.core.thermal.fit import (
     Anfis,
     Arma,
     DynamicNetwork,

@@ -7,7 +7,7 @@ import warnings
 from io import StringIO
 from typing import Any
 
-from fuzzycnc_ros.core.visible import visible
+from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.studies.page.drawing import ACCENT, FAINT, GRID, INK, MUTED, plot_style
 from fuzzycnc_ros.studies.page.requirement import require
 

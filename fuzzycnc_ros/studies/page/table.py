@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
 
-from fuzzycnc_ros.core.visible import visible
+from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.studies.page.requirement import require
 
 WARNING_MARK = '! '

@@ -23,8 +23,8 @@ from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, 
 if TYPE_CHECKING:
     import numpy as np
 
-    from fuzzycnc_ros.core.thermal.comparison import Comparison, HeldOut
-    from fuzzycnc_ros.core.thermal.evaluation import Evaluation
+    from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut
+    from fuzzycnc_ros.core.thermal.fit.evaluation import Evaluation
 
     Figures = Mapping[str, NDArray[np.float64]]
 

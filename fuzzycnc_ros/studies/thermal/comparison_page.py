@@ -15,7 +15,7 @@ from fuzzycnc_ros.studies.thermal.summary import candidate_label
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from fuzzycnc_ros.core.thermal.comparison import Comparison, HeldOut
+    from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut
 
 HOW_TO_READ = (
     'Bars show the root mean square residual of each model; the shorter, the better. Grey: the '

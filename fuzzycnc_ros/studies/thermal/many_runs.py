@@ -15,7 +15,7 @@ from fuzzycnc_ros.studies.thermal.judged import DEFAULT, worse_than_none
 from fuzzycnc_ros.studies.thermal.summary import micrometres
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.thermal.evaluation import Evaluation
+    from fuzzycnc_ros.core.thermal.fit.evaluation import Evaluation
 
 Floats = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from fuzzycnc_ros.studies.thermal.comparison_plots import plot_sensor_counts
 from fuzzycnc_ros.studies.thermal.summary import micrometres
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.thermal import SensorCount
+    from fuzzycnc_ros.core.thermal.fit import SensorCount
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import pytest
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.cli.models.compare import read_runs, speed_missing
 from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, SPEED_SUFFIX
-from fuzzycnc_ros.core.thermal.comparison import judge, splits
+from fuzzycnc_ros.core.thermal.fit.comparison import judge, splits
 
 LINEAR = ('least_squares', 'static_ridge', 'lag_ridge', 'stable_grey')
 QUICK = ('--models', ','.join(LINEAR))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.core.thermal import sensor_count_curve
+from fuzzycnc_ros.core.thermal.fit import sensor_count_curve
 
 
 def read_json(name):

@@ -36,7 +36,7 @@ from fuzzycnc_ros.core.deformation import (
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, write_offsets
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive
-from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.runtime.enums import Junction, PrimitiveKind, SegmentKind
 from fuzzycnc_ros.runtime.records import nanoseconds
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.deformation import AxisGain, TSFuzzyNetwork, read_model, write_model
-from fuzzycnc_ros.core.thermal.document import ModelFileError
+from fuzzycnc_ros.core.document import ModelFileError
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 
 

@@ -12,7 +12,7 @@ from fuzzycnc_ros.core.deformation.offset_file import (
     read_offsets,
     write_offsets,
 )
-from fuzzycnc_ros.core.thermal.document import ModelFileError
+from fuzzycnc_ros.core.document import ModelFileError
 
 NOMINAL = np.array([[0.0, 0.0], [3e-3, 0.0], [6e-3, 1e-3]])
 OFFSETS = StitchOffsets('square', 'foam', NOMINAL, 0.1 * NOMINAL)

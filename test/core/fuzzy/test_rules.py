@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.fuzzy.hybrid_learning import Premises, Samples, step_factor, train_rules
 from fuzzycnc_ros.core.fuzzy.takagi_sugeno import log_firing, normalised_firing
-from fuzzycnc_ros.core.thermal.anfis import cluster_premises, grid_premises
-from fuzzycnc_ros.core.thermal.linear import ridge_solution
+from fuzzycnc_ros.core.thermal.fit.anfis import cluster_premises, grid_premises
+from fuzzycnc_ros.core.thermal.fit.linear import ridge_solution
 
 
 def sets(seed=0, rules=3, inputs=3):

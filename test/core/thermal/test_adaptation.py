@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.thermal.adaptation import GainAdaptation
+from fuzzycnc_ros.core.thermal.probing import GainAdaptation
 
 MICRON = 1e-6
 NOISE = np.full(1, 1.5 * MICRON)

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fuzzycnc_ros.core.thermal import GreyModel, LagRidge, select_sensors
 from fuzzycnc_ros.core.thermal.band import (
     GROWTHS,
     WIDTH,
@@ -15,8 +14,9 @@ from fuzzycnc_ros.core.thermal.band import (
     fitted_band,
     held_out_deviation,
 )
-from fuzzycnc_ros.core.thermal.baselines import GaussianProcess
 from fuzzycnc_ros.core.thermal.domain import trained_domain
+from fuzzycnc_ros.core.thermal.fit import GreyModel, LagRidge, select_sensors
+from fuzzycnc_ros.core.thermal.fit.baselines import GaussianProcess
 from fuzzycnc_ros.core.thermal.moments import Fold
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.thermal.drift_alarm import ALLOWANCE, LIMIT, DriftAlarm, drift_deviation
+from fuzzycnc_ros.core.thermal.probing import ALLOWANCE, LIMIT, DriftAlarm, drift_deviation
 
 
 def test_refusals():

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.text_hash import text_hash
+from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.core.thermal import (
     ModelFileError,
     ModelMismatchError,
     ThermalModel,
     ThermalRun,
     load_model,
-    train_model,
 )
+from fuzzycnc_ros.core.thermal.fit import train_model
 
 
 def machine_run(name, seed, samples=200):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.thermal.document import Node
+from fuzzycnc_ros.core.document import Node
 from fuzzycnc_ros.core.thermal.recursions import (
     GreyRecursion,
     LinearRecursion,

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
-from fuzzycnc_ros.core.thermal.training_runs import check_training_runs
-from fuzzycnc_ros.core.thermal.windows import counted
+from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
+from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun, counted
 
 
 def make(samples=20, interval=60.0, **changes):

@@ -11,8 +11,9 @@ from benches.watch_rig import SENSORS, STEP, recordings, rises
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.thermal.document import Node
-from fuzzycnc_ros.core.thermal.selection import all_sensors
+from fuzzycnc_ros.core.document import Node
+from fuzzycnc_ros.core.thermal.fit.selection import all_sensors
+from fuzzycnc_ros.core.thermal.fit.training import learn_watch
 from fuzzycnc_ros.core.thermal.sensor_watch import (
     PERSISTENCE,
     RETURN_TIME,
@@ -26,7 +27,6 @@ from fuzzycnc_ros.core.thermal.sensor_watch import (
     unexplained,
     voter_weights,
 )
-from fuzzycnc_ros.core.thermal.watch_training import learn_watch
 
 
 @pytest.fixture(scope='module')

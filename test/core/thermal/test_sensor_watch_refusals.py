@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from benches.watch_rig import STEP, recordings
 
-from fuzzycnc_ros.core.thermal.document import ModelFileError, Node
-from fuzzycnc_ros.core.thermal.selection import all_sensors
+from fuzzycnc_ros.core.document import ModelFileError, Node
+from fuzzycnc_ros.core.thermal.fit.selection import all_sensors
+from fuzzycnc_ros.core.thermal.fit.training import learn_watch
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatch, SensorWatchModel
-from fuzzycnc_ros.core.thermal.watch_training import learn_watch
 
 
 @pytest.fixture(scope='module')

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal import StaticRidge
+from fuzzycnc_ros.core.thermal.fit import StaticRidge
 from fuzzycnc_ros.simulation.thermal.grinder_runs import (
     FLUX_CASES,
     record_flux_case,

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal import Evaluation
 from fuzzycnc_ros.core.thermal.candidate import CANDIDATES
-from fuzzycnc_ros.core.thermal.comparison import Comparison, HeldOut
-from fuzzycnc_ros.core.thermal.selection import SensorCount
+from fuzzycnc_ros.core.thermal.fit import Evaluation
+from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut
+from fuzzycnc_ros.core.thermal.fit.selection import SensorCount
 from fuzzycnc_ros.studies.page.remark import Remark
 from fuzzycnc_ros.studies.thermal.comparison import (
     best_candidates,

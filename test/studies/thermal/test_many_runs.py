@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal import Evaluation
+from fuzzycnc_ros.core.thermal.fit import Evaluation
 from fuzzycnc_ros.studies.thermal.many_runs import (
     median_of,
     overall_document,

@@ -15,8 +15,9 @@ from fuzzycnc_ros.components.thermal.thermal_predictor import (
     ThermalPredictor,
     ThermalPredictorConfig,
 )
-from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, load_model, train_model
+from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, load_model
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
     Displacement,

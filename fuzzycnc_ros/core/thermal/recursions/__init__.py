@@ -9,23 +9,30 @@ from fuzzycnc_ros.core.thermal.recursions.base import (
     check_shapes,
     run_slices,
 )
-from fuzzycnc_ros.core.thermal.recursions.bounded import BOUND_FACTOR, BoundedRecursion, bound_of
-from fuzzycnc_ros.core.thermal.recursions.corrected import CorrectedRecursion
-from fuzzycnc_ros.core.thermal.recursions.differenced_grey import DifferencedGreyRecursion
-from fuzzycnc_ros.core.thermal.recursions.filter_network import FilterNetworkRecursion
-from fuzzycnc_ros.core.thermal.recursions.grey import GreyRecursion, development_of, pole_of
-from fuzzycnc_ros.core.thermal.recursions.kernel import KernelRecursion
-from fuzzycnc_ros.core.thermal.recursions.layers import LayersRecursion
-from fuzzycnc_ros.core.thermal.recursions.linear import LinearRecursion, first_order_lags
-from fuzzycnc_ros.core.thermal.recursions.moving_average import MovingAverageRecursion
-from fuzzycnc_ros.core.thermal.recursions.parallel import (
+from fuzzycnc_ros.core.thermal.recursions.composed import (
+    BOUND_FACTOR,
+    BoundedRecursion,
     ParallelRecursion,
+    SeriesRecursion,
+    bound_of,
     combine,
+    leading,
     read_recursion,
     write_recursion,
 )
-from fuzzycnc_ros.core.thermal.recursions.rules import RulesRecursion
-from fuzzycnc_ros.core.thermal.recursions.series import SeriesRecursion, leading
+from fuzzycnc_ros.core.thermal.recursions.filters import (
+    FilterNetworkRecursion,
+    MovingAverageRecursion,
+)
+from fuzzycnc_ros.core.thermal.recursions.grey import (
+    DifferencedGreyRecursion,
+    GreyRecursion,
+    development_of,
+    pole_of,
+)
+from fuzzycnc_ros.core.thermal.recursions.kernel import KernelRecursion, LayersRecursion
+from fuzzycnc_ros.core.thermal.recursions.linear import LinearRecursion, first_order_lags
+from fuzzycnc_ros.core.thermal.recursions.rules import CorrectedRecursion, RulesRecursion
 
 FORMS: tuple[type[Recursion], ...] = (
     LinearRecursion,

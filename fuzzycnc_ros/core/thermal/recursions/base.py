@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.document import Node
+from fuzzycnc_ros.core.document import Node
 
 Self = TypeVar('Self', bound='Recursion')
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.document import Node
+from fuzzycnc_ros.core.document import Node
 from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_shapes
 
 

@@ -1,0 +1,138 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reading of JSON documents that nothing is believed in: types, shapes, finiteness."""
+
+import hashlib
+import json
+from math import isfinite
+from typing import Any, NoReturn
+
+import numpy as np
+
+from fuzzycnc_ros.core.arrays import Array
+
+
+def text_hash(text: str) -> str:
+    """Return the SHA-256 of a text in UTF-8, 64 hexadecimal digits."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+class ModelFileError(ValueError):
+    """A document is no usable model file; the message says where and why."""
+
+
+class Node:
+    """A value of the document and where it stands."""
+
+    def __init__(self, value: Any, where: str, depth: int = 0) -> None:
+        self.value = value
+        self.where = where
+        self.depth = depth
+
+    def refuse(self, expected: str) -> NoReturn:
+        """Raise an error that shows the value, shortened."""
+        found = repr(self.value)
+        found = found if len(found) <= 60 else f'{found[:57]}...'
+        raise ModelFileError(f'{self.where}: expected {expected}, but found {found}')
+
+    def get(self, key: str) -> 'Node':
+        """Return a member of an object."""
+        if not isinstance(self.value, dict) or key not in self.value:
+            self.refuse(f'an object with {key!r}')
+        return Node(self.value[key], f'{self.where}, {key}', self.depth + 1)
+
+    def items(self) -> dict[str, 'Node']:
+        """Return the members of an object."""
+        if not isinstance(self.value, dict):
+            self.refuse('an object')
+        return {
+            key: Node(item, f'{self.where}, {key}', self.depth + 1)
+            for key, item in self.value.items()
+        }
+
+    def list(self) -> 'list[Node]':
+        """Return the elements of a list."""
+        if not isinstance(self.value, list):
+            self.refuse('a list')
+        return [
+            Node(item, f'{self.where}[{at}]', self.depth + 1) for at, item in enumerate(self.value)
+        ]
+
+    def text(self) -> str:
+        """Return a text."""
+        if not isinstance(self.value, str):
+            self.refuse('a text')
+        return self.value
+
+    def texts(self) -> tuple[str, ...]:
+        """Return a list of texts."""
+        return tuple(node.text() for node in self.list())
+
+    def number(self) -> float:
+        """Return a finite number; JSON's true and false are none."""
+        if isinstance(self.value, bool) or not isinstance(self.value, (int, float)):
+            self.refuse('a number')
+        # A huge whole number would overflow the conversion.
+        if abs(self.value) > 1e300 or not isfinite(self.value):
+            self.refuse('a finite number')
+        return float(self.value)
+
+    def numbers(self) -> tuple[float, ...]:
+        """Return a list of finite numbers."""
+        return tuple(node.number() for node in self.list())
+
+    def vector(self) -> Array:
+        """Return a list of finite numbers as an array."""
+        return np.array(self.numbers(), dtype=np.float64)
+
+    def boolean(self) -> bool:
+        """Return true or false."""
+        if not isinstance(self.value, bool):
+            self.refuse('true or false')
+        return self.value
+
+    def numbers_or_infinite(self) -> Array:
+        """Return a list of numbers where null stands for infinity, which JSON has not."""
+        return np.array([np.inf if n.value is None else n.number() for n in self.list()])
+
+    def matrix(self, columns: int) -> Array:
+        """Return a list of rows of `columns` finite numbers each; it may have no row."""
+        rows = []
+        for node in self.list():
+            rows.append(node.numbers())
+            if len(rows[-1]) != columns:
+                node.refuse(f'{columns} numbers')
+        return np.array(rows, dtype=np.float64).reshape(len(rows), columns)
+
+
+def parse_document(text: str, what: str, size_max: int) -> Node:
+    """Return the root of a JSON document of finite numbers.
+
+    Parameters
+    ----------
+    text : str
+        The document.
+    what : str
+        What kind of file it is, for messages.
+    size_max : int
+        Largest document that is read [characters].
+
+    Raises
+    ------
+    ModelFileError
+        If it is too large, no JSON, or holds a number that is not finite.
+    """
+
+    def no_constant(name: str) -> NoReturn:
+        raise ModelFileError(f'{what}: expected finite numbers, but found {name}')
+
+    if len(text) > size_max:
+        raise ModelFileError(
+            f'{what}: expected at most {size_max} characters, but found {len(text)}'
+        )
+    try:
+        return Node(json.loads(text, parse_constant=no_constant), what)
+    except ModelFileError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise ModelFileError(f'{what}: expected JSON, but found {error}') from error

@@ -1,0 +1,374 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Train a thermal model: sensors, candidates, choice on held-out runs, domain."""
+
+from collections.abc import Callable, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.band import fitted_band
+from fuzzycnc_ros.core.thermal.candidate import (
+    CANDIDATES,
+    COMPARED_ONLY,
+    SPEED_SUFFIX,
+    STANDARD,
+    UNCOMPENSATED,
+)
+from fuzzycnc_ros.core.thermal.cold_start import ColdStart
+from fuzzycnc_ros.core.thermal.domain import trained_domain
+from fuzzycnc_ros.core.thermal.drivers import drivers_of
+from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
+from fuzzycnc_ros.core.thermal.fit.candidates import JudgedCandidate, fit_candidate, uncompensated
+from fuzzycnc_ros.core.thermal.fit.choice import preferred, unseen_residual
+from fuzzycnc_ros.core.thermal.fit.folds import independent_folds, training_folds
+from fuzzycnc_ros.core.thermal.fit.refinement import Progress
+from fuzzycnc_ros.core.thermal.fit.selection import (
+    all_sensors,
+    select_sensors,
+)
+from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
+from fuzzycnc_ros.core.thermal.fit.training_set import TrainingSet
+from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.recursions import bound_of, first_order_lags
+from fuzzycnc_ros.core.thermal.run import (
+    JITTER_MAX,
+    ThermalDataError,
+    ThermalRun,
+    hidden,
+)
+from fuzzycnc_ros.core.thermal.sensor_watch import (
+    VOTERS,
+    Indices,
+    Leverage,
+    SensorSelection,
+    SensorWatchModel,
+    agreed,
+    moment_of,
+    voter_weights,
+)
+from fuzzycnc_ros.core.threads import single_threaded
+
+SENSORS_MAX = 24
+"""Most sensors that 'auto' feeds to the models as they are.
+
+Clusters exist to reduce a dense field such as the 76 sensors of method sheet 001.  On its two
+public recordings, with 16 and 22 sensors, ridge models on all sensors beat five chosen ones."""
+
+PAIR = 2
+"""Number of runs of which each fold sees one: its sensors say little of those of both.
+
+Candidates are then judged with the sensors of all runs, and only the band without."""
+
+COPY_SHARE = 0.5
+"""Share of common samples from which two runs are taken for one recording [-]."""
+
+
+@single_threaded
+def train_model(
+    runs: Sequence[ThermalRun],
+    *,
+    model: str = 'auto',
+    interval: float = 60.0,
+    sensors: str = 'auto',
+    n_clusters: int = 5,
+    candidates: Sequence[str] = STANDARD,
+    compared: Sequence[str] = (),
+    spindle_speed: bool = True,
+    random_state: int = 0,
+    progress: Progress | None = None,
+) -> ThermalModel:
+    """Train on recorded runs and choose by what was held out, method sheet 001 section 5.
+
+    Parameters
+    ----------
+    runs : sequence of ThermalRun
+        Runs of one machine, each from its thermal start, sampled at `interval` or faster.
+    model : str
+        Candidate to use for every channel, or 'auto' for the best on held-out samples: whole
+        runs where there are several, contiguous stretches of three lengths of a single one.
+    interval : float
+        Sampling interval of the model [s]; faster runs are averaged.
+    sensors : {'auto', 'clusters', 'all'}
+        'clusters' chooses one sensor per cluster, 'all' takes every sensor that warms up,
+        'auto' takes all up to 24 sensors and clusters above.
+    n_clusters : int
+        Number of clusters.
+    candidates : sequence of str
+        Candidates to fit, to judge on held-out samples and to choose from, beside `model`.
+    compared : sequence of str
+        Further candidates, which are only fitted: they are in the model for a comparison.
+    spindle_speed : bool
+        Whether candidates may read the spindle speed, where all runs have it.
+    random_state : int
+        Seed of the clustering.
+    progress : callable, optional
+        Told stage, candidate, steps done and steps in all; an exception that it raises ends
+        the training and comes through.
+
+    Returns
+    -------
+    ThermalModel
+        All candidates that could be fitted, and which of them each channel uses.
+
+    Raises
+    ------
+    ThermalDataError
+        If the runs cannot be used, or the requested model cannot be fitted or trusted.
+    ValueError
+        If `model` or `sensors` is unknown.
+    """
+    names = _names(model, candidates, compared)
+    even = [at_interval(run, interval) for run in runs]
+    check_training_runs(even)
+    fingerprints = tuple(Fingerprint.of(run) for run in runs)
+    _check_copies(fingerprints)
+    selection = _selected(even, sensors, n_clusters, random_state, progress)
+    drivers = drivers_of(even) if spindle_speed else ()
+    data = TrainingSet.of(even, selection.chosen, drivers)
+    nested = None
+    if selection.method != 'all':
+        nested = _nested(data, even, selection.chosen, sensors, n_clusters, random_state, progress)
+        if len(even) != PAIR:
+            data, nested = nested, None
+    judged = {UNCOMPENSATED: uncompensated(data)}
+    omitted: dict[str, str] = {}
+    for done, name in enumerate(names):
+        if name.endswith(SPEED_SUFFIX) and not drivers:
+            if name == model:
+                raise ThermalDataError(
+                    f'model {name!r}: expected a spindle speed that changes, in every sample '
+                    'of all runs, but found none; record machine_state or spindle_speed, or use '
+                    'a model without it'
+                )
+            continue
+        try:
+            judged[name] = fit_candidate(
+                name,
+                data,
+                _step(progress, name, done, len(names)),
+                held_out=name in candidates or name == model,
+            )
+        except ThermalDataError as error:
+            if name == model:
+                raise
+            omitted[name] = str(error)
+    if progress is not None:
+        progress('fit', names[-1], len(names), len(names))
+    sound = _sound(model, candidates, judged, omitted)
+    default = preferred(sound, data) if model == 'auto' else (model,) * len(even[0].channel)
+    residual = unseen_residual(sound, data, default, nested)
+    domain, distance = trained_domain(data.rise, data.drive, data.trained, data.block, data.folds)
+    return ThermalModel(
+        inputs=selection.chosen,
+        interval=data.interval,
+        channel=even[0].channel,
+        axis=even[0].axis,
+        runs=tuple(run.name for run in even),
+        candidates={name: item.candidate for name, item in judged.items()},
+        default=default,
+        selection=selection,
+        domain=domain,
+        drivers=drivers,
+        bound=bound_of(data.displacement),
+        band=fitted_band(
+            np.concatenate(residual), np.concatenate(distance), independent_folds(data.folds)
+        ),
+        omitted=omitted,
+        watch=learn_watch(even, selection, data.interval),
+        cold_start=ColdStart.of(even, selection.chosen),
+        fingerprints=fingerprints,
+    )
+
+
+def at_interval(run: ThermalRun, interval: float) -> ThermalRun:
+    """Return a run at a model's interval, averaged if it is sampled faster.
+
+    Raises
+    ------
+    ThermalDataError
+        If the run is sampled more slowly than `interval`.
+    """
+    step = float(np.median(np.diff(run.time)))
+    if step > interval * (1.0 + JITTER_MAX):
+        raise ThermalDataError(
+            f'run {run.name!r}: expected a sample every {interval:g} s or more often, but found '
+            f'one every {step:g} s; record faster or train with interval={step:g}'
+        )
+    return run.resample(interval)
+
+
+def _names(model: str, candidates: Sequence[str], compared: Sequence[str]) -> tuple[str, ...]:
+    """Return the candidates to fit, in the order of tables."""
+    known = ', '.join(CANDIDATES)
+    if model not in ('auto', *CANDIDATES):
+        raise ValueError(f'model: expected auto or one of {known}, but found {model!r}')
+    for field, names in (('candidates', candidates), ('compared', compared)):
+        for name in names:
+            if name not in CANDIDATES:
+                raise ValueError(f'{field}: expected some of {known}, but found {name!r}')
+    if model == 'auto' and not candidates:
+        raise ValueError(f'candidates: expected some of {known} to choose from, but found none')
+    wanted = {model, *candidates, *compared}
+    return tuple(name for name in CANDIDATES if name in wanted)
+
+
+def _step(progress: Progress | None, name: str, done: int, total: int) -> Callable[[], None]:
+    """Return what a candidate under training calls after each fit."""
+
+    def step() -> None:
+        if progress is not None:
+            progress('fit', name, done, total)
+
+    step()
+    return step
+
+
+def _selected(
+    runs: Sequence[ThermalRun],
+    sensors: str,
+    n_clusters: int,
+    random_state: int,
+    progress: Progress | None,
+) -> SensorSelection:
+    if sensors not in ('auto', 'clusters', 'all'):
+        raise ValueError(f'sensors: expected auto, clusters or all, but found {sensors!r}')
+    if sensors == 'all' or (sensors == 'auto' and len(runs[0].sensor) <= SENSORS_MAX):
+        return all_sensors(runs)
+    return select_sensors(
+        runs, n_clusters=n_clusters, random_state=random_state, progress=progress
+    )
+
+
+def _nested(
+    data: TrainingSet,
+    runs: Sequence[ThermalRun],
+    chosen: Sequence[str],
+    sensors: str,
+    n_clusters: int,
+    random_state: int,
+    progress: Progress | None,
+) -> TrainingSet:
+    """Choose the sensors of each fold without what it judges on."""
+    rows = data.rows
+    inputs = []
+    for fold in data.folds:
+        seen = np.isin(data.block, fold.train)
+        part = [
+            run if seen[own].all() else hidden(run, ~seen[own])
+            for run, own in zip(runs, rows, strict=True)
+            if seen[own].any()
+        ]
+        try:
+            inputs.append(_selected(part, sensors, n_clusters, random_state, progress).chosen)
+        except ThermalDataError:
+            inputs.append(tuple(chosen))  # too little is left to choose anew
+    return data.nested(runs, inputs)
+
+
+def _check_copies(fingerprints: Sequence[Fingerprint]) -> None:
+    """Refuse a recording that is there twice: what is held out would be trained on."""
+    for first, second in combinations(fingerprints, 2):
+        if (share := first.shared(second)) > COPY_SHARE:
+            raise ThermalDataError(
+                f'run {second.run!r}: expected another recording than {first.run!r}, but '
+                f'found {100.0 * share:.0f} % of its samples in it; leave one of them out'
+            )
+
+
+def _sound(
+    model: str,
+    candidates: Sequence[str],
+    judged: dict[str, JudgedCandidate],
+    omitted: dict[str, str],
+) -> list[JudgedCandidate]:
+    """Return the candidates that the choice may fall on.
+
+    Raises
+    ------
+    ThermalDataError
+        If there is none, or the requested one cannot be trusted.
+    """
+    if model != 'auto':
+        if problems := judged[model].candidate.problems:
+            raise ThermalDataError(f'model {model!r} is refused: {"; ".join(problems)}')
+        return [judged[model]]
+    able = [
+        item for name, item in judged.items() if name in candidates and name not in COMPARED_ONLY
+    ]
+    if not able:
+        reasons = [f'{name}: for comparison only' for name in judged if name != UNCOMPENSATED]
+        reasons += [f'{name}: {reason}' for name, reason in omitted.items()]
+        raise ThermalDataError(
+            'model: expected a candidate that can be chosen, but found none; '
+            + ' | '.join(reasons)
+        )
+    sound = [item for item in able if not item.candidate.problems]
+    return [*sound, judged[UNCOMPENSATED]]
+
+
+SMOOTHING = 300.0
+"""Time constant of the smoothing of held-out residuals [s]: noise is not what the mates miss."""
+
+DECIMALS = 6
+"""Decimals of the moments [K^2] in a model file; a reading's noise is 0.01 K^2."""
+
+
+def learn_watch(
+    runs: Sequence[ThermalRun], selection: SensorSelection, interval: float
+) -> SensorWatchModel:
+    """Learn the sensors' common behaviour, and how well it tells of each chosen one.
+
+    Parameters
+    ----------
+    runs : sequence of ThermalRun
+        Training runs of one machine, checked and at one interval.
+    selection : SensorSelection
+        The chosen sensors; those that never warmed are no mates.
+    interval : float
+        Sampling interval [s].
+
+    Returns
+    -------
+    SensorWatchModel
+        Moments of all runs; misses and distances of runs that were held out, or of stretches
+        of a single run.
+
+    Raises
+    ------
+    ThermalDataError
+        If no fold has measured displacements, as in the choice of a model.
+    """
+    sensor = tuple(name for name in runs[0].sensor if name not in selection.dropped)
+    rise = np.concatenate([run.rise()[:, run.columns(sensor)] for run in runs])
+    targets = np.array([sensor.index(name) for name in selection.chosen], dtype=np.int64)
+    block, folds = training_folds(runs)
+    moments = [moment_of(rise[block == number]) for number in range(int(block.max()) + 1)]
+    sizes = np.bincount(block)
+    share = min(1.0, interval / SMOOTHING)
+    missed, leverage = np.zeros(len(targets)), np.zeros(len(targets))
+    for fold in folds:
+        train = list(fold.train)
+        moment = np.sum([moments[number] for number in train], axis=0) / sizes[train].sum()
+        held_out = rise[np.isin(block, fold.test)]
+        residual, distance = _judged(moment, targets, held_out)
+        smooth = first_order_lags(np.array(1.0 - share), share * residual)
+        missed = np.maximum(missed, np.abs(agreed(smooth)).max(axis=0))
+        leverage = np.maximum(leverage, distance.max(axis=0))
+    return SensorWatchModel(
+        sensor=sensor,
+        input=selection.chosen,
+        moment=np.round(np.sum(moments, axis=0) / len(rise), DECIMALS),
+        missed=missed,
+        leverage=leverage,
+    )
+
+
+def _judged(moment: Array, targets: Indices, rise: Array) -> tuple[Array, Array]:
+    """Return what each voter misses of held-out rises, (n, voters, p) [K], and their leverage."""
+    usable = np.arange(len(moment))
+    weights = voter_weights(moment, targets, usable)
+    expected = rise @ weights.reshape(VOTERS * len(targets), -1).T
+    residual = rise[:, np.newaxis, targets] - expected.reshape(len(rise), VOTERS, -1)
+    return np.nan_to_num(residual), Leverage(moment, targets, usable).of(rise)
