@@ -20,8 +20,12 @@ from time import perf_counter
 
 import numpy as np
 
-from fuzzycnc_ros.core.fuzzy.hybrid_learning import Premises, train_rules
-from fuzzycnc_ros.core.fuzzy.takagi_sugeno import log_firing, normalised_firing
+from fuzzycnc_ros.core.fuzzy.takagi_sugeno import (
+    Premises,
+    log_firing,
+    normalised_firing,
+    train_rules,
+)
 from fuzzycnc_ros.core.thermal.fit.anfis import (
     STEP,
     WIDTH_MIN,

@@ -18,7 +18,7 @@ from time import perf_counter
 
 import numpy as np
 
-from fuzzycnc_ros.core.fuzzy import FuzzyCMeans
+from fuzzycnc_ros.core.fuzzy.clustering import FuzzyCMeans
 
 SENSORS, SAMPLES, CLUSTERS = 76, 1000, 5
 STARTS = 5

@@ -19,7 +19,7 @@ from time import perf_counter
 
 import numpy as np
 
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler
 from fuzzycnc_ros.core.fuzzy.mamdani import Mamdani, MamdaniTable
 
 PAIRS, THEIR_PAIRS = 200_000, 2000

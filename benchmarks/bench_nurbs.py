@@ -19,7 +19,7 @@ from time import perf_counter
 import numpy as np
 
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
-from fuzzycnc_ros.core.feedrate.path.path_curvature import curvature
+from fuzzycnc_ros.core.feedrate.path.sampled_path import curvature
 
 POINTS = (2_000, 100_000, 1_000_000)
 POINTS_GEOMDL = 100_000

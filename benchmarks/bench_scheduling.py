@@ -18,16 +18,13 @@ from time import perf_counter
 
 import numpy as np
 
-from fuzzycnc_ros.core.feedrate import (
-    FuzzyScheduler,
-    LogFuzzyScheduler,
-    MotionLimits,
-    PathGeometry,
-    SampledPath,
-    limit_motion,
-)
-from fuzzycnc_ros.core.feedrate.motion.limits import reachable_speed
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits, reachable_speed
+from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
+from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
+from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
+from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
 
 POINTS, PIECES, REPEATS = 1_000_000, 20_000, 5
 RATE_MIN = 1.5e6

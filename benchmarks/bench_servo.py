@@ -21,7 +21,8 @@ from time import process_time
 
 import numpy as np
 
-from fuzzycnc_ros.core.servo import CascadeController, PidController, VariableUniverseController
+from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
+from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 

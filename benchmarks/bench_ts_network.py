@@ -20,9 +20,9 @@ from time import perf_counter
 
 import numpy as np
 
-from fuzzycnc_ros.core.deformation import FEATURE_SETS, TSFuzzyNetwork
-from fuzzycnc_ros.core.deformation.features import load
+from fuzzycnc_ros.core.deformation.features import FEATURE_SETS, load
 from fuzzycnc_ros.core.deformation.model import DeformationModel
+from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.training import equal_rows, grouped_split
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 

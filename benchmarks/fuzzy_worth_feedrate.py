@@ -22,27 +22,26 @@ from fuzzy_worth_rows import FUZZY, LAW, NOTHING, PLAIN, UNKNOWN, Part, Way
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.motion.program_request import program_settings
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate import (
+from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
+from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.path.curves import butterfly
+from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
+from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
+from fuzzycnc_ros.core.feedrate.schedule.fuzzy import CURVATURE_SETS, FuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.plain import (
     ConstantFeed,
     ConstantNormalAcceleration,
-    FuzzyScheduler,
-    LogFuzzyScheduler,
-    MotionLimits,
-    PathGeometry,
-    SampledPath,
-    limit_motion,
+    Scheduler,
 )
-from fuzzycnc_ros.core.feedrate.job.program_schedule import (
+from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (
     ProgramSettings,
     ScheduledPath,
     schedule_program,
 )
-from fuzzycnc_ros.core.feedrate.path.curves import butterfly
-from fuzzycnc_ros.core.feedrate.program.blocks import Program
-from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy_rules import CURVATURE_SETS
-from fuzzycnc_ros.core.feedrate.schedulers.plain import Scheduler
-from fuzzycnc_ros.core.feedrate.schedulers.refinement import (
+from fuzzycnc_ros.core.feedrate.schedule.refinement import (
     UnreachableToleranceError,
     knob_at_error,
 )

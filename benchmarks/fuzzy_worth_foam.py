@@ -16,7 +16,8 @@ import numpy as np
 from fuzzy_worth_rows import FUZZY, LAW, NOTHING, PLAIN, Part, Way
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.deformation import CompensatedPath, TSFuzzyNetwork, compensate_path
+from fuzzycnc_ros.core.deformation.compensation import CompensatedPath, compensate_path
+from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.training import equal_rows
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.studies.soft.foam_comparison import TrackCase

@@ -25,23 +25,19 @@ from scipy.optimize import differential_evolution
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-from fuzzycnc_ros.core.servo import (
-    AxisController,
-    BallscrewController,
-    CascadeController,
-    FeedbackLimits,
-    FixedUniverseController,
-    ObserverNoise,
-    PidController,
-    ProfileLimits,
-    Reference,
-    VariableUniverseController,
-    VariableUniverseParams,
-    point_to_point,
-)
 from fuzzycnc_ros.core.servo.axis import LinearAxis
-from fuzzycnc_ros.core.servo.params import ServoParamsWarning
-from fuzzycnc_ros.core.servo.surface import FixedSurface
+from fuzzycnc_ros.core.servo.baselines import (
+    CascadeController,
+    FixedUniverseController,
+    PidController,
+)
+from fuzzycnc_ros.core.servo.controller import AxisController
+from fuzzycnc_ros.core.servo.controllers import BallscrewController
+from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
+from fuzzycnc_ros.core.servo.observer import ObserverNoise
+from fuzzycnc_ros.core.servo.params import ServoParamsWarning, VariableUniverseParams
+from fuzzycnc_ros.core.servo.profile import ProfileLimits, Reference, point_to_point
+from fuzzycnc_ros.core.servo.variable_universe import FixedSurface, VariableUniverseController
 from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import random_moves
 from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis

@@ -26,10 +26,14 @@ from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
 from fuzzycnc_ros.adapters.linuxcnc.recorder import PERIOD, Recorder, recording
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.motion.program_request import program_settings
-from fuzzycnc_ros.core.feedrate.job.controller_program import PathMode, program_moves, simulate
+from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
-from fuzzycnc_ros.core.feedrate.program.blocks import Program
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
+from fuzzycnc_ros.core.feedrate.schedule.controller_program import (
+    PathMode,
+    program_moves,
+    simulate,
+)
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.programs.advice import Adviser, advised_program

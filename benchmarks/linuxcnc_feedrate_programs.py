@@ -15,14 +15,14 @@ from scipy.interpolate import BPoly, PPoly
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.motion.program_request import program_settings
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.job.program_schedule import schedule_program
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.sampling import sample_path
+from fuzzycnc_ros.core.feedrate.gcode.segments import Segment
+from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_program
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
-from fuzzycnc_ros.core.feedrate.program.sampling import sample_path
-from fuzzycnc_ros.core.feedrate.program.segments import Segment
-from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds, write_program
+from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
 
 POINTS = 2000
 """Points of a curve as lines, even in its parameter."""

@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from fuzzycnc_ros.components.soft.deformation_compensator import (
     DeformationCompensator,
 )
-from fuzzycnc_ros.core.deformation import model_file, offset_file
+from fuzzycnc_ros.core.deformation import model, offset_file
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.lifecycle import ManagedComponentNode
 from fuzzycnc_ros.ros.parameters import ParameterError, changed, file_text, refusal
@@ -23,7 +23,7 @@ from fuzzycnc_ros.runtime.component import Answer
 
 Request = Callable[[str, Mapping[str, Any]], Answer]
 
-FILES = {'model': model_file.SIZE_MAX, 'offsets': offset_file.SIZE_MAX}
+FILES = {'model': model.SIZE_MAX, 'offsets': offset_file.SIZE_MAX}
 """Parameters that name files, and how long these may be [characters]."""
 
 

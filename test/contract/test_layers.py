@@ -107,7 +107,7 @@ IMPURE = {
 SEEDED = {'BitGenerator', 'Generator', 'PCG64', 'RandomState', 'SeedSequence', 'default_rng'}
 
 # The one function of the core that may open a file: a model is named by its path everywhere.
-FILE_READERS = {'core/thermal/model_document.py': {'os', 'pathlib'}}
+FILE_READERS = {'core/thermal/model.py': {'os', 'pathlib'}}
 
 # Imports every module of some rings where neither ROS nor any optional library is installed.
 IMPORT_ALL = """

@@ -13,7 +13,8 @@ from fuzzing.file_mutations import mutated_bytes, mutated_json, mutated_text
 from hypothesis import given
 from kept import kept
 
-from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, read_model, write_model
+from fuzzycnc_ros.core.deformation.model import read_model, write_model
+from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.document import ModelFileError
 from fuzzycnc_ros.core.thermal import load_model
 from fuzzycnc_ros.core.thermal.fit import train_model

@@ -16,7 +16,8 @@ from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.soft.stitch_patterns import stitch_pattern
-from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
+from fuzzycnc_ros.core.deformation.model import write_model
+from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive
 from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos

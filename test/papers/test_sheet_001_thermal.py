@@ -9,7 +9,7 @@ seen.  Medians over noise seeds, as single seeds differ.
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.fuzzy import FuzzyCMeans
+from fuzzycnc_ros.core.fuzzy.clustering import FuzzyCMeans
 from fuzzycnc_ros.core.thermal.fit import (
     GreyModel,
     LagRidge,

@@ -13,14 +13,14 @@ from scipy.optimize import brentq
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedulers.plain import (
+from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.plain import (
     ChordErrorFeed,
     JerkLimitedFeed,
     LookAheadFeed,
 )
-from fuzzycnc_ros.core.feedrate.schedulers.refinement import knob_at_error, refine
+from fuzzycnc_ros.core.feedrate.schedule.refinement import knob_at_error, refine
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 

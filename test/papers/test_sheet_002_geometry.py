@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES, butterfly
-from fuzzycnc_ros.core.feedrate.path.path_curvature import curvature
+from fuzzycnc_ros.core.feedrate.path.sampled_path import curvature
 
 pytestmark = pytest.mark.paper
 

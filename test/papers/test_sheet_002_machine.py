@@ -9,8 +9,8 @@ import pytest
 
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
-from fuzzycnc_ros.core.feedrate.path.path_curvature import curvature
-from fuzzycnc_ros.core.feedrate.schedulers.refinement import knob_at_error, refine
+from fuzzycnc_ros.core.feedrate.path.sampled_path import curvature
+from fuzzycnc_ros.core.feedrate.schedule.refinement import knob_at_error, refine
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring import (
     identify_contour_constant,

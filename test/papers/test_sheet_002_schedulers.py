@@ -12,11 +12,10 @@ from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy_rules import published_rules
-from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantNormalAcceleration, JerkLimitedFeed
-from fuzzycnc_ros.core.feedrate.schedulers.refinement import knob_at_error
+from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler, published_rules
+from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantNormalAcceleration, JerkLimitedFeed
+from fuzzycnc_ros.core.feedrate.schedule.refinement import knob_at_error
 from fuzzycnc_ros.core.fuzzy.mamdani import MamdaniTable
 from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 

@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
-from fuzzycnc_ros.core.servo import (
-    PidController,
-    VariableUniverseController,
-    VariableUniverseParams,
-    learn_rules,
-    published_rules,
-)
-from fuzzycnc_ros.core.servo.rule_learning import records_of_run
-from fuzzycnc_ros.core.servo.rule_table import SETS, RuleTableWarning
+from fuzzycnc_ros.core.servo.baselines import PidController
+from fuzzycnc_ros.core.servo.params import VariableUniverseParams
+from fuzzycnc_ros.core.servo.rule_learning import learn_rules, records_of_run
+from fuzzycnc_ros.core.servo.rule_table import SETS, RuleTableWarning, published_rules
+from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 

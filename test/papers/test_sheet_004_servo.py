@@ -7,16 +7,13 @@ import pytest
 
 from fuzzycnc_ros.core.fuzzy.mamdani import memberships
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
-from fuzzycnc_ros.core.servo import (
-    ProfileLimits,
-    StickSlipParams,
-    VariableUniverseController,
-    VariableUniverseParams,
-    point_to_point,
-    stability_report,
-)
 from fuzzycnc_ros.core.servo.observer import ObserverDesign
+from fuzzycnc_ros.core.servo.params import VariableUniverseParams
+from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
 from fuzzycnc_ros.core.servo.rule_table import CENTRES, RuleTable, published_rules
+from fuzzycnc_ros.core.servo.stability import stability_report
+from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
+from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.simulation.servo.lathe_axes import random_moves
 from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position, position_many

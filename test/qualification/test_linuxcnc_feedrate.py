@@ -13,9 +13,9 @@ from equipment.linuxcnc_machine import LinuxcncMachine, exclusive
 from equipment.linuxcnc_trace import Recorder, cut_of, judge
 
 from fuzzycnc_ros.cli.main import run
+from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
-from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.qualify]
 

@@ -18,7 +18,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     ServoControllerConfig,
     make_controllers,
 )
-from fuzzycnc_ros.core.servo import point_to_point
+from fuzzycnc_ros.core.servo.profile import point_to_point
 from fuzzycnc_ros.runtime.enums import ServoStatus, TrajectoryStatus
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis

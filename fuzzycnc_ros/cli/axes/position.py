@@ -35,7 +35,8 @@ from fuzzycnc_ros.cli.quantities import LENGTHS, SHARES, quantity
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.machine.machine_data import AxisData, PlantConfig
-    from fuzzycnc_ros.core.servo import AxisController, Reference
+    from fuzzycnc_ros.core.servo.controller import AxisController
+    from fuzzycnc_ros.core.servo.profile import Reference
     from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant
 
 DURATION_MIN, DURATION_MAX = 0.05, 120.0
@@ -225,7 +226,7 @@ def _reference(
     """Return where the axis is to be."""
     if not profile:
         return target
-    from fuzzycnc_ros.core.servo import ProfileLimits, point_to_point
+    from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
 
     velocity, acceleration, jerk = limits
     bounds = ProfileLimits(velocity=velocity, acceleration=acceleration, jerk=jerk)

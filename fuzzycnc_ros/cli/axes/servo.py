@@ -271,7 +271,7 @@ def stability(
         fuzzycnc servo stability --params settings.yaml --gains 0.5,1,1.5,2 --report margins.html
         fuzzycnc servo stability --machine-file tuned.yaml --axis X
     """
-    from fuzzycnc_ros.core.servo import stability_report
+    from fuzzycnc_ros.core.servo.stability import stability_report
     from fuzzycnc_ros.studies.servo.positioning_rules import (
         stability_document,
         stability_page,

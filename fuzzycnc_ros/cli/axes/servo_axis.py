@@ -18,7 +18,7 @@ from fuzzycnc_ros.cli.quantities import quantity
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.axes.servo_settings import ServoSettings
-    from fuzzycnc_ros.core.servo import AxisController
+    from fuzzycnc_ros.core.servo.controller import AxisController
     from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant
 
 AXES = ('lathe', 'ballscrew')
@@ -138,7 +138,7 @@ def make_controller(
     if settings is None:
         if axis == 'ballscrew':
             from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-            from fuzzycnc_ros.core.servo import BallscrewController
+            from fuzzycnc_ros.core.servo.controllers import BallscrewController
 
             direction = 1.0 if plant.linear().gain > 0.0 else -1.0
             return BallscrewController(BallscrewAxisConfig(direction=direction))

@@ -27,7 +27,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     ServoControllerConfig,
     profile_limits,
 )
-from fuzzycnc_ros.core.servo import point_to_point
+from fuzzycnc_ros.core.servo.profile import point_to_point
 from fuzzycnc_ros.runtime.convert import decode
 from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.host import NodeConfiguration

@@ -25,7 +25,7 @@ from fuzzycnc_ros.cli.quantities import LENGTHS
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.axes.servo_settings import ServoSettings
-    from fuzzycnc_ros.core.servo import RuleTable
+    from fuzzycnc_ros.core.servo.rule_table import RuleTable
 
 OUTER = [0, 1, -2, -1]
 """Rows of the rules that are for errors beyond the innermost sets."""
@@ -83,7 +83,7 @@ def learn(
     from fuzzycnc_ros.cli.axes.servo_bag import read_bag
     from fuzzycnc_ros.cli.axes.servo_records import read_csv, records_of
     from fuzzycnc_ros.cli.axes.servo_settings import ServoSettings, write_settings
-    from fuzzycnc_ros.core.servo import learn_rules
+    from fuzzycnc_ros.core.servo.rule_learning import learn_rules
     from fuzzycnc_ros.core.servo.rule_table import CENTRES, CENTRES_WITH_ZERO, SETS, SETS_WITH_ZERO
     from fuzzycnc_ros.studies.servo.positioning_rules import rules_document, rules_table
 

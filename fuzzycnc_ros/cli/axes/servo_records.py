@@ -15,7 +15,7 @@ from fuzzycnc_ros.cli.models.number_table import read_numbers
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.arrays import Array
-    from fuzzycnc_ros.core.servo import VariableUniverseController
+    from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 
 COLUMNS = ('t', 'reference', 'position', 'duty')
 """Columns of a CSV file; time in s, lengths in the unit that is told, duty from -1 to 1."""

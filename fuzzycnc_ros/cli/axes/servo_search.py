@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is said beside settings and rules that `fuzzycnc servo` found."""
 
-from fuzzycnc_ros.core.servo import VariableUniverseController
 from fuzzycnc_ros.core.servo.stability import spectral_radii
+from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position_many
 from fuzzycnc_ros.simulation.servo.tuning import (

@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 from fuzzycnc_ros.cli.console import write_text
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.servo import AxisController, RuleTable, VariableUniverseParams
     from fuzzycnc_ros.core.servo.axis import LinearAxis
+    from fuzzycnc_ros.core.servo.controller import AxisController
+    from fuzzycnc_ros.core.servo.params import VariableUniverseParams
+    from fuzzycnc_ros.core.servo.rule_table import RuleTable
 
 NUMBERS = (
     'error_range',
@@ -55,12 +57,9 @@ class ServoSettings:
 
     def controller(self, name: str, axis: str, model: LinearAxis) -> AxisController:
         """Return the controller of a name with these settings."""
-        from fuzzycnc_ros.core.servo import (
-            BallscrewController,
-            ObserverNoise,
-            VariableUniverseParams,
-            make_controller,
-        )
+        from fuzzycnc_ros.core.servo.controllers import BallscrewController, make_controller
+        from fuzzycnc_ros.core.servo.observer import ObserverNoise
+        from fuzzycnc_ros.core.servo.params import VariableUniverseParams
 
         given: dict[str, Any] = dict(self.numbers)
         expected = given.pop('disturbance', None)
@@ -92,7 +91,8 @@ class ServoSettings:
         ValueError
             If it does not.
         """
-        from fuzzycnc_ros.core.servo import VariableUniverseController, stability_report
+        from fuzzycnc_ros.core.servo.stability import stability_report
+        from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 
         if not isinstance(controller, VariableUniverseController):
             return
@@ -121,7 +121,7 @@ def read_settings(path: Path) -> ServoSettings:
         If it is none; the message names the file and what is wrong.
     """
     from fuzzycnc_ros.bags.yaml_file import compose, construct
-    from fuzzycnc_ros.core.servo import RuleTable
+    from fuzzycnc_ros.core.servo.rule_table import RuleTable
 
     document = construct(path, compose(path, 'a file of settings, YAML or JSON'))
     if not isinstance(document, dict) or not document.keys() & {'settings', 'rules'}:

@@ -18,7 +18,8 @@ compared with in one process."""
 
 def trained_foam(seed: int) -> str:
     """Return the text of a foam model, trained on 265 samples of sheets that scatter."""
-    from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
+    from fuzzycnc_ros.core.deformation.model import write_model
+    from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
     from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 
     return write_model(TSFuzzyNetwork().fit(*foam_samples(FOAM_SEED + seed)).model_)
@@ -31,7 +32,7 @@ def first_piece(out: Path, foam: str, seed: int) -> str:
     """
     from fuzzycnc_ros.cli.foam.gains import fit_gains
     from fuzzycnc_ros.cli.foam.samples import read_samples
-    from fuzzycnc_ros.core.deformation import read_model, write_model
+    from fuzzycnc_ros.core.deformation.model import read_model, write_model
 
     bag = out / PATTERN_BAGS['before']
     pattern_alone(bag, '', seed)

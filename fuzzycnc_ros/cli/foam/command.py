@@ -25,7 +25,7 @@ from fuzzycnc_ros.cli.options import Report
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.foam.samples import Samples
-    from fuzzycnc_ros.core.deformation import TSFuzzyNetwork
+    from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 
 HELP = """Straighten patterns on soft material: show, train, compensate, learn.
 
@@ -177,7 +177,8 @@ def _train(
     json_file: Path | None,
 ) -> None:
     """Judge and train, and write what came of it."""
-    from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
+    from fuzzycnc_ros.core.deformation.model import write_model
+    from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
     from fuzzycnc_ros.core.document import text_hash
     from fuzzycnc_ros.studies.soft import foam_page as shown
     from fuzzycnc_ros.studies.soft import foam_training as judged
@@ -245,7 +246,7 @@ def _gate_line(network: 'TSFuzzyNetwork') -> str:
 def _adapt(samples: 'Samples', source: Path, out: Path, json_file: Path | None) -> None:
     """Fit the gains of a model to samples, and write it."""
     from fuzzycnc_ros.cli.foam.gains import fit_gains
-    from fuzzycnc_ros.core.deformation import write_model
+    from fuzzycnc_ros.core.deformation.model import write_model
     from fuzzycnc_ros.core.document import text_hash
 
     model = read_model_file(source)

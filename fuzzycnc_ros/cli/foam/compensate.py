@@ -29,12 +29,9 @@ from fuzzycnc_ros.cli.programs.program_files import (
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.deformation import (
-        CompensatedPath,
-        DeformationModel,
-        SheetMaterial,
-        StitchPath,
-    )
+    from fuzzycnc_ros.core.deformation.compensation import CompensatedPath
+    from fuzzycnc_ros.core.deformation.model import DeformationModel
+    from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
     from fuzzycnc_ros.studies.page.table import Table
 
 COLUMNS = ('x_mm', 'y_mm')
@@ -167,7 +164,7 @@ class Job:
         """Compensate a path whose steps are from certain lines."""
         import numpy as np
 
-        from fuzzycnc_ros.core.deformation import compensate_path
+        from fuzzycnc_ros.core.deformation.compensation import compensate_path
 
         found = compensate_path(
             path, self.material, self.model.predict, gate=self.model, support=self.model.support

@@ -8,8 +8,7 @@ import numpy as np
 
 from fuzzycnc_ros.cli.foam.samples import Samples
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.deformation import DeformationModel
-from fuzzycnc_ros.core.deformation.gain import GAIN_MAX, GAIN_MIN
+from fuzzycnc_ros.core.deformation.model import GAIN_MAX, GAIN_MIN, DeformationModel
 
 TURN_MAX = 10.0
 """How far a sample may lie beside the directions of a model whose gains are fitted to it [deg]."""

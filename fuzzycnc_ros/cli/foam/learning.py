@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.core.deformation.compensation import CompensatedPath
-from fuzzycnc_ros.core.deformation.iterative import learn_offsets
+from fuzzycnc_ros.core.deformation.compensation import CompensatedPath, learn_offsets
 from fuzzycnc_ros.core.deformation.offset_file import SAME_POINT, StitchOffsets
 from fuzzycnc_ros.core.deformation.samples import RecordedPath
 

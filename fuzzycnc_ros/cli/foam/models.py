@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.deformation import DeformationModel
+    from fuzzycnc_ros.core.deformation.model import DeformationModel
 
 
 def read_model_file(path: Path) -> 'DeformationModel':
@@ -17,7 +17,7 @@ def read_model_file(path: Path) -> 'DeformationModel':
     ValueError
         If there is none, or it is no model.
     """
-    from fuzzycnc_ros.core.deformation import read_model
+    from fuzzycnc_ros.core.deformation.model import read_model
 
     if not path.is_file():
         raise ValueError(f'{path}: expected a model file but found none')

@@ -31,10 +31,10 @@ from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 from fuzzycnc_ros.cli.unkept import say_unkept
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.feedrate.job.controller_program import PathMode
-    from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings
+    from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
     from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
-    from fuzzycnc_ros.core.feedrate.program.blocks import Program
+    from fuzzycnc_ros.core.feedrate.schedule.controller_program import PathMode
+    from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramSettings
     from fuzzycnc_ros.studies.programs.advice import Advice
     from fuzzycnc_ros.studies.programs.advice_page import AdviceFigures
     from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
@@ -160,7 +160,7 @@ def advise(
 
 
 def _read(program: Path, units: str) -> 'Program':
-    from fuzzycnc_ros.core.feedrate.program.reader import read_program
+    from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 
     with program_lines(program) as source, open_program(source) as file:
         text = ''.join(file)
@@ -172,7 +172,7 @@ def _read(program: Path, units: str) -> 'Program':
 
 def _mode(blend: str | None) -> 'PathMode':
     """Return the path mode before the program says so."""
-    from fuzzycnc_ros.core.feedrate.job.controller_program import PathMode
+    from fuzzycnc_ros.core.feedrate.schedule.controller_program import PathMode
 
     if blend is None:
         return PathMode(inf, 0.0)

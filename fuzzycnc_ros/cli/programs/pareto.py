@@ -124,7 +124,7 @@ def _errors(texts: list[str]) -> tuple[float, ...]:
 
 def _path(path: str, run: int | None) -> 'ParetoPath':
     """Return the path that is meant."""
-    from fuzzycnc_ros.core.feedrate.program.reader import read_program
+    from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
     from fuzzycnc_ros.studies.pareto.pareto_path import (
         CURVES,
         curve_path,

@@ -36,9 +36,9 @@ from fuzzycnc_ros.cli.quantities import FEEDS, LENGTHS, SHARES, quantity
 from fuzzycnc_ros.cli.unkept import say_unkept
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings
-    from fuzzycnc_ros.core.feedrate.program.blocks import Block, Program
-    from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader
+    from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program
+    from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
+    from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramSettings
     from fuzzycnc_ros.studies.programs.program_judge import Judged
     from fuzzycnc_ros.studies.programs.schedule_tables import ScheduleFigures
     from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
@@ -150,8 +150,8 @@ def schedule(
         fuzzycnc schedule part.ngc --tolerance 10um --blend 0.01mm --feed 12000mm/min \
             --machine params/feedrate_scheduler.yaml --out fast.ngc --report fast.html
     """
-    from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramScheduler
-    from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader
+    from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
+    from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramScheduler
     from fuzzycnc_ros.studies.programs.schedule_tables import (
         ScheduleFigures,
         schedule_document,
@@ -255,8 +255,8 @@ def _counted(
     scheduled: 'Iterable[tuple[Block, float | None]]', words: Words, rest: float
 ) -> Iterator[str]:
     """Yield the lines of the program with its new feeds; count the words that changed."""
-    from fuzzycnc_ros.core.feedrate.program.tally import FeedTally
-    from fuzzycnc_ros.core.feedrate.program.writer import write_blocks
+    from fuzzycnc_ros.core.feedrate.gcode.tally import FeedTally
+    from fuzzycnc_ros.core.feedrate.gcode.writer import write_blocks
 
     tally = FeedTally()
     held: dict[int, Block] = {}
@@ -308,7 +308,7 @@ class Stretch:
 
 def _stretch(source: Path, reader: 'ProgramReader', count: int, total: int) -> Stretch:
     """Read the beginning of a program again."""
-    from fuzzycnc_ros.core.feedrate.program.blocks import Program
+    from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
 
     with open_program(source) as file:
         blocks = list(islice(reader.blocks(file), count))

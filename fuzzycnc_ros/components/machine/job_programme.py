@@ -140,7 +140,7 @@ class JobProgramme(Programme):
         length = 0.0
         if any(job.kind == PROGRAM for job in jobs):
             # Here, as few machines cut a program, and reading one takes 20 modules.
-            from fuzzycnc_ros.core.feedrate.program.reader import read_program
+            from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 
             found = read_program(program)
             self._program = program_tool_path(found)

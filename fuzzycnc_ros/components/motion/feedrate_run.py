@@ -17,13 +17,13 @@ from fuzzycnc_ros.components.motion.tool_paths import (
     curve_tool_path,
     tool_path_segments,
 )
+from fuzzycnc_ros.core.feedrate.gcode.segments import LineSegment
 from fuzzycnc_ros.core.feedrate.path.curves import trident
-from fuzzycnc_ros.core.feedrate.planner.planned_motion import PlannedSamples
-from fuzzycnc_ros.core.feedrate.planner.planner import Planner, PlannerSettings
-from fuzzycnc_ros.core.feedrate.program.segments import LineSegment
-from fuzzycnc_ros.core.feedrate.reference.nodes import NodePlan, with_nodes
-from fuzzycnc_ros.core.feedrate.reference.reference_path import PathBuilder, ReferencePath
-from fuzzycnc_ros.core.feedrate.schedulers.plain import Scheduler
+from fuzzycnc_ros.core.feedrate.path.nodes import NodePlan, with_nodes
+from fuzzycnc_ros.core.feedrate.path.reference_path import PathBuilder, ReferencePath
+from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
+from fuzzycnc_ros.core.feedrate.schedule.planned_motion import PlannedSamples
+from fuzzycnc_ros.core.feedrate.schedule.planner import Planner, PlannerSettings
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.records import (
     FeedSchedule,

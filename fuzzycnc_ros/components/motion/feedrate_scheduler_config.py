@@ -9,10 +9,9 @@ from types import MappingProxyType
 
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy_rules import RATIO_SETS
-from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedulers.plain import (
+from fuzzycnc_ros.core.feedrate.schedule.fuzzy import RATIO_SETS, FuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.plain import (
     ChordErrorFeed,
     ConstantFeed,
     ConstantNormalAcceleration,

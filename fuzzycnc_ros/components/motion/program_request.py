@@ -10,9 +10,9 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
     make_scheduler,
 )
 from fuzzycnc_ros.components.motion.tool_paths import program_tool_path
-from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings, schedule_program
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
-from fuzzycnc_ros.core.feedrate.program.writer import write_program
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
+from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramSettings, schedule_program
 from fuzzycnc_ros.runtime.records import ToolPath
 
 

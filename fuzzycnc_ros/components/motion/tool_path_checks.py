@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT, RELATIVE_MISFIT, SAME_POINT
 from fuzzycnc_ros.core.feedrate.path.nurbs import (
     COORDINATE_MAX,
     DEGREE_MAX,
     NurbsCurve,
     check_machinable,
 )
-from fuzzycnc_ros.core.feedrate.program.arcs import ABSOLUTE_MISFIT, RELATIVE_MISFIT, SAME_POINT
 from fuzzycnc_ros.runtime.enums import Junction, SegmentKind
 from fuzzycnc_ros.runtime.records import Floats, ToolPath
 

@@ -19,8 +19,7 @@ from fuzzycnc_ros.components.motion.tool_path_checks import (
     curve_of,
     path_columns,
 )
-from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.program.segments import (
+from fuzzycnc_ros.core.feedrate.gcode.segments import (
     ArcSegment,
     DwellSegment,
     LineSegment,
@@ -28,11 +27,12 @@ from fuzzycnc_ros.core.feedrate.program.segments import (
     Point,
     Segment,
 )
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.runtime.enums import Junction, SegmentKind
 from fuzzycnc_ros.runtime.records import Floats, ToolPath
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.feedrate.program.blocks import Program
+    from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
 
 
 class ToolPathSegments(Sequence[Segment]):
@@ -203,7 +203,7 @@ def program_tool_path(
         line.
     """
     # Here, as a machine without programs does without their reader.
-    from fuzzycnc_ros.core.feedrate.program.blocks import Role
+    from fuzzycnc_ros.core.feedrate.gcode.blocks import Role
 
     for block in program.blocks:
         segment = block.segment

@@ -17,9 +17,13 @@ from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInputConfig
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, make_axis_controller
-from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
 from fuzzycnc_ros.core.servo.controller import AxisController
-from fuzzycnc_ros.core.servo.controllers import DEFAULT, FOR_USE, make_controller
+from fuzzycnc_ros.core.servo.controllers import (
+    DEFAULT,
+    FOR_USE,
+    BallscrewController,
+    make_controller,
+)
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.profile import ProfileLimits
 

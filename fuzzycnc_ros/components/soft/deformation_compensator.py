@@ -20,18 +20,15 @@ from fuzzycnc_ros.components.soft.compensated_paths import (
 )
 from fuzzycnc_ros.components.soft.stitch_patterns import pattern_primitives, sheet_material
 from fuzzycnc_ros.core.config import param
-from fuzzycnc_ros.core.deformation import (
+from fuzzycnc_ros.core.deformation.compensation import (
     CompensatedPath,
-    DeformationModel,
-    SheetMaterial,
-    StitchPath,
+    CompensationConfig,
     compensate_path,
-    read_model,
 )
-from fuzzycnc_ros.core.deformation.compensation import CompensationConfig
-from fuzzycnc_ros.core.deformation.gain import GAIN_MAX, GAIN_MIN
+from fuzzycnc_ros.core.deformation.model import GAIN_MAX, GAIN_MIN, DeformationModel, read_model
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, read_offsets
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag, limit_offsets
+from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
 from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.runtime import records
 from fuzzycnc_ros.runtime.component import (

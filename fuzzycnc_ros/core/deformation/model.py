@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A trained T-S fuzzy neural network as a machine runs it: without any training code."""
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,14 +12,315 @@ from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.deformation.features import (
+    FEATURE_SETS,
+    PROCESS_VALUES,
     FeatureSet,
     check_process_values,
     feature_set,
     load,
 )
-from fuzzycnc_ros.core.deformation.gain import AxisGain
-from fuzzycnc_ros.core.deformation.gate import Gate
-from fuzzycnc_ros.core.deformation.rule_network import RuleNetwork
+from fuzzycnc_ros.core.document import Node, parse_document
+from fuzzycnc_ros.core.fuzzy.takagi_sugeno import normalised_firing
+
+
+@dataclass(frozen=True, eq=False)
+class Antecedent:
+    """Rules of method sheet 000 section 3.3.
+
+    Parameters
+    ----------
+    center : ndarray, shape (c, n)
+        Centres of the rules, in scaled inputs.
+    width : ndarray, shape (c, n)
+        Widths of the memberships, in scaled inputs, positive.
+    decay : float
+        gamma [-], positive.
+    power : int
+        1 for the membership exp(-gamma |x - v| / w) as printed, 2 for the squared one.
+    """
+
+    center: Array
+    width: Array
+    decay: float = 2.0
+    power: int = 1
+
+    @staticmethod
+    def of_clusters(
+        center: Array, span: Array, *, width_floor: float, decay: float, power: int
+    ) -> 'Antecedent':
+        """Return the rules of cluster centres.
+
+        Parameters
+        ----------
+        center : ndarray, shape (c, n)
+            Input block of the cluster centres, in scaled inputs.
+        span : ndarray, shape (n,)
+            Range of each scaled input in the training samples.
+        width_floor : float
+            Least width as a share of the range [-].  The distance to the nearest rule, which the
+            paper takes alone, is 0 wherever two centres share a coordinate.
+        decay, power
+            As of the rules.
+        """
+        apart = np.abs(center[:, np.newaxis] - center)
+        distance = (apart**2).sum(axis=-1)
+        np.fill_diagonal(distance, np.inf)
+        nearest = distance.argmin(axis=1)
+        width = np.maximum(apart[np.arange(len(center)), nearest], width_floor * span)
+        return Antecedent(center, width, decay, power)
+
+    def log_fitness(self, scaled: Array) -> Array:
+        """Return the logarithm of each rule's fitness, shape (k, c), of scaled inputs (k, n).
+
+        A product of memberships underflows with many inputs, so it stays a sum of logarithms.
+        """
+        total = np.zeros((len(self.center), len(scaled)))
+        # Input by input, with samples in the last place: loops over them are long and fast.
+        for column, center, width in zip(scaled.T, self.center.T, self.width.T, strict=True):
+            ratio = np.abs(column - center[:, np.newaxis])
+            ratio *= (1.0 / width)[:, np.newaxis]
+            if self.power == 2:
+                ratio *= ratio
+            total += ratio
+        total *= -self.decay
+        return total.T
+
+    def fitness(self, scaled: Array) -> Array:
+        """Return the fitness that is normalised over the rules, shape (k, c); rows sum to 1."""
+        return normalised_firing(self.log_fitness(scaled))
+
+    def support(self, scaled: Array) -> Array:
+        """Return the logarithm of the summed fitness, shape (k,): how well rules cover inputs."""
+        return log_sum(self.log_fitness(scaled))
+
+
+def log_sum(logarithm: Array) -> Array:
+    """Return the logarithm of the sum over the last axis of values given by their logarithms."""
+    largest = logarithm.max(axis=-1, keepdims=True)
+    return np.asarray(largest[..., 0] + np.log(np.exp(logarithm - largest).sum(axis=-1)))
+
+
+@dataclass(frozen=True, eq=False)
+class RuleNetwork:
+    """Rules and weights in the units of inputs and outputs; method sheet 000 section 3.4.
+
+    Parameters
+    ----------
+    antecedent : Antecedent
+        c rules on n inputs.
+    inner : ndarray, shape (r, m, n + 1), or None
+        w_ij of each of r outputs, biases first; None for linear consequents.
+    outer : ndarray, shape (r, m, c)
+        w_jk of each output.  Linear consequents have m = n + 1: their coefficients, with the
+        extended inputs in the place of the hidden nodes.
+    offset : ndarray, shape (r,)
+        Mean output, which is added.
+
+    Notes
+    -----
+    The scaling of the training is folded into the weights, and all outputs are computed in one
+    product.
+    """
+
+    antecedent: Antecedent
+    inner: Array | None
+    outer: Array
+    offset: Array
+
+    def values(self, inputs: Array) -> Array:
+        """Return the outputs, shape (k, r), of inputs (k, n)."""
+        # Samples are in the last place, where loops over them are long and fast.
+        columns = np.ascontiguousarray(inputs.T)
+        fitness = normalised_firing(self.antecedent.log_fitness(inputs).T, axis=0)
+        pull = (self._outer @ fitness).reshape(len(self.offset), -1, len(inputs))
+        if self.inner is None:
+            pull[:, 1:] *= columns
+        else:
+            nodes = self._slopes @ columns
+            nodes += self._biases[:, np.newaxis]
+            pull *= _sigmoid(nodes).reshape(pull.shape)
+        return np.asarray(pull.sum(axis=1).T + self.offset)
+
+    def one(self, inputs: Sequence[float]) -> tuple[Array, float]:
+        """Return the outputs (r,) of one row of inputs, and the logarithm of their support."""
+        row = np.array(inputs)
+        ratio = np.abs(row - self.antecedent.center)
+        ratio *= self._decay
+        if self.antecedent.power == 2:
+            ratio *= ratio
+        fitness = ratio.sum(axis=1)
+        least = fitness.min()
+        fitness = np.exp(least - fitness)
+        total = fitness.sum()
+        pull = (self._outer @ fitness).reshape(len(self.offset), -1)
+        if self.inner is None:
+            pull *= np.concatenate([_ONE, row])
+        else:
+            pull *= _sigmoid(self._slopes @ row + self._biases).reshape(pull.shape)
+        values = pull.sum(axis=1)
+        values /= total
+        values += self.offset
+        return values, float(np.log(total) - least)
+
+    @cached_property
+    def _decay(self) -> Array:
+        rules = self.antecedent
+        return np.asarray(rules.decay ** (1.0 / rules.power) / rules.width)
+
+    @cached_property
+    def _outer(self) -> Array:
+        return np.ascontiguousarray(self.outer.reshape(-1, self.outer.shape[-1]))
+
+    @cached_property
+    def _slopes(self) -> Array:
+        inner = np.empty((0, 0, 1)) if self.inner is None else self.inner
+        return np.ascontiguousarray(inner[..., 1:].reshape(-1, inner.shape[-1] - 1))
+
+    @cached_property
+    def _biases(self) -> Array:
+        inner = np.empty((0, 0, 1)) if self.inner is None else self.inner
+        return np.ascontiguousarray(inner[..., 0].ravel())
+
+
+_ONE = np.ones(1)
+
+
+def _sigmoid(values: Array) -> Array:
+    """Turn values into 1 / (1 + exp(-a)) in place; tanh cannot overflow and is faster in bulk."""
+    values *= 0.5
+    np.tanh(values, out=values)
+    values += 1.0
+    values *= 0.5
+    return values
+
+
+TOLERANCE = 1e-6
+"""What the box is widened by [deg, mm]: directions of a path are rounded."""
+
+SUPPORT_QUANTILE = 0.01
+"""Share of the training samples whose support lies below the least that is let pass."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gate:
+    """Box of the training samples and the least support; method sheet 000 section 6.4.
+
+    Support alone is no guard: it is a sum over single inputs, and a deep foot in a thin sheet has
+    an ordinary depth and an ordinary thickness.  So the box bounds depth over thickness as well.
+
+    Parameters
+    ----------
+    low, high : ndarray, shape (5,)
+        Least and largest process values.
+    ratio_low, ratio_high : float
+        Least and largest depth over thickness [-].
+    support_min : float
+        Least logarithm of the support by the rules.
+    """
+
+    low: Array
+    high: Array
+    ratio_low: float
+    ratio_high: float
+    support_min: float
+
+    @staticmethod
+    def of_training(x: Array, support: Array, quantile: float = SUPPORT_QUANTILE) -> 'Gate':
+        """Return the gate of training samples (k, 5) and the logarithm of their support (k,)."""
+        ratio = x[:, 1] / x[:, 4]
+        return Gate(
+            x.min(axis=0),
+            x.max(axis=0),
+            float(ratio.min()),
+            float(ratio.max()),
+            float(np.quantile(support, quantile)),
+        )
+
+    def inside(self, x: Array) -> NDArray[np.bool_]:
+        """Return whether rows of process values (k, 5) lie in the box; NaN does not."""
+        within = ((x >= self.low - TOLERANCE) & (x <= self.high + TOLERANCE)).all(axis=1)
+        depth, kind, thickness = x[:, 1], x[:, 2], x[:, 4]
+        within &= (kind == 1.0) | (kind == 2.0)
+        # Products, not ratios: a thickness of 0 is refused without a division.
+        within &= depth >= self.ratio_low * thickness - TOLERANCE
+        within &= depth <= self.ratio_high * thickness + TOLERANCE
+        return np.asarray(within)
+
+    def accepts(self, x: Array, support: Array) -> NDArray[np.bool_]:
+        """Return whether rows lie in the box and have support enough, shape (k,)."""
+        return np.asarray(self.inside(x) & (support >= self.support_min))
+
+    def clip(self, x: Array) -> Array:
+        """Return the rows with each value, and depth over thickness, cut at the box."""
+        cut = np.clip(x, self.low, self.high)
+        cut[:, 1] = np.clip(cut[:, 1], self.ratio_low * cut[:, 4], self.ratio_high * cut[:, 4])
+        return np.asarray(cut)
+
+
+GAIN_MIN, GAIN_MAX = 0.5, 2.0
+"""Bounds of a gain [-]: beyond them the model is to be trained anew."""
+
+PRIOR_VARIANCE = 0.1
+"""Variance of a gain before anything was measured [-]."""
+
+NOISE_VARIANCE = 0.25
+"""Variance of a measured compensation about the scaled prediction [mm^2 per (50 mm)^2]."""
+
+
+@dataclass(frozen=True, eq=False)
+class AxisGain:
+    """Gains k with s = k s_model, by scalar recursive least squares; method sheet 000 section 6.6.
+
+    Parameters
+    ----------
+    value : ndarray, shape (r,)
+        Gain of each output [-], within 0.5 and 2.
+    variance : ndarray, shape (r,)
+        Variance of each gain [-].
+
+    Examples
+    --------
+    >>> gain = AxisGain.unit(2)
+    >>> for _ in range(5):
+    ...     gain = gain.updated([4.0, 2.0], [5.0, 2.5])
+    >>> gain.value.round(2).tolist()
+    [1.24, 1.22]
+    """
+
+    value: Array
+    variance: Array
+
+    @staticmethod
+    def unit(outputs: int) -> 'AxisGain':
+        """Return the gains of a model that nothing was measured against."""
+        return AxisGain(np.ones(outputs), np.full(outputs, PRIOR_VARIANCE))
+
+    def updated(self, predicted: ArrayLike, measured: ArrayLike) -> 'AxisGain':
+        """Return the gains after one sample.
+
+        Parameters
+        ----------
+        predicted : array_like, shape (r,)
+            Output of the model without gain [mm per 50 mm].
+        measured : array_like, shape (r,)
+            Compensation that was needed [mm per 50 mm].
+
+        Raises
+        ------
+        ValueError
+            If a value is not finite or their number is not that of the gains.
+        """
+        pair = np.array([predicted, measured], dtype=np.float64)
+        if pair.shape != (2, len(self.value)) or not np.isfinite(pair).all():
+            raise ValueError(
+                f'gain: expected {len(self.value)} finite predictions and measurements, '
+                f'but found {predicted!r} and {measured!r}'
+            )
+        correction = self.variance * pair[0] / (NOISE_VARIANCE + self.variance * pair[0] ** 2)
+        value = self.value + correction * (pair[1] - self.value * pair[0])
+        variance = (1.0 - correction * pair[0]) * self.variance
+        return AxisGain(np.clip(value, GAIN_MIN, GAIN_MAX), variance)
+
 
 CHUNK = 500
 """Rows computed together; with 2000 a large network spent most time on fresh memory."""
@@ -148,3 +450,145 @@ class DeformationModel:
 
 def _chunks(count: int) -> Iterator[slice]:
     return (slice(begin, begin + CHUNK) for begin in range(0, count, CHUNK))
+
+
+SCHEMA = 'fuzzycnc/deformation-model'
+"""What a model file says it is."""
+
+SCHEMA_VERSION = 1
+"""Version of the layout."""
+
+SIZE_MAX = 4 * 1024 * 1024
+"""Largest document that is read [characters]; a default model takes 0.03 million."""
+
+
+def write_model(model: DeformationModel) -> str:
+    """Return the model as a JSON document; equal models give equal text."""
+    network, gate = model.network, model.gate
+    rules = network.antecedent
+    names = FEATURE_SETS[model.features].names
+    document = {
+        'schema': SCHEMA,
+        'schema_version': SCHEMA_VERSION,
+        'units': {'direction': 'deg', 'length': 'mm', 'compensation': 'mm per 50 mm'},
+        'features': model.features,
+        'inputs': [names[at] for at in model.columns],
+        'rules': {
+            'center': rules.center.tolist(),
+            'width': rules.width.tolist(),
+            'decay': rules.decay,
+            'power': rules.power,
+        },
+        'inner': None if network.inner is None else network.inner.tolist(),
+        'outer': network.outer.tolist(),
+        'offset': network.offset.tolist(),
+        'gate': {
+            'low': gate.low.tolist(),
+            'high': gate.high.tolist(),
+            'ratio_low': gate.ratio_low,
+            'ratio_high': gate.ratio_high,
+            'support_min': gate.support_min,
+        },
+        'gain': {'value': model.gain.value.tolist(), 'variance': model.gain.variance.tolist()},
+    }
+    return json.dumps(document, allow_nan=False) + '\n'
+
+
+def read_model(text: str) -> DeformationModel:
+    """Return the model that `write_model` wrote.
+
+    Raises
+    ------
+    ModelFileError
+        If the text is too large, no JSON, of another schema or version, or holds a value of
+        another type, shape or range.
+    """
+    root = parse_document(text, 'model file', SIZE_MAX)
+    if root.get('schema').text() != SCHEMA:
+        root.get('schema').refuse(f'the schema {SCHEMA!r}')
+    version = root.get('schema_version')
+    if type(version.value) is not int or version.value != SCHEMA_VERSION:
+        version.refuse(f'schema version {SCHEMA_VERSION}; train the model anew')
+    features = root.get('features').text()
+    if features not in FEATURE_SETS:
+        root.get('features').refuse(f'one of {", ".join(FEATURE_SETS)}')
+    columns = _columns(root.get('inputs'), FEATURE_SETS[features].names)
+    network = _network(root, len(columns))
+    gate = root.get('gate')
+    low = _vector(gate.get('low'), len(PROCESS_VALUES))
+    return DeformationModel(
+        features,
+        columns,
+        network,
+        Gate(
+            low,
+            _at_least(gate.get('high'), _vector(gate.get('high'), len(low)), low),
+            gate.get('ratio_low').number(),
+            gate.get('ratio_high').number(),
+            gate.get('support_min').number(),
+        ),
+        _gain(root.get('gain'), len(network.offset)),
+    )
+
+
+def _columns(node: Node, names: tuple[str, ...]) -> tuple[int, ...]:
+    found = node.texts()
+    columns = tuple(names.index(name) for name in found if name in names)
+    if len(columns) != len(found) or not columns or sorted(set(columns)) != list(columns):
+        node.refuse(f'inputs out of {", ".join(names)}, in this order')
+    return columns
+
+
+def _network(root: Node, inputs: int) -> RuleNetwork:
+    rules = root.get('rules')
+    center = rules.get('center').matrix(inputs)
+    width = rules.get('width').matrix(inputs)
+    if not len(center) or len(width) != len(center) or not (width > 0.0).all():
+        rules.get('width').refuse(f'positive widths of {len(center)} rules, at least one')
+    decay, power = rules.get('decay'), rules.get('power')
+    if not decay.number() > 0.0:
+        decay.refuse('more than 0')
+    if power.value not in (1, 2):
+        power.refuse('1 or 2')
+    offset = root.get('offset').vector()
+    if len(offset) != 2:
+        root.get('offset').refuse('two numbers, X and Y')
+    inner = root.get('inner')
+    weights = None if inner.value is None else _cube(inner, len(offset), inputs + 1)
+    outer = _cube(root.get('outer'), len(offset), len(center))
+    if outer.shape[1] != (inputs + 1 if weights is None else weights.shape[1]):
+        root.get('outer').refuse('as many rows as there are hidden nodes')
+    return RuleNetwork(
+        Antecedent(center, width, decay.number(), int(power.number())), weights, outer, offset
+    )
+
+
+def _cube(node: Node, first: int, last: int) -> Array:
+    """Return `first` matrices of equal numbers of rows and `last` columns."""
+    matrices = [item.matrix(last) for item in node.list()]
+    sizes = {len(item) for item in matrices}
+    if len(matrices) != first or len(sizes) != 1 or 0 in sizes:
+        node.refuse(f'{first} matrices of equal size')
+    return np.stack(matrices)
+
+
+def _vector(node: Node, size: int) -> Array:
+    values = node.vector()
+    if len(values) != size:
+        node.refuse(f'{size} numbers')
+    return values
+
+
+def _at_least(node: Node, values: Array, low: Array) -> Array:
+    if not (values >= low).all():
+        node.refuse('no value below the lower bound')
+    return values
+
+
+def _gain(node: Node, size: int) -> AxisGain:
+    value, variance = _vector(node.get('value'), size), _vector(node.get('variance'), size)
+    if not ((value >= GAIN_MIN) & (value <= GAIN_MAX)).all():
+        node.get('value').refuse(f'gains from {GAIN_MIN:g} to {GAIN_MAX:g}')
+    if not (variance >= 0.0).all():
+        node.get('variance').refuse('no negative variance')
+    return AxisGain(value, variance)

@@ -34,7 +34,7 @@ from fuzzycnc_ros.core.servo.params import (
 )
 from fuzzycnc_ros.core.servo.rule_table import RuleTable
 from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
-from fuzzycnc_ros.core.servo.surface import ContractedSurface, Law
+from fuzzycnc_ros.core.servo.variable_universe import ContractedSurface, Law
 
 SETTINGS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {

@@ -18,8 +18,7 @@ from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
 from fuzzycnc_ros.core.servo.filtered_rate import STILL, FilteredRate, Integrator
 from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise
 from fuzzycnc_ros.core.servo.params import VariableUniverseParams
-from fuzzycnc_ros.core.servo.surface import FixedSurface
-from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
+from fuzzycnc_ros.core.servo.variable_universe import FixedSurface, VariableUniverseController
 
 
 class PidController(AxisController):

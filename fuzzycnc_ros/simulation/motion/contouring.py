@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
-from fuzzycnc_ros.core.feedrate.schedulers.smoothing import limit_acceleration
+from fuzzycnc_ros.core.feedrate.schedule.smoothing import limit_acceleration
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes
 

@@ -18,7 +18,7 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
     make_scheduler,
 )
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.schedulers.refinement import (
+from fuzzycnc_ros.core.feedrate.schedule.refinement import (
     UnreachableToleranceError,
     knob_at_error,
     refine,

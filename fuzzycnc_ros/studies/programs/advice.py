@@ -14,18 +14,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.job.controller_program import (
+from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.split_program import check_same_path, split_program
+from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
+from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
+from fuzzycnc_ros.core.feedrate.schedule.controller_program import (
     PathMode,
     ProgramMoves,
     program_moves,
     with_mode,
 )
-from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings, schedule_program
-from fuzzycnc_ros.core.feedrate.job.split_program import check_same_path, split_program
-from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
-from fuzzycnc_ros.core.feedrate.program.blocks import Program
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
-from fuzzycnc_ros.core.feedrate.program.writer import write_program
+from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramSettings, schedule_program
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.programs.advice_mode import program_with_mode
 from fuzzycnc_ros.studies.programs.advice_refine import cuts_near_errors, refine

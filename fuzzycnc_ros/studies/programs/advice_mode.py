@@ -4,11 +4,11 @@
 
 from __future__ import annotations
 
-from fuzzycnc_ros.core.feedrate.job.controller_program import PathMode
-from fuzzycnc_ros.core.feedrate.program.blocks import Block
-from fuzzycnc_ros.core.feedrate.program.lexer import read_line
-from fuzzycnc_ros.core.feedrate.program.modal import MILLIMETRE, MINUTE
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.blocks import Block
+from fuzzycnc_ros.core.feedrate.gcode.lexer import read_line
+from fuzzycnc_ros.core.feedrate.gcode.modal import MILLIMETRE, MINUTE
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.schedule.controller_program import PathMode
 
 MODES = (61.0, 61.1, 64.0)
 """G words that set the path mode."""

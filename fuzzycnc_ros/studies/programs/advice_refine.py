@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.job.controller_program import ProgramMoves, simulate, turns
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
+from fuzzycnc_ros.core.feedrate.schedule.controller_program import ProgramMoves, simulate, turns
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.programs.program_judge import LocalErrors, ProgramPath
 

@@ -9,14 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from fuzzycnc_ros.core.feedrate.job.controller_program import (
+from fuzzycnc_ros.core.feedrate.gcode.blocks import Block
+from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
+from fuzzycnc_ros.core.feedrate.schedule.controller_program import (
     PathMode,
     program_moves,
     with_mode,
 )
-from fuzzycnc_ros.core.feedrate.job.settings import AXES, ProgramSettings
-from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
-from fuzzycnc_ros.core.feedrate.program.blocks import Block
+from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXES, ProgramSettings
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import isfinite
 
-from fuzzycnc_ros.core.feedrate.program.blocks import Note
+from fuzzycnc_ros.core.feedrate.gcode.blocks import Note
 from fuzzycnc_ros.studies.page.html import Figure
 from fuzzycnc_ros.studies.page.remark import Remark
 from fuzzycnc_ros.studies.page.sections import Page, Section

@@ -13,9 +13,9 @@ from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.pareto.pareto_page import LABELS, millimetres
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.feedrate.job.program_schedule import ProgramSettings, ProgramTimes
+    from fuzzycnc_ros.core.feedrate.gcode.blocks import Note
     from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
-    from fuzzycnc_ros.core.feedrate.program.blocks import Note
+    from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramSettings, ProgramTimes
 
 MINUTE = 60.0
 

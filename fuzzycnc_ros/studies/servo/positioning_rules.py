@@ -15,7 +15,8 @@ from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.servo.positioning_page import microns
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.servo import LearnedRules, StabilityReport
+    from fuzzycnc_ros.core.servo.rule_learning import LearnedRules
+    from fuzzycnc_ros.core.servo.stability import StabilityReport
     from fuzzycnc_ros.simulation.servo.tuning import TuningResult
 
 MARKS = {'data': '', 'mirrored': '*', 'filled': '~'}
@@ -44,7 +45,8 @@ def rules_document(learned: LearnedRules) -> dict[str, Any]:
 
 def tuning_table(found: TuningResult, cost_before: float) -> Table:
     """Return the settings that a search found, beside the defaults."""
-    from fuzzycnc_ros.core.servo import ObserverNoise, VariableUniverseParams
+    from fuzzycnc_ros.core.servo.observer import ObserverNoise
+    from fuzzycnc_ros.core.servo.params import VariableUniverseParams
 
     plain = VariableUniverseParams()
     columns = (Column('Setting', numeric=False), Column('default'), Column('found'))

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
-from fuzzycnc_ros.core.servo import CONTROLLERS, AxisController, Reference, point_to_point
 from fuzzycnc_ros.core.servo.axis import LinearAxis
-from fuzzycnc_ros.core.servo.profile import step_reference
+from fuzzycnc_ros.core.servo.controller import AxisController
+from fuzzycnc_ros.core.servo.controllers import CONTROLLERS
+from fuzzycnc_ros.core.servo.profile import Reference, point_to_point, step_reference
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheAxes, random_moves
 from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun, position, position_many

@@ -25,8 +25,8 @@ from fuzzycnc_ros.components.thermal.compensator import Compensator, Compensator
 from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisition
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
-from fuzzycnc_ros.core.feedrate.program.segments import LineSegment
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.segments import LineSegment
 from fuzzycnc_ros.core.thermal import ThermalModel, load_model
 from fuzzycnc_ros.runtime.component import Component
 from fuzzycnc_ros.runtime.graph import Sink

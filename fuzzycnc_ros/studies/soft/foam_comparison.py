@@ -11,16 +11,15 @@ from functools import cached_property
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.deformation import (
+from fuzzycnc_ros.core.deformation.compensation import (
     CompensatedPath,
     CompensationConfig,
-    DeformationModel,
-    SheetMaterial,
-    StitchPath,
-    TSFuzzyNetwork,
     compensate_path,
     learn_offsets,
 )
+from fuzzycnc_ros.core.deformation.model import DeformationModel
+from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
+from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack, TrackQuality

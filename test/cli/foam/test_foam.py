@@ -10,7 +10,7 @@ from foam_bags import Run, sample_run, write_bag
 
 from fuzzycnc_ros.cli.foam.command import COMMANDS
 from fuzzycnc_ros.cli.foam.samples import COLUMNS
-from fuzzycnc_ros.core.deformation import read_model
+from fuzzycnc_ros.core.deformation.model import read_model
 from fuzzycnc_ros.core.deformation.offset_file import read_offsets
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
@@ -35,7 +35,8 @@ def samples():
 
 @pytest.fixture
 def model(fuzzycnc, tmp_path, samples):
-    from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
+    from fuzzycnc_ros.core.deformation.model import write_model
+    from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 
     text = write_model(TSFuzzyNetwork(ridge=0.03).fit(*samples).model_)
     (tmp_path / 'model.json').write_text(text)

@@ -8,14 +8,11 @@ import json
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.deformation import (
-    SheetMaterial,
-    StitchPath,
-    TSFuzzyNetwork,
-    compensate_path,
-    write_model,
-)
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
+from fuzzycnc_ros.core.deformation.compensation import compensate_path
+from fuzzycnc_ros.core.deformation.model import write_model
+from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
+from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.feedrate.job.controller_program import program_moves
-from fuzzycnc_ros.core.feedrate.job.split_program import check_same_path
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.split_program import check_same_path
+from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
-from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds
+from fuzzycnc_ros.core.feedrate.schedule.controller_program import program_moves
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.programs.program_judge import ProgramPath
 

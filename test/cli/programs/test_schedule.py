@@ -11,8 +11,8 @@ from types import SimpleNamespace
 import pytest
 
 from fuzzycnc_ros.cli.quantities import FEEDS, LENGTHS, SHARES, quantity
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
-from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds
 
 PROGRAM = b"""%\r
 (part 7 \xb0C \xff)\r

@@ -12,12 +12,12 @@ from benches.feedrate_rig import CONFIG, PROGRAM, SMALL, Rig, check_motion, dist
 from fuzzycnc_ros.components.motion.feedrate_run import planner_settings
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.motion.tool_paths import program_tool_path, tool_path_segments
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.segments import LineSegment
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
-from fuzzycnc_ros.core.feedrate.planner.planner import Planner
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
-from fuzzycnc_ros.core.feedrate.program.segments import LineSegment
-from fuzzycnc_ros.core.feedrate.reference.nodes import NodePlan, with_nodes
-from fuzzycnc_ros.core.feedrate.reference.reference_path import reference_path
+from fuzzycnc_ros.core.feedrate.path.nodes import NodePlan, with_nodes
+from fuzzycnc_ros.core.feedrate.path.reference_path import reference_path
+from fuzzycnc_ros.core.feedrate.schedule.planner import Planner
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     ToolPath,

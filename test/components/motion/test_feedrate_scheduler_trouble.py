@@ -12,8 +12,8 @@ from benches.component_bench import machine_state
 from benches.feedrate_rig import CONFIG, PROGRAM, SMALL, Rig, check_motion, distance, path_of
 
 from fuzzycnc_ros.components.motion.tool_paths import program_tool_path
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
 from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
 from fuzzycnc_ros.runtime.records import SECOND, nanoseconds
 

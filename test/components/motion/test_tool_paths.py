@@ -16,10 +16,10 @@ from fuzzycnc_ros.components.motion.tool_paths import (
     segments_tool_path,
     tool_path_segments,
 )
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, DwellSegment
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
-from fuzzycnc_ros.core.feedrate.program.segments import ArcSegment, DwellSegment
 from fuzzycnc_ros.runtime.enums import SegmentKind
 from fuzzycnc_ros.runtime.records import ToolPath
 

@@ -13,8 +13,8 @@ from benches.trajectory_bench import line, parts, record
 from fuzzycnc_ros.components.servo.servo_controller import ServoControllerConfig
 from fuzzycnc_ros.components.servo.servo_controller_config import make_controllers
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
-from fuzzycnc_ros.core.servo import point_to_point
 from fuzzycnc_ros.core.servo.controllers import FOR_USE
+from fuzzycnc_ros.core.servo.profile import point_to_point
 from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.records import SECOND
 from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis

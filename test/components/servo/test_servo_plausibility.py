@@ -16,7 +16,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
 )
 from fuzzycnc_ros.components.servo.servo_plausibility import MotionDoubt, MotionWatch
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
-from fuzzycnc_ros.core.servo import FeedbackLimits
+from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import random_moves
 from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.deformation import (
+from fuzzycnc_ros.core.deformation.compensation import (
     CompensatedPath,
     CompensationConfig,
-    identify_relaxation,
     learn_offsets,
 )
 from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
+from fuzzycnc_ros.core.deformation.samples import identify_relaxation
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.deformation import SheetMaterial, StitchPath
-from fuzzycnc_ros.core.deformation.stitch_path import Primitive
+from fuzzycnc_ros.core.deformation.stitch_path import Primitive, SheetMaterial, StitchPath
 
 POINTS = [[0.0, 0.0], [3e-3, 0.0], [6e-3, 0.0]]
 PROCESS = {'depth': 6e-3, 'step': 3e-3}

@@ -9,13 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import check_grad
 
-from fuzzycnc_ros.core.deformation import TSFuzzyNetwork
-from fuzzycnc_ros.core.deformation.antecedent import Antecedent
-from fuzzycnc_ros.core.deformation.consequents import Samples, cost_and_gradient
 from fuzzycnc_ros.core.deformation.features import looks_like_radians
-from fuzzycnc_ros.core.deformation.network import TooFewSamplesError, samples_needed
+from fuzzycnc_ros.core.deformation.model import Antecedent
+from fuzzycnc_ros.core.deformation.network import (
+    TooFewSamplesError,
+    TSFuzzyNetwork,
+    samples_needed,
+)
 from fuzzycnc_ros.core.deformation.training import (
     DivergedError,
+    Samples,
+    cost_and_gradient,
     descend,
     equal_rows,
     grouped_folds,
@@ -284,7 +288,8 @@ def test_a_model_runs_without_scikit_learn():
     program = """
 import sys
 sys.modules['sklearn'] = None
-from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, read_model, write_model
+from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
+from fuzzycnc_ros.core.deformation.model import read_model, write_model
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 x, s = foam_samples(0)
 model = TSFuzzyNetwork('sts', ridge=0.1).fit(x, s).model_

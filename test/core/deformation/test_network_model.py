@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.deformation import AxisGain, TSFuzzyNetwork, read_model, write_model
+from fuzzycnc_ros.core.deformation.model import AxisGain, read_model, write_model
+from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.document import ModelFileError
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedulers.approach import SHARE_MAX, SHARE_MIN, approach_share
-from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedulers.streaming import stream_ratio
+from fuzzycnc_ros.core.feedrate.schedule.approach import SHARE_MAX, SHARE_MIN, approach_share
+from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.program_run import stream_ratio
 
 SCHEDULER = LogFuzzyScheduler(
     feed_max=0.1, tolerance=1e-5, machine_constant=2e-4, curvature_max=2e4

@@ -15,7 +15,7 @@ from paths.reference_segments import (
     random_segment,
 )
 
-from fuzzycnc_ros.core.feedrate.reference.reference_path import EASING, reference_path
+from fuzzycnc_ros.core.feedrate.path.reference_path import EASING, reference_path
 
 TURNS = [1e-5, 0.02, 0.09, 0.11, 0.4, 0.6, np.pi / 3, np.pi / 2, 1.7, 2 * np.pi / 3, 2.6]
 

@@ -8,17 +8,17 @@ from math import inf, isnan, pi, sqrt
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.feedrate.job.controller_program import (
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
+from fuzzycnc_ros.core.feedrate.motion.controller_moves import merged
+from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
+from fuzzycnc_ros.core.feedrate.schedule.controller_program import (
     PathMode,
     path_modes,
     program_moves,
     simulate,
     with_mode,
 )
-from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
-from fuzzycnc_ros.core.feedrate.motion.controller_moves import merged
-from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.programs.program_judge import ProgramPath
 

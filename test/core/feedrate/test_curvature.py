@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.feedrate.path.path_curvature import (
+from fuzzycnc_ros.core.feedrate.path.sampled_path import (
     CORNER_ANGLE,
     arc_length,
     arc_stencil,

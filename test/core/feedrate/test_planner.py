@@ -12,12 +12,12 @@ from paths.reference_parts import reference_parts
 
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
-from fuzzycnc_ros.core.feedrate.planner.feeds import FeedPlan, desired_feed
-from fuzzycnc_ros.core.feedrate.planner.planned_motion import PlannedSamples
-from fuzzycnc_ros.core.feedrate.planner.planner import Planner, PlannerSettings
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed, ConstantNormalAcceleration
+from fuzzycnc_ros.core.feedrate.schedule.feeds import FeedPlan, desired_feed
+from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed, ConstantNormalAcceleration
+from fuzzycnc_ros.core.feedrate.schedule.planned_motion import PlannedSamples
+from fuzzycnc_ros.core.feedrate.schedule.planner import Planner, PlannerSettings
 
 PLAIN = MotionLimits(path_velocity=0.2, path_acceleration=2.0)
 SMOOTH = MotionLimits(path_velocity=0.2, path_acceleration=2.0, path_jerk=40.0)

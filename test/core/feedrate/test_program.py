@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.feedrate.program.blocks import Role
-from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader, read_program
-from fuzzycnc_ros.core.feedrate.program.sampling import sample_path
-from fuzzycnc_ros.core.feedrate.program.segments import ArcSegment, DwellSegment, NurbsSegment
+from fuzzycnc_ros.core.feedrate.gcode.blocks import Role
+from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, read_program
+from fuzzycnc_ros.core.feedrate.gcode.sampling import sample_path
+from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, DwellSegment, NurbsSegment
 
 MM = 1e-3
 

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from programs.flow_programs import FlowProgram
 from programs.rs274 import check_against, interpreted
 
-from fuzzycnc_ros.core.feedrate.program import follow
-from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader, read_program
-from fuzzycnc_ros.core.feedrate.program.tally import FeedTally
-from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds, write_blocks, write_program
+from fuzzycnc_ros.core.feedrate.gcode import reader as follow
+from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, read_program
+from fuzzycnc_ros.core.feedrate.gcode.tally import FeedTally
+from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_blocks, write_program
 
 MM = 1e-3
 DIGIT = 1.1e-3 / 60e3  # of a feed word, and of what rs274 prints [m/s]

@@ -4,9 +4,9 @@
 
 import pytest
 
-from fuzzycnc_ros.core.feedrate.program.lexer import ProgramError
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
-from fuzzycnc_ros.core.feedrate.program.writer import write_program
+from fuzzycnc_ros.core.feedrate.gcode.lexer import ProgramError
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
 
 
 @pytest.mark.parametrize(

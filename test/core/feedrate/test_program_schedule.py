@@ -13,19 +13,20 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
     FeedrateSchedulerConfig,
     make_scheduler,
 )
-from fuzzycnc_ros.core.feedrate.job import program_feeds, program_run
-from fuzzycnc_ros.core.feedrate.job.program_motion import rest_to_rest, straight_time
-from fuzzycnc_ros.core.feedrate.job.program_schedule import (
-    ProgramScheduler,
-    ProgramSettings,
-    schedule_program,
-)
+from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, read_program
+from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment
+from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_program
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
-from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader, read_program
-from fuzzycnc_ros.core.feedrate.program.segments import ArcSegment
-from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds, write_program
-from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed, ConstantNormalAcceleration
+from fuzzycnc_ros.core.feedrate.schedule import program_run
+from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed, ConstantNormalAcceleration
+from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (
+    ProgramScheduler,
+    ProgramSettings,
+    rest_to_rest,
+    schedule_program,
+    straight_time,
+)
 
 LIMITS = MotionLimits(
     path_velocity=0.25, path_acceleration=1.5, velocity=(0.25,) * 3, acceleration=(4.0,) * 3
@@ -166,7 +167,7 @@ def test_a_stream_of_small_parts_gives_what_large_ones_give(monkeypatch, method,
 def test_a_long_program_is_read_no_farther_ahead_than_the_scheduler_looks(monkeypatch, blend):
     chunk, taken = 128, 0
     monkeypatch.setattr(program_run, 'CHUNK', chunk)
-    monkeypatch.setattr(program_feeds, 'GROUP', chunk)
+    monkeypatch.setattr(program_run, 'GROUP', chunk)
 
     def lines():
         nonlocal taken

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.feedrate.program.blocks import Role
-from fuzzycnc_ros.core.feedrate.program.reader import ProgramReader, read_program
-from fuzzycnc_ros.core.feedrate.program.writer import strip_feeds, write_blocks, write_program
+from fuzzycnc_ros.core.feedrate.gcode.blocks import Role
+from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, read_program
+from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_blocks, write_program
 
 NAN = math.nan
 

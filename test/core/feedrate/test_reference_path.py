@@ -24,7 +24,7 @@ from paths.reference_segments import (
 
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.reference.reference_path import (
+from fuzzycnc_ros.core.feedrate.path.reference_path import (
     EASING,
     PathBuilder,
     ReferencePath,

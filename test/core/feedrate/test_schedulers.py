@@ -12,10 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy import FuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedulers.fuzzy_rules import RATIO_SETS, published_rules
-from fuzzycnc_ros.core.feedrate.schedulers.log_fuzzy import LogFuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedulers.plain import (
+from fuzzycnc_ros.core.feedrate.schedule.fuzzy import RATIO_SETS, FuzzyScheduler, published_rules
+from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.plain import (
     ChordErrorFeed,
     ConstantFeed,
     ConstantNormalAcceleration,
@@ -23,7 +22,7 @@ from fuzzycnc_ros.core.feedrate.schedulers.plain import (
     LookAheadFeed,
     chord_error_feed,
 )
-from fuzzycnc_ros.core.feedrate.schedulers.streaming import stream_ratio
+from fuzzycnc_ros.core.feedrate.schedule.program_run import stream_ratio
 
 FEED = 0.1
 SCHEDULERS = [

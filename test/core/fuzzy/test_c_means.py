@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from fuzzycnc_ros.core.estimator import NotFittedError
-from fuzzycnc_ros.core.fuzzy import FuzzyCMeans
+from fuzzycnc_ros.core.fuzzy.clustering import FuzzyCMeans
 
 samples = arrays(
     np.float64,
@@ -134,7 +134,7 @@ def test_works_the_same_without_scikit_learn():
 import sys
 sys.modules['sklearn'] = None
 import numpy as np
-from fuzzycnc_ros.core.fuzzy import FuzzyCMeans
+from fuzzycnc_ros.core.fuzzy.clustering import FuzzyCMeans
 data = np.concatenate([np.zeros((4, 2)), np.ones((4, 2))])
 model = FuzzyCMeans(2, random_state=0)
 labels = model.fit_predict(data)

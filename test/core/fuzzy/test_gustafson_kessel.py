@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from fuzzycnc_ros.core.estimator import NotFittedError
-from fuzzycnc_ros.core.fuzzy import GustafsonKessel
-from fuzzycnc_ros.core.fuzzy.gustafson_kessel import class_values, grow_clusters
+from fuzzycnc_ros.core.fuzzy.clustering import GustafsonKessel, class_values, grow_clusters
 
 samples = arrays(
     np.float64,

@@ -9,8 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.fuzzy.hybrid_learning import Premises, Samples, step_factor, train_rules
-from fuzzycnc_ros.core.fuzzy.takagi_sugeno import log_firing, normalised_firing
+from fuzzycnc_ros.core.fuzzy.takagi_sugeno import (
+    Premises,
+    Samples,
+    log_firing,
+    normalised_firing,
+    step_factor,
+    train_rules,
+)
 from fuzzycnc_ros.core.thermal.fit.anfis import cluster_premises, grid_premises
 from fuzzycnc_ros.core.thermal.fit.linear import ridge_solution
 

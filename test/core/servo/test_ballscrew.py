@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-from fuzzycnc_ros.core.servo import point_to_point
-from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
+from fuzzycnc_ros.core.servo.controllers import BallscrewController
 from fuzzycnc_ros.core.servo.friction import MovingDisturbance
 from fuzzycnc_ros.core.servo.observer import ObserverDesign, ObserverNoise
+from fuzzycnc_ros.core.servo.profile import point_to_point
 from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
 from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position

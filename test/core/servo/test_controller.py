@@ -9,18 +9,16 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
-from fuzzycnc_ros.core.servo import (
+from fuzzycnc_ros.core.servo.baselines import (
     CascadeController,
-    FeedbackLimits,
     FixedUniverseController,
     PidController,
-    ProfileLimits,
-    VariableUniverseController,
-    VariableUniverseParams,
-    point_to_point,
 )
+from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.filtered_rate import Integrator
-from fuzzycnc_ros.core.servo.params import ServoParamsWarning
+from fuzzycnc_ros.core.servo.params import ServoParamsWarning, VariableUniverseParams
+from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
+from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
 from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position

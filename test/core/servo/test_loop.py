@@ -8,22 +8,20 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
-from fuzzycnc_ros.core.servo import (
-    DisturbanceObserver,
-    FeedbackLimits,
-    ObserverNoise,
-    PidController,
-    StickSlipParams,
-    VariableUniverseController,
-    VariableUniverseParams,
-    point_to_point,
-    stability_report,
-)
 from fuzzycnc_ros.core.servo.axis import LinearAxis, response_lag
-from fuzzycnc_ros.core.servo.observer import ObserverDesign
-from fuzzycnc_ros.core.servo.params import settles, ultimate_gain
-from fuzzycnc_ros.core.servo.predictor import predictor
-from fuzzycnc_ros.core.servo.stability import spectral_radii
+from fuzzycnc_ros.core.servo.baselines import PidController
+from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
+from fuzzycnc_ros.core.servo.observer import (
+    DisturbanceObserver,
+    ObserverDesign,
+    ObserverNoise,
+    predictor,
+)
+from fuzzycnc_ros.core.servo.params import VariableUniverseParams, settles, ultimate_gain
+from fuzzycnc_ros.core.servo.profile import point_to_point
+from fuzzycnc_ros.core.servo.stability import spectral_radii, stability_report
+from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
+from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheMove
 from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.servo import VariableUniverseController
 from fuzzycnc_ros.core.servo.rule_learning import (
     DATA,
     EMPTY,
@@ -26,6 +25,7 @@ from fuzzycnc_ros.core.servo.rule_table import (
     published_rules,
     rules_with_zero,
 )
+from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 

@@ -18,7 +18,8 @@ from campaign.live_graphs import LiveGraph
 from campaign.pattern_verdict import BLEND
 from campaign.relay import direct, durability
 from campaign.scenario import Stage
-from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
+from fuzzycnc_ros.core.deformation.model import write_model
+from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.ros.bring_up import NodeSpec
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.convert import encode

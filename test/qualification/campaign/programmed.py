@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fuzzycnc_ros.components.motion.tool_paths import tool_path_segments
-from fuzzycnc_ros.core.feedrate.program.segments import NurbsSegment
+from fuzzycnc_ros.core.feedrate.gcode.segments import NurbsSegment
 from fuzzycnc_ros.runtime.records import Floats, ToolPath, Trajectory
 
 SPACING = 1e-5

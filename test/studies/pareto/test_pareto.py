@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.core.feedrate.program.reader import read_program
-from fuzzycnc_ros.core.feedrate.schedulers.plain import ConstantFeed
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 from fuzzycnc_ros.studies.pareto import pareto as module

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.servo import learn_rules
+from fuzzycnc_ros.core.servo.rule_learning import learn_rules
 from fuzzycnc_ros.core.servo.rule_table import SETS
 from fuzzycnc_ros.core.servo.stability import StabilityReport
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun

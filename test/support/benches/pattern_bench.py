@@ -14,7 +14,8 @@ from fuzzycnc_ros.components.soft.deformation_compensator import (
     DeformationCompensatorConfig,
 )
 from fuzzycnc_ros.components.soft.stitch_patterns import stitch_pattern
-from fuzzycnc_ros.core.deformation import TSFuzzyNetwork, write_model
+from fuzzycnc_ros.core.deformation.model import write_model
+from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive
 from fuzzycnc_ros.runtime.records import Material, nanoseconds
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples

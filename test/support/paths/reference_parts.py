@@ -5,7 +5,7 @@
 import numpy as np
 
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.reference.reference_path import ReferencePath
+from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath
 
 
 def reference_parts(

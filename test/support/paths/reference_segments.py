@@ -8,15 +8,15 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
-from fuzzycnc_ros.core.feedrate.path.path_geometry import bernstein
-from fuzzycnc_ros.core.feedrate.program.arcs import PLANES
-from fuzzycnc_ros.core.feedrate.program.segments import (
+from fuzzycnc_ros.core.feedrate.gcode.arcs import PLANES
+from fuzzycnc_ros.core.feedrate.gcode.segments import (
     ArcSegment,
     DwellSegment,
     LineSegment,
     NurbsSegment,
 )
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.path_geometry import bernstein
 
 
 def line(start, end, number=1, *, feed=0.01, rapid=False):

@@ -11,7 +11,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.feedrate.program.segments import ArcSegment, DwellSegment
+from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, DwellSegment
 
 
 def interpreted(text, folder):

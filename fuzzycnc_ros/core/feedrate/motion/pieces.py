@@ -15,7 +15,7 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.feedrate.reference.reference_path import ReferencePath
+    from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath
 
 AT_STOPS = 8
 """Parts of a piece that ends at a stop: the motion gets going within the first of them."""

@@ -1,3 +1,3 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Geometry of paths: NURBS and sampled curves, curvature, windows, quintic pieces."""
+"""Geometry of paths: NURBS, curvature, blended corners, the path to follow, distance from it."""

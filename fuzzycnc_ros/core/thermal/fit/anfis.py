@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array, Seed
-from fuzzycnc_ros.core.fuzzy.c_means import FuzzyCMeans
-from fuzzycnc_ros.core.fuzzy.hybrid_learning import Premises, TrainedRules, train_rules
+from fuzzycnc_ros.core.fuzzy.clustering import FuzzyCMeans
+from fuzzycnc_ros.core.fuzzy.takagi_sugeno import Premises, TrainedRules, train_rules
 from fuzzycnc_ros.core.thermal.domain import RISE_NOISE
 from fuzzycnc_ros.core.thermal.fit.grey import GreyModel
 from fuzzycnc_ros.core.thermal.fit.linear import check_ridge, column_scale

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array, Seed
-from fuzzycnc_ros.core.fuzzy import FuzzyCMeans
+from fuzzycnc_ros.core.fuzzy.clustering import FuzzyCMeans
 from fuzzycnc_ros.core.thermal.fit.folds import run_rows
 from fuzzycnc_ros.core.thermal.fit.grey import GreyModel
 from fuzzycnc_ros.core.thermal.fit.refinement import Progress, TemperatureField, refined

@@ -20,8 +20,13 @@ from fuzzycnc_ros.core.thermal.cold_start import ColdStart
 from fuzzycnc_ros.core.thermal.domain import trained_domain
 from fuzzycnc_ros.core.thermal.drivers import drivers_of
 from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
-from fuzzycnc_ros.core.thermal.fit.candidates import JudgedCandidate, fit_candidate, uncompensated
-from fuzzycnc_ros.core.thermal.fit.choice import preferred, unseen_residual
+from fuzzycnc_ros.core.thermal.fit.candidates import (
+    JudgedCandidate,
+    fit_candidate,
+    preferred,
+    uncompensated,
+    unseen_residual,
+)
 from fuzzycnc_ros.core.thermal.fit.folds import independent_folds, training_folds
 from fuzzycnc_ros.core.thermal.fit.refinement import Progress
 from fuzzycnc_ros.core.thermal.fit.selection import (

@@ -11,8 +11,7 @@ from fuzzycnc_ros.core.thermal import ThermalDataError
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED, Candidate
 from fuzzycnc_ros.core.thermal.chance import better, worth_using
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
-from fuzzycnc_ros.core.thermal.fit.candidates import JudgedCandidate
-from fuzzycnc_ros.core.thermal.fit.choice import preferred, unseen_residual
+from fuzzycnc_ros.core.thermal.fit.candidates import JudgedCandidate, preferred, unseen_residual
 from fuzzycnc_ros.core.thermal.fit.comparison import judge, splits
 from fuzzycnc_ros.core.thermal.fit.training_set import TrainingSet
 from fuzzycnc_ros.core.thermal.moments import Fold

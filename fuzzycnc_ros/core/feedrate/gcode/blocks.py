@@ -1,0 +1,136 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A part program as read: its lines, what moves, and what was passed through."""
+
+from dataclasses import dataclass
+from enum import Enum, auto
+from functools import cached_property
+
+from fuzzycnc_ros.core.feedrate.gcode.segments import Segment
+
+
+class Role(Enum):
+    """What a line means for the feed."""
+
+    PLAIN = auto()
+    """Moves nothing that heeds the feed."""
+    RAPID = auto()
+    """A rapid; a feed word on it is heeded by the blocks that follow."""
+    FEED = auto()
+    """Moves along a segment whose feed may be chosen."""
+    KEPT = auto()
+    """Moves, or may move, with the feed of the program; a feed word may be added."""
+    SEALED = auto()
+    """May move with the feed of the program; no feed word may be added (cycles, calls, `/`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """One line of a part program.
+
+    Parameters
+    ----------
+    line : int
+        Its number, the first one is 1.
+    text : str
+        The line as it was read, with its ending.
+    role : Role
+        What it means for the feed.
+    segment : Segment or None
+        What moves; of a curve over many lines the first line has it.
+    feed : float or None
+        Feed of the program in effect at the end of the line [m/s], None where it is none.
+    word : tuple of int, length 2, or None
+        Where the line's own feed word starts and ends in the text, if it sets the feed.
+    insert : int
+        Where in the text a feed word may be put.
+    feed_unit : float
+        What one unit of a feed word is [m/s].
+    optional : bool
+        A switch at the machine may skip the line.
+    followed : bool
+        The line belongs to a part whose order O-words or calls decide: it may be run several
+        times, and each time is a block.
+    """
+
+    line: int
+    text: str
+    role: Role
+    segment: Segment | None
+    feed: float | None
+    word: tuple[int, int] | None
+    insert: int
+    feed_unit: float
+    optional: bool
+    followed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Something that was passed through untouched.
+
+    Parameters
+    ----------
+    line : int
+        Where it was met first.
+    count : int
+        How often it was met.
+    text : str
+        What it is, and what follows from it.
+    """
+
+    line: int
+    count: int
+    text: str
+
+    def __str__(self) -> str:
+        """Say it in one line."""
+        times = '' if self.count == 1 else f' ({self.count} times)'
+        return f'line {self.line}: {self.text}{times}'
+
+
+@dataclass(frozen=True)
+class Program:
+    """A part program.
+
+    Parameters
+    ----------
+    blocks : tuple of Block
+        All lines in the order in which they are run; those that are not run come last.
+    notes : tuple of Note
+        What was passed through, in the order in which it was met first.
+    """
+
+    blocks: tuple[Block, ...]
+    notes: tuple[Note, ...]
+
+    @property
+    def text(self) -> str:
+        """The program as it was read."""
+        lines: dict[int, str] = {}
+        for block in self.blocks:
+            lines.setdefault(block.line, block.text)
+        return ''.join(lines[number] for number in sorted(lines))
+
+    @cached_property
+    def segments(self) -> tuple[Segment, ...]:
+        """What moves, in order; rapids and dwells among it."""
+        return tuple(block.segment for block in self.blocks if block.segment is not None)
+
+    @cached_property
+    def runs(self) -> tuple[tuple[int, int], ...]:
+        """First and one past the last index in `segments` of each run that may be scheduled.
+
+        Inside a run the tool moves on from segment to segment without a stop or a gap that the
+        program asks for; before and after it the speed is the machine's own matter.  Segments of
+        no length may lie inside.
+        """
+        found: list[tuple[int, int]] = []
+        for index, segment in enumerate(self.segments):
+            if not segment.schedulable:
+                continue
+            if found and self.segments[found[-1][1] - 1].run == segment.run:
+                found[-1] = (found[-1][0], index + 1)
+            else:
+                found.append((index, index + 1))
+        return tuple(found)

@@ -1,0 +1,608 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Line by line: what each one means, with the modal state of all before it."""
+
+import math
+from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
+
+from fuzzycnc_ros.core.feedrate.gcode import modal
+from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Note, Role
+from fuzzycnc_ros.core.feedrate.gcode.curve_blocks import (
+    CurveBlock,
+    KnotCurveBlock,
+    PlaneCurveBlock,
+)
+from fuzzycnc_ros.core.feedrate.gcode.expressions import Expression, ExpressionError
+from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, ProgramError, Word, resolved
+from fuzzycnc_ros.core.feedrate.gcode.modal import State
+from fuzzycnc_ros.core.feedrate.gcode.motion import (
+    UnreadableError,
+    begin_cycle,
+    dwell,
+    move,
+    named_axes,
+    run_cycle,
+    runs_cycle,
+)
+from fuzzycnc_ros.core.feedrate.gcode.parameters import Parameters
+from fuzzycnc_ros.core.feedrate.gcode.segments import NurbsSegment, Segment
+
+LETTERS = '@^'
+
+
+def cartesian(line: Line, state: State) -> Line:
+    """Return a line with X and Y in place of `@` and `^`.
+
+    Parameters
+    ----------
+    line : Line
+        What the line says, with a radius or an angle.
+    state : State
+        Modal state before it; a part that is left out stays as it is.
+
+    Returns
+    -------
+    Line
+        X and Y have no value where the program does not say from where it starts.
+    """
+    value = {word.letter: word.value for word in line.words}
+    place = _xy(value, state)
+    spans = [(word.start, word.end) for word in line.words if word.letter in LETTERS]
+    found = copy(line)
+    found.words = [word for word in line.words if word.letter not in LETTERS]
+    for axis, coordinate in zip('XY', place, strict=True):
+        found.words.append(Word(axis, coordinate, *spans[0]))
+    return found
+
+
+def _xy(value: dict[str, float | None], state: State) -> tuple[float | None, float | None]:
+    """Return X and Y as the line would have to say them."""
+    radius, angle = value.get('@', math.nan), value.get('^', math.nan)
+    if radius is None or angle is None or 'X' in value or 'Y' in value:
+        return None, None
+    x, y = (state.position[axis] / state.length_unit for axis in (0, 1))
+    start, way = (x, y), 1.0
+    if not state.absolute or math.isnan(radius + angle):
+        if not math.isfinite(x + y) or x == y == 0.0 or not state.assumed.isdisjoint('XY'):
+            return None, None
+        before = math.hypot(x, y), math.degrees(math.atan2(y, x))
+        if state.absolute:
+            radius = before[0] if math.isnan(radius) else radius
+            angle = before[1] if math.isnan(angle) else angle
+        else:
+            # A cycle that is repeated (L) turns and widens with each hole; each gets its share.
+            way = value.get('L', 1.0) or math.nan
+            radius = before[0] + way * (0.0 if math.isnan(radius) else radius)
+            angle = before[1] + way * (0.0 if math.isnan(angle) else angle)
+    if math.isnan(way):
+        return None, None
+    turn = math.radians(angle)
+    place = (radius * math.cos(turn), radius * math.sin(turn))
+    if state.absolute:
+        return place
+    return (place[0] - start[0]) / way, (place[1] - start[1]) / way
+
+
+class Notes:
+    """Collects notes; the same text is counted."""
+
+    def __init__(self) -> None:
+        self._found: dict[str, tuple[int, int]] = {}
+
+    def add(self, line: int, text: str) -> None:
+        """Add a note of a line."""
+        first, count = self._found.get(text, (line, 0))
+        self._found[text] = (first, count + 1)
+
+    def all(self) -> tuple[Note, ...]:
+        """Return the notes in the order in which they were met first."""
+        return tuple(Note(line, count, text) for text, (line, count) in self._found.items())
+
+
+_CALL_LETTERS = frozenset('XYZABCUVWG')
+_CURVE_LETTERS = frozenset('GNFXYZPLKRABCUVW')
+_CALL_M = frozenset({97, 98, 99})
+
+
+class Interpreter:
+    """Reads a program line by line in bounded memory.
+
+    Parameters
+    ----------
+    length_unit : float
+        What a length of 1 is before the program says G20 or G21 [m].
+
+    Attributes
+    ----------
+    state : State
+        Modal state after the last line.
+    parameters : Parameters
+        Values that the program has set.
+    notes : Notes
+        What was passed through so far.
+    followed : bool
+        The lines belong to a part whose order O-words or calls decide.
+    """
+
+    def __init__(self, length_unit: float = modal.MILLIMETRE) -> None:
+        self.state = modal.State(length_unit)
+        self._curve: CurveBlock | None = None
+        self._held: list[Block] = []
+        self._saved: list[tuple[dict[str, object], bool] | None] = [None]
+        self._line = 0
+        self.notes = Notes()
+        self.parameters = Parameters(self.state)
+        self.followed = False
+        self._words = GWords(self.state, self._say)
+
+    def read(self, text: str, line: Line, number: int) -> list[Block]:
+        """Read the next line.
+
+        Parameters
+        ----------
+        text : str
+            The line with its ending.
+        line : Line
+            What it says.
+        number : int
+            Its number.
+
+        Returns
+        -------
+        list of Block
+            Blocks that are complete with it, in order.  Lines of a curve are held back until the
+            curve is over.
+
+        Raises
+        ------
+        ProgramError
+            If the line says something impossible.
+        """
+        self._line = number
+        if not line.computed and not line.settings:
+            return self._open(text, line) if self._curve is None else self._continue(text, line)
+        line = resolved(line, self.parameters, number)
+        # Parameters change behind the line: all of its values are those from before it.
+        found = [
+            (
+                target if isinstance(target, str) else self.value(target),
+                None if line.optional else self.value(expression),
+            )
+            for target, expression in line.settings
+        ]
+        blocks = self._open(text, line) if self._curve is None else self._continue(text, line)
+        for where, value in found:
+            if isinstance(where, str):
+                self.parameters.set_named(where, value)
+            else:
+                self.parameters.set_number(where, value)
+        return blocks
+
+    def pass_by(self, text: str, number: int, line: Line | None = None) -> list[Block]:
+        """Pass a line that moves and sets nothing: an O-word, or text that is not run."""
+        self._line = number
+        block = self._block(text, line or Line(), Role.PLAIN, None)
+        if self._curve is None:
+            return [block]
+        self._held.append(block)
+        return []
+
+    def lose(self, reason: str) -> None:
+        """Note why nothing is known any more: neither places nor the feed."""
+        self._say(reason)
+        self.state.lose()
+        self.state.lose_feed()
+
+    def seal(self, text: str, number: int) -> Block:
+        """Return the block from which on nothing is known: the program's feed has to be there."""
+        self._line = number
+        return self._block(text, Line(), Role.SEALED, None)
+
+    def unknown_call(self, text: str, number: int, line: Line, name: str) -> Block:
+        """Return the block of a call that is not followed, and forget what it may change."""
+        self._line = number
+        before = self._block(text, line, Role.SEALED, None)
+        self.lose(f'call of {name or "a subroutine"}, which is not here: {LOST}, the feed until F')
+        return replace(before, feed=None)
+
+    def enter(self, arguments: list[float | None] | None) -> None:
+        """Begin a subroutine; None hands on the arguments of the one that calls."""
+        self.parameters.enter(arguments)
+        self._saved.append(None)
+
+    def leave(self, result: tuple[float | None, float]) -> None:
+        """End a subroutine with its result; M73 restores the modes."""
+        self.parameters.leave(result)
+        saved = self._saved.pop()
+        if saved is not None and saved[1]:
+            self._restore(saved[0])
+
+    def close(self) -> list[Block]:
+        """End the program, and return what was held back.
+
+        Raises
+        ------
+        ProgramError
+            If a curve is not complete.
+        """
+        return self._finish() if self._curve else []
+
+    def value(self, expression: Expression | None) -> float | None:
+        """Return the value of an expression, None where only the controller knows it."""
+        try:
+            return None if expression is None else expression(self.parameters)
+        except ExpressionError as error:
+            raise ProgramError(self._line, str(error)) from error
+
+    def _open(self, text: str, line: Line) -> list[Block]:
+        role, segment = self._meaning(line)
+        if line.optional:
+            self.state.kind = ''
+            if role in (Role.FEED, Role.KEPT):
+                role = Role.SEALED
+                segment = None if segment is None else replace(segment, feed=None)
+        block = self._block(text, line, role, segment)
+        if self._curve is None:
+            return [block]
+        self._held = [block]
+        return self._finish() if self._curve.take(line.words, self._line) else []
+
+    def _continue(self, text: str, line: Line) -> list[Block]:
+        curve = self._curve
+        assert curve is not None
+        code = [round(10.0 * (word.value or 0.0)) for word in line.words if word.letter == 'G']
+        if code and code != [self.state.motion]:
+            done = self._finish()
+            if code in ([53], [63]):
+                self.state.motion = None
+                return [*done, self._block(text, line, Role.PLAIN, None)]
+            return [*done, *self._open(text, line)]
+        letters = {word.letter for word in line.words}
+        if line.names or line.calls or line.strange or not letters <= _CURVE_LETTERS:
+            raise ProgramError(
+                self._line,
+                'expected control points only in a NURBS block; end it before (G5.3, G1)',
+            )
+        self._set_feed(line)
+        complete = curve.take(line.words, self._line)
+        self._held.append(self._block(text, line, Role.PLAIN, None))
+        return self._finish() if complete else []
+
+    def _finish(self) -> list[Block]:
+        """Close the curve and return its blocks, the first one with the segment."""
+        curve, held, state = self._curve, self._held, self.state
+        assert curve is not None
+        self._curve, self._held = None, []
+        shape = curve.close()
+        first, last = shape.control[0].tolist(), shape.control[-1].tolist()
+        state.position = last
+        inside = any(block.word for block in held[1:])
+        if inside:
+            self._say('feed word inside a NURBS block: the curve keeps its feed')
+        kept = state.feed is None or held[0].optional or inside
+        if state.feed_mode == 94 and (
+            state.feed == 0.0 or (state.feed is None and state.feed_known)
+        ):
+            raise ProgramError(curve.line, 'expected a feed above 0 (F) before a NURBS block')
+        segment = NurbsSegment(
+            line=curve.line,
+            start=(first[0], first[1], first[2]),
+            end=(last[0], last[1], last[2]),
+            feed=None if kept else state.feed,
+            rapid=False,
+            turning=False,
+            run=state.run_of('kept' if kept else 'feed'),
+            curve=shape,
+            last_line=held[-1].line,
+        )
+        role = Role.KEPT if kept else Role.FEED
+        return [replace(held[0], role=role, segment=segment), *held[1:]]
+
+    def _block(self, text: str, line: Line, role: Role, segment: Segment | None) -> Block:
+        state = self.state
+        word = None
+        for letter, value, start, end in line.words:
+            if letter == 'F' and value is not None and state.feed_mode == 94:
+                word = (start, end)
+            elif letter == 'G' and value == 4.0:  # a wait: its F is no feed
+                word = None
+                break
+        return Block(
+            line=self._line,
+            text=text,
+            role=role,
+            segment=segment,
+            feed=state.feed,
+            word=word,
+            insert=line.end,
+            feed_unit=state.feed_unit,
+            optional=line.optional,
+            followed=self.followed,
+        )
+
+    def _meaning(self, line: Line) -> tuple[Role, Segment | None]:
+        state = self.state
+        if line.percent:
+            state.percents += 1
+            state.ended = state.percents > 1
+            return Role.PLAIN, None
+        if line.optional:
+            self._say('block that may be skipped (/): taken as run, with its own feed')
+            state.kind = ''
+        if line.command:
+            self._say(f'command to the control ($): kept; {LOST}')
+            state.lose()
+            return Role.PLAIN, None
+        if line.flow is not None:
+            self.lose(f'O-words are not followed here: {LOST}, the feed until F')
+            self.parameters.forget(everything=True)
+            return Role.SEALED, None
+        if not modal.DECLARATIONS.isdisjoint(line.names):
+            self._say('declaration: passed through')
+            return Role.PLAIN, None
+        codes, ms = [], []
+        for letter, value, _, _ in line.words:
+            if letter == 'G':
+                codes.append(-1 if value is None else round(10.0 * value))
+            elif letter == 'M':
+                ms.append(value)
+        if codes and not modal.LATHE_CYCLES.isdisjoint(codes) and _names(line, 'Q'):
+            self.lose(f'turning cycle (G70 to G72): {LOST}, the feed until F')
+            return Role.SEALED, None
+        elsewhere, feed_unit = 'SUPA' in line.names, state.feed_unit
+        moves, gone = True, False
+        for code in codes:
+            kind = self._words.take(code, line)
+            elsewhere = elsewhere or kind == 'elsewhere'
+            gone = gone or kind == 'gone'
+            moves = moves and kind not in ('call', 'shift', 'dwell')
+        if 40 not in codes:
+            self._set_feed(line)
+            if state.feed_unit != feed_unit and _names(line, 'F'):
+                self._say('feed beside a change of units: taken in the new unit (LinuxCNC: old)')
+        if ms:
+            self._machine(ms)
+        if line.names or line.calls or line.strange:
+            role = self._names(line)
+            if role is not None:
+                return role, None
+        if 40 in codes:
+            return Role.PLAIN, dwell(line, self._line, state)
+        if modal.CALLS & set(codes) or (ms and _CALL_M & set(ms)) or self._called(line):
+            self.lose(f'call of a subprogram: {LOST}, the feed until F')
+            self.parameters.forget()
+            return Role.SEALED, None
+        if elsewhere:
+            state.lose(named_axes(line) or 'XYZ')
+            self._say('motion to a place of the machine (G28, G30, G53, G75, SUPA, probing)')
+            return (Role.RAPID if state.motion == 0 else Role.KEPT), None
+        if not moves or gone:
+            return (Role.SEALED if gone else Role.PLAIN), None
+        if state.motion in (52, 62):
+            return self._begin_curve(line)
+        return self._move(line)
+
+    def _move(self, line: Line) -> tuple[Role, Segment | None]:
+        state = self.state
+        if line.polar:
+            line = cartesian(line, state)
+        if state.motion == -1 and not state.modal_call and runs_cycle(line, state):
+            self._say(
+                'fixed cycle: keeps its feed'
+                if run_cycle(line, state)
+                else f'a position at which a cycle runs: {LOST}'
+            )
+            return Role.SEALED, None
+        try:
+            segment = move(line, self._line, state)
+        except UnreadableError as reason:
+            state.kind = ''
+            self._say(f'{reason}: passed through with its own feed')
+            if state.motion == 0 and not state.modal_call:
+                return Role.RAPID, None
+            return (Role.SEALED if state.motion == -1 or state.modal_call else Role.KEPT), None
+        if segment is None:
+            return Role.PLAIN, None
+        if segment.rapid:
+            return Role.RAPID, segment
+        if segment.turning:
+            self._say('motion of other axes than X, Y and Z: keeps its feed')
+        if segment.turning or segment.feed is None:
+            return Role.KEPT, segment
+        return (Role.FEED if segment.schedulable else Role.PLAIN), segment
+
+    def _begin_curve(self, line: Line) -> tuple[Role, Segment | None]:
+        state = self.state
+        if not any(
+            word.letter in 'XYZKP' or (word.letter == 'G' and word.value in (5.2, 6.2))
+            for word in line.words
+        ):
+            return Role.PLAIN, None
+        kind = PlaneCurveBlock if state.motion == 52 else KnotCurveBlock
+        self._curve = kind(self._line, state)
+        return Role.PLAIN, None
+
+    def _names(self, line: Line) -> Role | None:
+        """Heed identifiers and calls; return the role of a line that they decide alone."""
+        state = self.state
+        names = set(line.names)
+        if 'MCALL' in names:
+            state.modal_call = bool(line.calls)
+            state.kind = ''
+            self._say('modal call of a cycle (MCALL): passed through')
+            return Role.SEALED
+        if names & modal.FRAME_NAMES:
+            state.lose()
+            self._say(f'{sorted(names & modal.FRAME_NAMES)[0]}: new coordinates; {LOST}')
+            return Role.PLAIN
+        calls = [call for call in line.calls if call not in modal.SILENT_CALLS]
+        unknown = names - modal.SILENT_NAMES - modal.MACHINE_NAMES
+        for name in sorted((names & modal.SILENT_NAMES) | (set(line.calls) - set(calls))):
+            self._say(f'{name}: passed through')
+        if calls and all(call.startswith('CYCLE') for call in calls):
+            self._say(f'{calls[0]}: passed through; {LOST}')
+            state.lose()
+            return Role.SEALED
+        if calls or unknown or line.strange:
+            what = next(iter((*calls, *sorted(unknown))), 'signs')
+            self.lose(f'unknown text ({what}): passed through; {LOST}, the feed until F')
+            self.parameters.forget(everything=True)
+            return Role.SEALED
+        return None
+
+    def _set_feed(self, line: Line) -> None:
+        state = self.state
+        for letter, value, _, _ in line.words:
+            if letter == 'F' and state.feed_mode == 94:
+                if value is None:
+                    self._say('computed feed: kept')
+                    state.lose_feed()
+                elif value < 0.0:
+                    raise ProgramError(self._line, f'expected a feed above 0 but found F{value:g}')
+                else:
+                    state.feed, state.feed_known = value * state.feed_unit, True
+
+    def _machine(self, numbers: list[float | None]) -> None:
+        if any(number in modal.STOPS for number in numbers):
+            self.state.kind = ''
+        if any(number in modal.ENDS for number in numbers):
+            self.state.ended = True
+        if any(number in (70.0, 73.0) for number in numbers):
+            self._saved[-1] = (self.state.saved(), 73.0 in numbers)
+        elif 71.0 in numbers:
+            self._saved[-1] = None
+        elif 72.0 in numbers and self._saved[-1] is not None:
+            self._restore(self._saved[-1][0])
+
+    def _restore(self, modes: dict[str, object]) -> None:
+        self.state.restore(modes)
+        self._say('M72 or M73 restores the feed: unknown until F')
+
+    def _called(self, line: Line) -> bool:
+        """Whether the line is a Siemens call of a subprogram, `L100`."""
+        letters = {word.letter for word in line.words}
+        return 'L' in letters and not letters & _CALL_LETTERS and self.state.motion != 52
+
+    def _say(self, text: str) -> None:
+        self.notes.add(self._line, text)
+
+
+def _names(line: Line, letter: str) -> bool:
+    return any(word.letter == letter for word in line.words)
+
+
+LOST = 'where the tool stands is unknown until all axes are named'
+
+
+class GWords:
+    """Takes G words, as numbers in tenths: 53 is G5.3, below 0 is one that is computed.
+
+    Parameters
+    ----------
+    state : State
+        Modal state that they change.
+    say : callable
+        Told what is passed through.
+    """
+
+    def __init__(self, state: modal.State, say: Callable[[str], None]) -> None:
+        self._state = state
+        self._say = say
+
+    def take(self, code: int, line: Line) -> str:
+        """Heed a G word; return what it does to the line, empty for nothing special."""
+        state = self._state
+        if code in modal.MOTION:
+            state.motion = code
+            state.cycle = None
+        elif code in modal.PLANE:
+            state.plane = modal.PLANE[code]
+        elif code in modal.LENGTH_UNIT:
+            state.length_unit = modal.LENGTH_UNIT[code]
+            if code in modal.FEED_UNITS:
+                state.unit_said = True
+                state.feed_unit = state.length_unit / modal.MINUTE
+        elif code in (900, 910):
+            state.absolute = code == 900
+        elif code in (901, 911):
+            state.centre_absolute = code == 901
+        elif code in (930, 940, 950):
+            self._feed_mode(code // 10)
+        elif code == 40:
+            return 'dwell'
+        elif code in modal.CYCLES:
+            begin_cycle(code, state)
+            state.motion = -1
+        elif code in modal.ELSEWHERE:
+            return 'elsewhere'
+        elif code in modal.CALLS:
+            return 'call'
+        elif code in modal.FRAMES:
+            state.lose()
+            self._say(f'G{code / 10:g}: new coordinates; {LOST}')
+            return 'shift'
+        elif code == 920:
+            self._set_place(line)
+            return 'shift'
+        else:
+            return self._other_code(code, line)
+        return ''
+
+    def _other_code(self, code: int, line: Line) -> str:
+        """Heed a G word that moves nothing by itself."""
+        state = self._state
+        if code in modal.OFFSETS:
+            if state.offset not in (None, code):
+                state.lose()
+                self._say(f'change of the work offset: {LOST}')
+            state.offset = code
+        elif code in modal.TOOL_LENGTHS or (code == 490 and state.tool_length):
+            state.tool_length = code != 490
+            state.lose('Z')
+            self._say('change of the tool length: where Z stands is unknown until it is named')
+        elif code in modal.CUTTER:
+            state.cutter = True
+            self._say(f'cutter compensation (G{code / 10:g}): the path is the programmed one')
+        elif code == 400:
+            state.cutter = False
+        elif code in (980, 990):
+            state.retracts = code == 990
+        elif code in (160, 150):
+            state.polar = code == 160
+        elif code == 800:
+            state.motion = None if state.motion == -1 else state.motion
+            state.cycle = None
+        elif code not in modal.HARMLESS:
+            self._say(
+                f'unknown word G{code / 10:g}: passed through' if code >= 0 else 'computed G'
+            )
+            if code < 0 or named_axes(line):
+                state.lose()
+                return 'gone'
+        return ''
+
+    def _set_place(self, line: Line) -> None:
+        """G92: the tool stands where the words say, from now on."""
+        state = self._state
+        state.kind = ''
+        self._say('G92: new coordinates')
+        for letter, value, _, _ in line.words:
+            if letter in 'XYZ':
+                if value is None:
+                    state.lose(letter)
+                else:
+                    state.position['XYZ'.index(letter)] = value * state.length_unit
+                    state.assumed.discard(letter)
+            elif letter in 'ABCUVW':
+                state.others.pop(letter, None)
+                if value is not None:
+                    state.others[letter] = value
+
+    def _feed_mode(self, mode: int) -> None:
+        state = self._state
+        if mode != state.feed_mode:
+            state.feed, state.feed_known, state.feed_mode = None, True, mode
+        if mode != 94:
+            self._say(f'G{mode}: the feed is no length per time and is kept')

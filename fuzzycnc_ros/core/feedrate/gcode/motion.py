@@ -1,0 +1,286 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""From the words of a line and the modal state to the segments that the tool runs, and cycles."""
+
+import math
+from math import isfinite, nan
+
+from fuzzycnc_ros.core.feedrate.gcode.arcs import PLANES, by_radius, centred
+from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, ProgramError
+from fuzzycnc_ros.core.feedrate.gcode.modal import Cycle, State
+from fuzzycnc_ros.core.feedrate.gcode.segments import (
+    ArcSegment,
+    DwellSegment,
+    LineSegment,
+    Point,
+    Segment,
+)
+
+AXES = 'XYZ'
+OTHER_AXES = frozenset('ABCUVW')
+CENTRES = 'IJK'
+_ARC_NAMES = frozenset({'CR', 'TURN'})
+
+
+class UnreadableError(Exception):
+    """A motion whose geometry the program leaves to the controller; its message says why."""
+
+
+def named_axes(line: Line) -> str:
+    """Return which of X, Y and Z a line names."""
+    named = {word.letter for word in line.words}
+    return ''.join(axis for axis in AXES if axis in named)
+
+
+def move(line: Line, number: int, state: State) -> Segment | None:
+    """Return the segment of a line with axis words, and move the state on.
+
+    Parameters
+    ----------
+    line : Line
+        What the line says; its G, M and F words are in the state already.
+    number : int
+        Its number.
+    state : State
+        Modal state; the position moves on.
+
+    Returns
+    -------
+    Segment or None
+        None where nothing moves.
+
+    Raises
+    ------
+    ProgramError
+        If the motion is impossible.
+    UnreadableError
+        If the motion is not known, or not from where; the state has forgotten the axes then.
+    """
+    start = state.position
+    target = start.copy()
+    turning = arc_words = named = False
+    assumed = state.assumed if state.absolute else None
+    for letter, value, _, _ in line.words:
+        if letter in AXES:
+            named = True
+            if assumed:
+                assumed.discard(letter)
+            axis = AXES.index(letter)
+            target[axis] = _coordinate(value, start[axis], state)
+        elif letter in OTHER_AXES:
+            turning = _turn(letter, value, state) or turning
+        elif letter in CENTRES or letter == 'R':
+            arc_words = True
+    motion = state.motion
+    is_arc = motion in (20, 30)
+    if not turning and not named and not (is_arc and (arc_words or line.assigned)):
+        return None
+    _check_feed(number, state)
+    strange = [name for name in line.assigned if not (is_arc and name in _ARC_NAMES)]
+    if motion not in (0, 10, 20, 30) or strange or state.polar or state.modal_call:
+        state.lose(named_axes(line))
+        raise UnreadableError(_why(motion, strange, state))
+    state.position = target
+    if not all(map(math.isfinite, (*start, *target))):
+        state.kind = ''
+        raise UnreadableError('a motion from or to a place that the program does not say')
+    begin, end = (start[0], start[1], start[2]), (target[0], target[1], target[2])
+    feed = None if motion == 0 else state.feed
+    run = state.run_of('rapid' if motion == 0 else 'kept' if turning or feed is None else 'feed')
+    if is_arc:
+        return _arc(line, number, state, (begin, end, feed, turning, run))
+    return LineSegment(number, begin, end, feed, motion == 0, turning, run)
+
+
+def dwell(line: Line, number: int, state: State) -> DwellSegment:
+    """Return the wait of a line with G4: P, else X, U or F, in seconds."""
+    found = {word.letter: word.value for word in line.words}
+    duration = next((found[letter] for letter in 'PXUF' if letter in found), 0.0)
+    if duration is not None and duration < 0.0:
+        raise ProgramError(number, f'expected a wait of at least 0 s but found {duration} s')
+    x, y, z = state.position
+    place = (x, y, z)
+    return DwellSegment(
+        number, place, place, None, False, False, state.run_of('dwell'), duration or 0.0
+    )
+
+
+def _coordinate(value: float | None, before: float, state: State) -> float:
+    if value is None:
+        return math.nan
+    length = value * state.length_unit
+    return length if state.absolute else before + length
+
+
+def _turn(letter: str, value: float | None, state: State) -> bool:
+    """Move another axis; return whether it may turn."""
+    before = state.others.get(letter)
+    if value is None:
+        state.others.pop(letter, None)
+        return True
+    if state.absolute:
+        state.others[letter] = value
+        return before != value
+    if before is not None:
+        state.others[letter] = before + value
+    return value != 0.0
+
+
+def _check_feed(number: int, state: State) -> None:
+    if state.motion == 0 or state.motion is None or state.feed_mode != 94:
+        return
+    if state.feed == 0.0 or (state.feed is None and state.feed_known):
+        found = 'none' if state.feed is None else '0'
+        raise ProgramError(
+            number, f'expected a feed above 0 (F) before a motion with feed but found {found}'
+        )
+
+
+def _why(motion: int | None, strange: list[str], state: State) -> str:
+    if strange:
+        return f'a motion with {", ".join(sorted(strange))}='
+    if state.polar:
+        return 'a motion in polar coordinates (G16)'
+    if state.modal_call or motion == -1:
+        return 'a position at which a cycle runs'
+    return 'a motion without G0 to G3 in effect'
+
+
+def _arc(
+    line: Line,
+    number: int,
+    state: State,
+    common: tuple[Point, Point, float | None, bool, int],
+) -> ArcSegment:
+    """Return the arc of a line: by its centre (I, J, K), or by its radius (R, CR=)."""
+    begin, end, feed, turning, run = common
+    axes = PLANES[state.plane]
+    words = {word.letter: word.value for word in line.words}
+    words |= {name: line.assigned[name] for name in _ARC_NAMES & set(line.assigned)}
+    computed = [name for name in ('R', *CENTRES, *_ARC_NAMES) if words.get(name, 0.0) is None]
+    if computed:
+        raise UnreadableError(
+            f'an arc whose {", ".join(sorted(computed))} the controller computes'
+        )
+    start2 = (begin[axes[0]], begin[axes[1]])
+    end2 = (end[axes[0]], end[axes[1]])
+    clockwise = state.motion == 20
+    radius = words.get('CR', words.get('R'))
+    plane = f'{AXES[axes[0]]} or {AXES[axes[1]]}'
+    if radius is not None:
+        if not {AXES[axes[0]], AXES[axes[1]]} & set(words):
+            raise ProgramError(
+                number, f'expected an end ({plane}) of an arc with a radius but found none'
+            )
+        centre, sweep = by_radius(number, start2, end2, radius * state.length_unit, clockwise)
+    else:
+        letters = [CENTRES[axes[0]], CENTRES[axes[1]]]
+        if not set(letters) & set(words):
+            raise ProgramError(
+                number,
+                f'expected a centre ({" or ".join(letters)}) or a radius (R) of an arc in the '
+                f'plane G{state.plane} but found none',
+            )
+        offset = [(words.get(letter) or 0.0) * state.length_unit for letter in letters]
+        base = (0.0, 0.0) if state.centre_absolute else start2
+        centre = (base[0] + offset[0], base[1] + offset[1])
+        sweep = centred(number, start2, end2, centre, clockwise, _extra_turns(words, number))
+    return ArcSegment(number, begin, end, feed, False, turning, run, axes, centre, sweep)
+
+
+def _extra_turns(words: dict[str, float | None], number: int) -> int:
+    """Return the full turns on top: P counts all begun turns, TURN= the ones on top."""
+    turns = words.get('TURN')
+    if turns is None:
+        turns = (words.get('P') or 1.0) - 1.0
+    if turns < 0.0 or turns != int(turns):
+        raise ProgramError(
+            number, 'expected a whole number of turns of an arc, P from 1 or TURN= from 0'
+        )
+    return int(turns)
+
+
+FOLLOWED = frozenset({730, 810, 820, 830, 840, 850, 860, 890})
+"""Cycles that end above the hole.
+
+G74 is a reference in Siemens' language; G76, G87 and G88 differ between controllers, or wait for
+the operator.
+"""
+
+
+def begin_cycle(code: int, state: State) -> None:
+    """Take a cycle's G word: R and Z stay in effect only where the same cycle goes on."""
+    if state.cycle is None or state.motion != -1:
+        state.cycle = Cycle(code, state.position[PLANES[state.plane][2]])
+    elif state.cycle.code != code:
+        state.cycle = Cycle(code, state.cycle.start)
+
+
+def runs_cycle(line: Line, state: State) -> bool:
+    """Whether a line with a cycle in effect runs it: it names an axis."""
+    return state.cycle is not None and any(word.letter in 'XYZABCUVW' for word in line.words)
+
+
+def run_cycle(line: Line, state: State) -> bool:
+    """Move the state on by a cycle; return whether its end is known in all axes.
+
+    Parameters
+    ----------
+    line : Line
+        What the line says; its G, M and F words are in the state already.
+    state : State
+        Modal state with a cycle in effect; axes whose end is unknown are lost.
+    """
+    cycle = state.cycle
+    assert cycle is not None
+    state.kind = ''
+    first, second, across = PLANES[state.plane]
+    value = {word.letter: word.value for word in line.words}
+    plain = not line.assigned and not state.polar and not state.modal_call
+    if cycle.code not in FOLLOWED or not plain or not value.keys().isdisjoint('ABCUVW'):
+        state.lose()
+        return False
+    for axis in (first, second):
+        state.position[axis] = _above(state, axis, value)
+    cycle.retract = _length('R', value, cycle.retract, state)
+    state.position[across] = _height(cycle, state)
+    known = all(map(isfinite, state.position))
+    if state.absolute:
+        named = {AXES[axis] for axis in (first, second) if AXES[axis] in value}
+        state.assumed -= named | ({AXES[across]} if state.retracts else set())
+    return known
+
+
+def _length(
+    letter: str, value: dict[str, float | None], before: float | None, state: State
+) -> float | None:
+    if letter not in value:
+        return before
+    number = value[letter]
+    return None if number is None else number * state.length_unit
+
+
+def _above(state: State, axis: int, value: dict[str, float | None]) -> float:
+    """Return where the last hole lies; L repeats relative ones (Fanuc's K is not followed)."""
+    before = state.position[axis]
+    if AXES[axis] not in value:
+        return before
+    number = value[AXES[axis]]
+    if number is None:
+        return nan
+    length = number * state.length_unit
+    if state.absolute:
+        return length
+    repeats = nan if 'K' in value else value.get('L', 1.0)
+    return before + length * round(repeats) if repeats and isfinite(repeats) else nan
+
+
+def _height(cycle: Cycle, state: State) -> float:
+    """Return where the axis across the plane ends."""
+    if cycle.retract is None:
+        return nan
+    retract = cycle.retract if state.absolute else cycle.start + cycle.retract
+    start = max(cycle.start, retract)  # from below R it rises to R first, and comes back there
+    if state.retracts or start == retract:
+        return retract
+    return start if state.retracts is False else nan

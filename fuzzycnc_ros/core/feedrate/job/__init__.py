@@ -1,3 +1,0 @@
-# Copyright The fuzzycnc authors
-# SPDX-License-Identifier: Apache-2.0
-"""Feeds of whole part programs."""

@@ -1,0 +1,572 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reference path of a program: quintic pieces, corners blended or stopped at, as a stream.
+
+Each piece and each junction depends on a segment and its neighbours alone, so that a path that
+arrives in parts is the same as the whole.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import islice, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.feedrate.gcode.segments import DwellSegment, Segment
+from fuzzycnc_ros.core.feedrate.path.blend import (
+    EASING_PIECES,
+    Rounding,
+    corner_reach,
+    ease_reach,
+    pieces_of,
+    rounded,
+)
+from fuzzycnc_ros.core.feedrate.path.curve_nodes import TURN
+from fuzzycnc_ros.core.feedrate.path.path_geometry import (
+    CORNER_ANGLE,
+    PathGeometry,
+    hermite,
+    turn_angles,
+)
+from fuzzycnc_ros.core.feedrate.path.sampled_path import REVERSAL_ANGLE
+from fuzzycnc_ros.core.feedrate.path.shapes import ARC, CURVE, LINE, Shapes, make_shapes
+
+_JUMP = 1e-9
+"""Jumps of the curvature up to this are rounding [1/m]."""
+_LEAST = 1e-9
+"""Roundings that reach less far are none: they would have no digits left [m]."""
+_END = 5e-4
+"""Distance of the first node inside a line from its end [m]; each next one is 4 times farther.
+
+Schedulers know a path by its nodes alone, and speeds run straight from node to node: without
+these a long line would be slow all along because of what is at its ends."""
+_STEPS = 6
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Pieces in order, m of them, and m + 1 nodes; see `ReferencePath`.
+
+    `head` is how far the last junction reaches into the last shape [m].
+    """
+
+    coefficient: Array
+    length: Array
+    curvature: Array
+    owner: NDArray[np.intp]
+    blend: NDArray[np.bool_]
+    feed: Array
+    stop: NDArray[np.bool_]
+    rest: Array
+    head: float
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Pieces of one kind, k of them: where they belong, and what they are."""
+
+    position: NDArray[np.intp]
+    coefficient: Array
+    length: Array
+    curvature: Array  # (k, 2)
+    shape: NDArray[np.intp]
+    blend: bool
+
+
+def assemble(shapes: Shapes, head: float, blend: float, easing: float, *, last: bool) -> Pieces:
+    """Return the pieces of shapes and of all junctions between them.
+
+    Parameters
+    ----------
+    shapes : Shapes
+        n of them.
+    head : float
+        How much of the first one belongs to the junction before it [m].
+    blend, easing : float
+        Largest distances of blends and of eased jumps of the curvature from the path [m].
+    last : bool
+        Whether the last shape is the end of the path; else nothing of it but its junction with
+        the one before is returned.
+    """
+    joint = np.arange(len(shapes) - 1)
+    before = shapes.frame(joint, shapes.length[:-1])
+    after = shapes.frame(joint + 1, np.zeros(len(joint)))
+    turn = turn_angles(before.tangent, after.tangent)
+    halt = shapes.halt[1:] | (shapes.rapid[1:] != shapes.rapid[:-1])
+    corner = turn > CORNER_ANGLE
+    blended = corner & ~halt & (blend > 0.0) & (turn <= REVERSAL_ANGLE)
+    jump = np.linalg.norm(after.bend - before.bend, axis=1)
+    eased = ~corner & ~halt & (jump > _JUMP)
+    reach = np.zeros(len(joint))
+    straight = (shapes.kind[:-1] == LINE) & (shapes.kind[1:] == LINE)
+    count = np.where(blended, pieces_of(turn, straight), 0)
+    count[eased] = EASING_PIECES
+    for pieces in np.unique(count[blended]).tolist():
+        rows = np.flatnonzero(blended & (count == pieces))
+        reach[rows] = corner_reach(shapes, rows, turn[rows], blend, pieces)
+    rows = np.flatnonzero(eased)
+    reach[rows] = ease_reach(shapes, rows, easing)
+    count[reach <= _LEAST] = 0
+    reach[count == 0] = 0.0
+    stop = halt | (corner & (count == 0))
+
+    low, high = np.append(head, reach), shapes.length - np.append(reach, 0.0)
+    if not last:
+        high[-1] = low[-1]
+    size = _sizes(shapes, low, high)
+    first = np.append(0, np.cumsum(size + np.append(count, 0)))
+    groups = [_bodies(shapes, low, high, size, first)]
+    for pieces in np.unique(count[count > 0]).tolist():
+        for chosen, kink in ((blended, True), (eased, False)):
+            rows = np.flatnonzero(chosen & (count == pieces))
+            if len(rows):
+                made = rounded(shapes, rows, turn[rows], reach[rows], pieces)
+                groups.append(_junctions(made, rows, first[rows] + size[rows], kink))
+    total = int(first[-1])
+    coefficient, length = np.empty((total, 6, 3)), np.empty(total)
+    shape, kinked = np.empty(total, dtype=np.intp), np.zeros(total, bool)
+    curvature = np.zeros(total + 1)
+    for group in groups:
+        at = group.position
+        coefficient[at], length[at] = group.coefficient, group.length
+        shape[at], kinked[at] = group.shape, group.blend
+        for side in (0, 1):
+            curvature[at + side] = np.maximum(curvature[at + side], group.curvature[:, side])
+    # Where the next shape goes on, which may be yet to come, the node sees it too.
+    meeting = first[1:-1]
+    onward = shapes.frame(joint + 1, reach).curvature
+    curvature[meeting] = np.maximum(curvature[meeting], onward)
+    stops, rest = np.zeros(total + 1, bool), np.zeros(total + 1)
+    stops[meeting], rest[meeting] = stop, shapes.rest[1:]
+    return Pieces(
+        coefficient,
+        length,
+        curvature,
+        shapes.owner[shape],
+        kinked,
+        shapes.feed[shape],
+        stops,
+        rest,
+        float(low[-1]),
+    )
+
+
+def _sizes(shapes: Shapes, low: Array, high: Array) -> NDArray[np.intp]:
+    """Return the number of pieces of each shape between its junctions, shape (n,)."""
+    span = high - low
+    steps = np.floor(np.log2(np.maximum(span, 1e-12) / (4.0 * _END)) / 2.0) + 1.0
+    found = 1.0 + 2.0 * np.clip(steps, 0.0, _STEPS)
+    arcs = shapes.kind == ARC
+    turn = np.abs(shapes.arc[arcs, 8]) * span[arcs] / shapes.length[arcs]
+    found[arcs] = np.maximum(np.ceil(turn / TURN - 1e-9), 1.0)
+    for k in np.flatnonzero(shapes.kind == CURVE).tolist():
+        found[k] = len(_inside(shapes.curve[k].place, low[k], high[k])) + 1
+    found[span <= 1e-12 * shapes.length] = 0.0
+    return found.astype(np.intp)
+
+
+def _inside(node: Array, low: float, high: float) -> Array:
+    """Return the nodes between two places that are not next to one of them."""
+    first, last = np.searchsorted(node, low, 'right'), np.searchsorted(node, high, 'left')
+    found = node[first:last]
+    if not len(found):
+        return found
+    apart = 0.1 * np.diff(np.concatenate([node[first - 1 : last], node[last : last + 1]]))
+    keep = (found - low > apart[: len(found)]) & (high - found > apart[1:])
+    return np.asarray(found[keep])
+
+
+def _bodies(
+    shapes: Shapes, low: Array, high: Array, size: NDArray[np.intp], first: NDArray[np.intp]
+) -> _Group:
+    """Return the pieces of the shapes between their junctions."""
+    nodes = np.where(size > 0, size + 1, 0)
+    row = np.repeat(np.arange(len(size)), nodes)
+    step = np.arange(len(row)) - np.append(0, np.cumsum(nodes))[row]
+    left = size[row] - step
+    begin, end = low[row], high[row]
+    place = begin + (end - begin) * (step / size[row])
+    graded = (shapes.kind[row] == LINE) & (size[row] > 1)
+    near = np.minimum(step, left)
+    distance = np.where(near > 0, _END * 4.0 ** (near - 1.0), 0.0)
+    place = np.where(graded, np.where(step <= left, begin + distance, end - distance), place)
+    place = np.where(left == 0, end, place)
+    for k in np.flatnonzero((shapes.kind == CURVE) & (size > 1)).tolist():
+        inner = np.flatnonzero((row == k) & (step > 0) & (left > 0))
+        place[inner] = _inside(shapes.curve[k].place, low[k], high[k])
+    frame = shapes.frame(row, place)
+    whole = left[:-1] > 0  # from the last node of one shape to the next there is no piece
+    length = np.where(whole, np.diff(place), 1.0)
+    if not len(row):
+        return _Group(row, np.empty((0, 6, 3)), np.empty(0), np.empty((0, 2)), row, False)
+    piece = hermite(frame.point, frame.tangent, frame.bend, length)[whole]
+    bent = frame.curvature
+    owner = row[:-1][whole]
+    return _Group(
+        first[owner] + step[:-1][whole],
+        piece,
+        length[whole],
+        np.stack([bent[:-1], bent[1:]], axis=1)[whole],
+        owner,
+        False,
+    )
+
+
+def _junctions(
+    made: Rounding, index: NDArray[np.intp], first: NDArray[np.intp], kink: bool
+) -> _Group:
+    """Return the pieces of junctions behind shapes `index`, from positions `first` on."""
+    count = made.length.shape[1]
+    step = np.arange(count)
+    return _Group(
+        (first[:, np.newaxis] + step).ravel(),
+        made.coefficient.reshape(-1, 6, 3),
+        made.length.ravel(),
+        np.stack([made.curvature[:, :-1], made.curvature[:, 1:]], axis=2).reshape(-1, 2),
+        (index[:, np.newaxis] + (step >= count // 2)).ravel(),
+        kink,
+    )
+
+
+EASING = 1e-6
+"""Where only the curvature jumps, as from a line to an arc, the path moves by up to this [m]."""
+
+_GAP = 1e-9
+"""Distance up to which two segments meet [m]."""
+_SHORT = 2e-9
+"""Segments up to this length are none: sums of relative moves are off by the last digits [m]."""
+_BLOCK = 4096
+"""Segments that `reference_path` takes at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReferencePath:
+    """One stretch of a path: m pieces between m + 1 nodes.
+
+    Two stretches in a row share a node: the last of one and the first of the next have the same
+    point, curvature, stop and rest.
+
+    Attributes
+    ----------
+    geometry : PathGeometry
+        The pieces, in X, Y and Z; its own arc length starts from 0, and its `stop` is that below
+        but for both ends.
+    place : float
+        Arc length of the first node from the start of the whole path [m].
+    curvature : array, shape (m + 1,)
+        Curvature at the nodes, the larger one of both sides; 0 on lines [1/m].
+    owner : array of int, shape (m,)
+        Index of the segment that each piece belongs to, counted from the first ever pushed; of a
+        blend the first half belongs to the segment before the corner.
+    blend : array of bool, shape (m,)
+        Pieces of blends of corners.
+    feed : array, shape (m,)
+        Programmed feed [m/s]; inf for rapids, and where the program gives none as length per
+        time: the machine's own speed.
+    stop : array of bool, shape (m + 1,)
+        Exact stops; those at the ends of the whole path too.
+    rest : array, shape (m + 1,)
+        Programmed dwell at a stop [s], 0 elsewhere.
+    """
+
+    geometry: PathGeometry
+    place: float
+    curvature: Array
+    owner: NDArray[np.intp]
+    blend: NDArray[np.bool_]
+    feed: Array
+    stop: NDArray[np.bool_]
+    rest: Array
+
+    @property
+    def arc_length(self) -> Array:
+        """Arc length of the nodes from the start of the whole path, shape (m + 1,) [m]."""
+        return self.place + self.geometry.node
+
+    @classmethod
+    def join(cls, parts: Sequence[ReferencePath]) -> ReferencePath:
+        """Return one stretch of several in a row.
+
+        Raises
+        ------
+        ValueError
+            If there is none, or one does not begin where the one before ends.
+        """
+        if not parts:
+            raise ValueError('parts: expected at least one, but found none')
+        for before, after in pairwise(parts):
+            end, begin = before.geometry.coefficient[-1, 5], after.geometry.coefficient[0, 0]
+            if not np.array_equal(end, begin):
+                raise ValueError(
+                    f'parts: expected each to begin where the one before ends, {end} m, but '
+                    f'found {begin} m'
+                )
+        first = parts[0].place
+        node = [part.place - first + part.geometry.node[1:] for part in parts]
+        stop = np.concatenate([parts[0].stop[:1], *(part.stop[1:] for part in parts)])
+        return cls(
+            PathGeometry(
+                np.concatenate([part.geometry.coefficient for part in parts]),
+                np.concatenate([[0.0], *node]),
+                _inner(stop),
+            ),
+            first,
+            np.concatenate([parts[0].curvature[:1], *(part.curvature[1:] for part in parts)]),
+            np.concatenate([part.owner for part in parts]),
+            np.concatenate([part.blend for part in parts]),
+            np.concatenate([part.feed for part in parts]),
+            stop,
+            np.concatenate([parts[0].rest[:1], *(part.rest[1:] for part in parts)]),
+        )
+
+
+class PathBuilder:
+    r"""Builds the reference path of segments that arrive in parts, in bounded memory.
+
+    Tangents that go on are no corners; at the others the path stops, or is blended where
+    `blend` allows it and the turn is no reversal.  Between rapids and feeds, at dwells and where
+    it is asked for the path stops.
+
+    Parameters
+    ----------
+    blend : float
+        Largest distance of a corner's blend from the programmed path [m]; 0 for exact stops.
+
+    Raises
+    ------
+    ValueError
+        If `blend` is negative or not finite.
+
+    Notes
+    -----
+    Where the tangent goes on but the curvature jumps, the curvature goes from one to the other
+    within a short stretch on each side, which moves the path by no more than `EASING`, and no
+    more than `blend` if that is above 0.
+
+    Examples
+    --------
+    >>> from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+    >>> segments = read_program('F600 G1 X1\nY1\n').segments
+    >>> builder = PathBuilder()
+    >>> parts = [builder.push(segments[:1]), builder.push(segments[1:]), builder.finish()]
+    >>> [None if part is None else part.stop.tolist() for part in parts]
+    [None, [True, True], [True, True]]
+    """
+
+    def __init__(self, *, blend: float = 0.0) -> None:
+        if not 0.0 <= blend < math.inf:
+            raise ValueError(
+                f'blend: expected a distance of 0 m or more, but found {blend}; 0 stops at corners'
+            )
+        self.blend = float(blend)
+        self._easing = min(EASING, blend) if blend > 0.0 else EASING
+        self._count = 0
+        self._kept: Shapes | None = None  # the last one, whose end is not known yet
+        self._head = 0.0  # how much of it has left with the junction before it [m]
+        self._place = np.longdouble(0.0)
+        self._halt, self._rest = True, 0.0  # asked for since the last segment that moves
+        # Curvature, stop and rest of the last node that has left, and its point.
+        self._first: tuple[float, bool, float] = (0.0, True, 0.0)
+        self._point: Array | None = None
+        self._end: tuple[int, tuple[float, float, float]] | None = None
+        self._finished = False
+
+    def push(
+        self, segments: Iterable[Segment], exact_stop: Iterable[bool] | None = None
+    ) -> ReferencePath | None:
+        """Add segments, and return what of the path is final with them.
+
+        Parameters
+        ----------
+        segments : iterable of Segment
+            The next ones; those without a length add nothing but count as owners.
+        exact_stop : iterable of bool, optional
+            Whether to stop at the end of each, whatever comes next.
+
+        Returns
+        -------
+        ReferencePath or None
+            The next stretch, up to where the last segment begins; None where nothing is final.
+
+        Raises
+        ------
+        ValueError
+            If a segment does not begin where the one before ends, a number is not finite, the
+            flags are not one for each segment, or the path is finished.  Nothing is added then.
+        """
+        if self._finished:
+            raise ValueError('expected no more segments, but found some after finish()')
+        given = list(segments)
+        flags = np.zeros(len(given), bool)
+        if exact_stop is not None:
+            flags = np.array(list(exact_stop), dtype=bool)
+            if len(flags) != len(given):
+                raise ValueError(
+                    f'exact_stop: expected {len(given)} flags, one for each segment, but found '
+                    f'{len(flags)}'
+                )
+        index, end = self._checked(given)
+        dwell = np.array(
+            [k for k, one in enumerate(given) if isinstance(one, DwellSegment)], dtype=np.intp
+        )
+        duration = np.array([given[k].duration for k in dwell.tolist()])
+        if not ((duration >= 0.0) & (duration < np.inf)).all():
+            at = int(np.argmin((duration >= 0.0) & (duration < np.inf)))
+            raise ValueError(
+                f'line {given[dwell[at]].line}: expected a dwell of 0 s or more, but found '
+                f'{duration[at]}'
+            )
+        # What is asked for between two segments that move belongs to the later of them.
+        slots = len(index) + 1
+        rest: Array = np.zeros(slots)
+        np.add.at(rest, np.searchsorted(index, dwell), duration)
+        rest[0] += self._rest
+        halt = np.zeros(slots, bool)
+        halt[np.searchsorted(index, dwell)] = True
+        halt[np.searchsorted(index, np.flatnonzero(flags), 'right')] = True
+        halt[0] |= self._halt
+        part = None
+        if len(index):
+            before = None if self._kept is None else self._kept.end[0]
+            moving = [given[k] for k in index.tolist()]
+            new = make_shapes(moving, self._count + index, before, halt[:-1], rest[:-1])
+            if self._kept is None:
+                self._first = (0.0, True, float(new.rest[0]))
+            part = self._leave(new.behind(self._kept), last=False)
+        self._halt, self._rest = bool(halt[-1]), float(rest[-1])
+        self._count += len(given)
+        self._end = end
+        return part
+
+    def finish(self) -> ReferencePath | None:
+        """End the path, and return what is left of it.
+
+        Returns
+        -------
+        ReferencePath or None
+            The last stretch; None if it has been returned already.
+
+        Raises
+        ------
+        ValueError
+            If no segment has moved.
+        """
+        if self._finished:
+            return None
+        if self._kept is None:
+            raise ValueError('expected segments that move, but found none')
+        part = self._leave(self._kept, last=True)
+        self._finished, self._kept = True, None
+        return part
+
+    def _leave(self, shapes: Shapes, *, last: bool) -> ReferencePath | None:
+        """Return the pieces up to the last shape, or to the end, and keep the rest."""
+        pieces = assemble(shapes, self._head, self.blend, self._easing, last=last)
+        found = self._path(pieces, last) if len(pieces.length) else None
+        if found is not None:
+            self._place += np.longdouble(found.geometry.length)
+            self._first = (
+                float(found.curvature[-1]),
+                bool(found.stop[-1]),
+                float(found.rest[-1]),
+            )
+            self._point = found.geometry.coefficient[-1, 5].copy()
+        self._kept, self._head = shapes.last(), pieces.head
+        return found
+
+    def _path(self, pieces: Pieces, last: bool) -> ReferencePath:
+        count = len(pieces.length)
+        node = np.zeros(count + 1)
+        # Long doubles: the sums of parts and of the whole then agree to the last digits.
+        node[1:] = np.cumsum(pieces.length.astype(np.longdouble))
+        coefficient, curvature = pieces.coefficient, pieces.curvature
+        stop, rest = pieces.stop, pieces.rest
+        # Neighbours have computed the same point each: what is left of the digits would be a gap.
+        coefficient[1:, 0] = coefficient[:-1, 5]
+        if self._point is not None:
+            coefficient[0, 0] = self._point
+        curvature[0] = max(curvature[0], self._first[0])
+        stop[0], rest[0] = self._first[1:]
+        if last:
+            stop[-1], rest[-1] = True, self._rest
+        return ReferencePath(
+            PathGeometry(coefficient, node, _inner(stop)),
+            float(self._place),
+            curvature,
+            pieces.owner,
+            pieces.blend,
+            pieces.feed,
+            stop,
+            rest,
+        )
+
+    def _checked(
+        self, given: Sequence[Segment]
+    ) -> tuple[NDArray[np.intp], tuple[int, tuple[float, float, float]] | None]:
+        """Return which segments move, and the line and the end of the last that has a place."""
+        placed = [k for k, one in enumerate(given) if not isinstance(one, DwellSegment)]
+        if not placed:
+            return np.zeros(0, dtype=np.intp), self._end
+        start = np.array([given[k].start for k in placed], dtype=float)
+        end = np.array([given[k].end for k in placed], dtype=float)
+        length = np.array([given[k].length for k in placed])
+        good = np.isfinite(start).all(axis=1) & np.isfinite(end).all(axis=1) & np.isfinite(length)
+        if not good.all():
+            at = int(np.argmin(good))
+            raise ValueError(
+                f'line {given[placed[at]].line}: expected finite numbers, but found a segment '
+                f'from {start[at]} m to {end[at]} m'
+            )
+        line = [given[k].line for k in placed]
+        before = np.concatenate([start[:1] if self._end is None else [self._end[1]], end[:-1]])
+        gap = np.linalg.norm(start - before, axis=1)
+        if (gap > _GAP).any():
+            at = int(np.argmax(gap > _GAP))
+            former = line[at - 1] if at or self._end is None else self._end[0]
+            raise ValueError(
+                f'segments: expected each to begin where the one before ends, but found a gap of '
+                f'{1e3 * gap[at]:.6g} mm between line {former} and line {line[at]}; put a line '
+                'or a rapid between them'
+            )
+        moving = np.array(placed, dtype=np.intp)[length > _SHORT]
+        return moving, (line[-1], given[placed[-1]].end)
+
+
+def reference_path(
+    segments: Iterable[Segment],
+    *,
+    blend: float = 0.0,
+    exact_stop: Iterable[bool] | None = None,
+) -> ReferencePath:
+    r"""Return the whole reference path of segments, see `PathBuilder`.
+
+    Examples
+    --------
+    >>> from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+    >>> segments = read_program('F600 G1 X1\nY1\n').segments
+    >>> path = reference_path(segments, blend=1e-5)
+    >>> int(path.stop.sum()), int(path.blend.sum()), round(1e3 * path.geometry.length, 3)
+    (2, 8, 1.985)
+    """
+    builder = PathBuilder(blend=blend)
+    waiting = iter(segments)
+    flags = None if exact_stop is None else iter(exact_stop)
+    parts = []
+    while block := list(islice(waiting, _BLOCK)):
+        parts.append(builder.push(block, None if flags is None else islice(flags, len(block))))
+    if flags is not None and next(flags, None) is not None:
+        raise ValueError('exact_stop: expected one flag for each segment, but found more')
+    parts.append(builder.finish())
+    return ReferencePath.join([part for part in parts if part is not None])
+
+
+def _inner(stop: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return stops without both ends."""
+    found = stop.copy()
+    found[[0, -1]] = False
+    return found

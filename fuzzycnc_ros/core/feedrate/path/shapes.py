@@ -1,0 +1,288 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a reference path is made of: lines, arcs and smooth curves by arc length, many at once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, NurbsSegment, Segment
+from fuzzycnc_ros.core.feedrate.path.curve_nodes import CurveStretch, curve_stretches
+
+LINE, ARC, CURVE = 0, 1, 2
+
+_NODE, _WEIGHT = np.polynomial.legendre.leggauss(8)
+_ARC_MISFIT = 1e-7
+"""Distance up to which the end of an arc may lie off its circle and angle [m]."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Points of a path with direction and curvature vector, each of shape (k, 3) [m, -, 1/m]."""
+
+    point: Array
+    tangent: Array
+    bend: Array
+
+    @property
+    def curvature(self) -> Array:
+        """Size of the curvature vector, shape (k,) [1/m]."""
+        return np.asarray(np.linalg.norm(self.bend, axis=-1))
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Shapes that follow each other, n rows; each begins exactly where the one before ends.
+
+    Attributes
+    ----------
+    kind : array, shape (n,)
+        `LINE`, `ARC` or `CURVE`.
+    start, end : array, shape (n, 3)
+        Ends [m].
+    length : array, shape (n,)
+        Arc length [m].
+    owner : array, shape (n,)
+        Index of the segment that each belongs to.
+    feed : array, shape (n,)
+        Programmed feed [m/s]; inf for rapids, and where the program gives none.
+    rapid, halt : array of bool, shape (n,)
+        A rapid; an exact stop asked for before it.
+    rest : array, shape (n,)
+        Dwell before it [s].
+    arc : array, shape (n, 17)
+        Numbers of an arc, see `_arc_numbers`; 0 elsewhere.
+    curve : array of object, shape (n,)
+        `CurveStretch` of a curve, None elsewhere.
+    """
+
+    kind: NDArray[np.int8]
+    start: Array
+    end: Array
+    length: Array
+    owner: NDArray[np.intp]
+    feed: Array
+    rapid: NDArray[np.bool_]
+    halt: NDArray[np.bool_]
+    rest: Array
+    arc: Array
+    curve: NDArray[np.object_]
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def behind(self, other: Shapes | None) -> Shapes:
+        """Return the shapes of `other` and these as one."""
+        if other is None:
+            return self
+        return Shapes(
+            *(
+                np.concatenate([getattr(other, field.name), getattr(self, field.name)])
+                for field in fields(self)
+            )
+        )
+
+    def last(self) -> Shapes:
+        """Return the last shape alone."""
+        return Shapes(*(getattr(self, field.name)[-1:].copy() for field in fields(self)))
+
+    def frame(self, index: NDArray[np.intp], place: Array) -> Frame:
+        """Return the points of shapes `index` (k,) at the arc lengths `place` (k,) of each."""
+        found = Frame(*(np.empty((len(index), 3)) for _ in range(3)))
+        kind = self.kind[index]
+        for which, evaluate in ((LINE, self._lines), (ARC, self._arcs), (CURVE, self._curves)):
+            rows = np.flatnonzero(kind == which)
+            if len(rows) == len(index):
+                found = evaluate(index, place)
+                break
+            if len(rows):
+                part = evaluate(index[rows], place[rows])
+                found.point[rows], found.tangent[rows] = part.point, part.tangent
+                found.bend[rows] = part.bend
+        for rows, ends in (
+            (place == 0.0, self.start),
+            (place == self.length[index], self.end),
+        ):
+            found.point[rows] = ends[index[rows]]  # to the last digit
+        return found
+
+    def _lines(self, index: NDArray[np.intp], place: Array) -> Frame:
+        length = self.length[index, np.newaxis]
+        start = self.start[index]
+        edge = self.end[index] - start
+        return Frame(
+            start + edge * (place[:, np.newaxis] / length), edge / length, np.zeros_like(edge)
+        )
+
+    def _arcs(self, index: NDArray[np.intp], place: Array) -> Frame:
+        number, length = self.arc[index], self.length[index]
+        share = place / length
+        for _ in range(2 if np.any(number[:, 6] != 0.0) else 0):
+            # Newton, for the length runs unevenly where the radius changes.
+            excess = _arc_length(number, share) - place
+            share = np.clip(share - excess / _arc_speed(number, share), 0.0, 1.0)
+        point, first, second = _arc_derivatives(number, share)
+        speed = np.linalg.norm(first, axis=1, keepdims=True)
+        tangent = first / speed
+        along = (second * tangent).sum(axis=1, keepdims=True)
+        return Frame(point, tangent, (second - along * tangent) / speed**2)
+
+    def _curves(self, index: NDArray[np.intp], place: Array) -> Frame:
+        found = Frame(*(np.empty((len(index), 3)) for _ in range(3)))
+        for row in np.unique(index).tolist():
+            chosen = np.flatnonzero(index == row)
+            values = self.curve[row].frame(place[chosen])
+            found.point[chosen], found.tangent[chosen], found.bend[chosen] = values
+        return found
+
+
+def make_shapes(
+    segments: Sequence[Segment],
+    owner: NDArray[np.intp],
+    before: Array | None,
+    halt: NDArray[np.bool_],
+    rest: Array,
+) -> Shapes:
+    """Return the shapes of segments that move.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        Lines, arcs and curves, n of them.
+    owner : array, shape (n,)
+        Index of each.
+    before : array, shape (3,), or None
+        Where the path ends so far [m].
+    halt, rest : array, shape (n,)
+        As in `Shapes`.
+
+    Raises
+    ------
+    ValueError
+        If an arc does not end where it says, or a curve is not in space.
+    """
+    count = len(segments)
+    start = np.array([segment.start for segment in segments], dtype=float).reshape(count, 3)
+    end = np.array([segment.end for segment in segments], dtype=float).reshape(count, 3)
+    start[1:] = end[:-1]
+    if before is not None:
+        start[0] = before
+    rapid = np.array([segment.rapid for segment in segments], dtype=bool)
+    feed = np.array([_feed(segment) for segment in segments], dtype=float)
+    kind = np.full(count, LINE, dtype=np.int8)
+    length = np.linalg.norm(end - start, axis=1)
+    arc = np.zeros((count, 17))
+    curve = np.full(count, None, dtype=object)
+    stretches: dict[int, list[CurveStretch]] = {}
+    for k, segment in enumerate(segments):
+        if isinstance(segment, ArcSegment):
+            kind[k] = ARC
+            arc[k] = _arc_numbers(segment, start[k], end[k])
+        elif isinstance(segment, NurbsSegment):
+            kind[k] = CURVE
+            stretches[k] = curve_stretches(segment, start[k])
+    arcs = np.flatnonzero(kind == ARC)
+    length[arcs] = _arc_length(arc[arcs], np.ones(len(arcs)))
+    shapes = Shapes(kind, start, end, length, owner, feed, rapid, halt, rest, arc, curve)
+    return _with_stretches(shapes, stretches) if stretches else shapes
+
+
+def _with_stretches(shapes: Shapes, stretches: dict[int, list[CurveStretch]]) -> Shapes:
+    """Return the shapes with each curve cut into its smooth stretches."""
+    count = np.ones(len(shapes), dtype=np.intp)
+    for k, parts in stretches.items():
+        count[k] = len(parts)
+    row = np.repeat(np.arange(len(shapes)), count)
+    found = Shapes(*(getattr(shapes, field.name)[row] for field in fields(shapes)))
+    first = np.append(0, np.cumsum(count))
+    for k, parts in stretches.items():
+        for at, part in enumerate(parts, int(first[k])):
+            found.curve[at], found.length[at] = part, part.length
+            if at > first[k]:
+                found.start[at] = found.end[at - 1]
+                found.halt[at], found.rest[at] = False, 0.0
+            if part is not parts[-1]:
+                found.end[at] = part.end
+    return found
+
+
+def _feed(segment: Segment) -> float:
+    return math.inf if segment.rapid or segment.feed is None else segment.feed
+
+
+def _arc_numbers(segment: ArcSegment, start: Array, end: Array) -> Array:
+    """Return axes (3), centre (2), radius, its change, angle, sweep, height, rise, misfits (6).
+
+    The misfits are what the ends are off the formula, spread over the arc.
+    """
+    first, second, across = segment.axes
+    low, high = segment.radii
+    angle = math.atan2(
+        segment.start[second] - segment.centre[1], segment.start[first] - segment.centre[0]
+    )
+    height = segment.start[across]
+    # A change of the radius within the digits of the coordinates is none.
+    change = high - low if abs(high - low) > 1e-14 + 1e-12 * low else 0.0
+    number = np.zeros(17)
+    number[:11] = (
+        *segment.axes,
+        *segment.centre,
+        low,
+        change,
+        angle,
+        segment.sweep,
+        height,
+        segment.end[across] - height,
+    )
+    point, _, _ = _arc_derivatives(np.stack([number, number]), np.array([0.0, 1.0]))
+    misfit = np.stack([start, end]) - point
+    if not np.linalg.norm(misfit[1]) <= _ARC_MISFIT:
+        raise ValueError(
+            f'line {segment.line}: expected an arc that ends where its centre and angle lead, but '
+            f'found its end {1e3 * np.linalg.norm(misfit[1]):.6g} mm away from there'
+        )
+    number[11:] = misfit.ravel()
+    return number
+
+
+def _arc_derivatives(number: Array, share: Array) -> tuple[Array, Array, Array]:
+    """Return points of arcs at shares 0..1 and two derivatives by the share, each (k, 3)."""
+    axes = number[:, :3].astype(np.intp)
+    radius, change, angle, sweep, height, rise = number[:, 5:11].T
+    row = np.arange(len(number))
+    turned = angle + sweep * share
+    cosine, sine = np.cos(turned), np.sin(turned)
+    distance = radius + change * share
+    point, first, second = (np.zeros((len(number), 3)) for _ in range(3))
+    point[row, axes[:, 0]] = number[:, 3] + distance * cosine
+    point[row, axes[:, 1]] = number[:, 4] + distance * sine
+    point[row, axes[:, 2]] = height + rise * share
+    first[row, axes[:, 0]] = change * cosine - distance * sweep * sine
+    first[row, axes[:, 1]] = change * sine + distance * sweep * cosine
+    first[row, axes[:, 2]] = rise
+    second[row, axes[:, 0]] = -2.0 * change * sweep * sine - distance * sweep**2 * cosine
+    second[row, axes[:, 1]] = 2.0 * change * sweep * cosine - distance * sweep**2 * sine
+    point += number[:, 11:14] * (1.0 - share)[:, np.newaxis]
+    point += number[:, 14:17] * share[:, np.newaxis]
+    first += number[:, 14:17] - number[:, 11:14]
+    return point, first, second
+
+
+def _arc_speed(number: Array, share: Array) -> Array:
+    """Return the length of the derivative by the share."""
+    radius = number[:, 5] + number[:, 6] * share
+    return np.sqrt(number[:, 6] ** 2 + number[:, 10] ** 2 + (number[:, 8] * radius) ** 2)
+
+
+def _arc_length(number: Array, share: Array) -> Array:
+    """Return the length of arcs from their start up to shares of them [m]."""
+    found = np.zeros(len(number))
+    for node, weight in zip(_NODE, _WEIGHT, strict=True):
+        found += weight * _arc_speed(number, 0.5 * share * (1.0 + node))
+    return 0.5 * share * found

@@ -1,0 +1,370 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Schedulers of the feed along a path: their common interface, and those for comparison.
+
+The comparators are rebuilt after method sheet 002 section 6.1; the parameters that their own
+papers used are not known.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from math import inf, isfinite
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
+from fuzzycnc_ros.core.feedrate.schedule.smoothing import (
+    erode,
+    limit_acceleration,
+    moving_average,
+)
+
+# Curvature below which a path counts as straight [1/m]
+CURVATURE_FLOOR = 1e-9
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far along a path the feed at a point depends on the curvature elsewhere.
+
+    Attributes
+    ----------
+    points_behind, points_ahead : int
+        Points before and after.
+    length_behind, length_ahead : float
+        And the arc length beyond these [m]; infinite if the whole path matters.
+    """
+
+    points_behind: int = 0
+    points_ahead: int = 0
+    length_behind: float = 0.0
+    length_ahead: float = 0.0
+
+
+WHOLE_PATH = Reach(length_behind=inf, length_ahead=inf)
+"""Reach of schedulers that cannot take a path in parts."""
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Scheduler(ABC):
+    """A rule that gives the feed at each point of a path.
+
+    Parameters
+    ----------
+    feed_max : float
+        Feed on straight stretches [m/s], positive.  No more than the machine reaches: a feed
+        clamped afterwards no longer keeps the tolerance.
+    feed_min : float
+        Feed at reversals and the least one elsewhere [m/s], positive, at most `feed_max`.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is outside its range.
+    """
+
+    relative: ClassVar[bool] = False
+    """Whether the ratio scales the programmed feed; if not, `feed` is a limit by itself."""
+
+    feed_max: float
+    feed_min: float = 2e-5
+
+    def __post_init__(self) -> None:
+        self._check_positive('feed_max', 'feed_min')
+        if self.feed_min > self.feed_max:
+            raise ValueError(
+                f'{type(self).__name__}: feed_min: expected at most feed_max, {self.feed_max} '
+                f'm/s, but found {self.feed_min} m/s'
+            )
+
+    def ratio(self, curvature: Array, arc_length: Array) -> Array:
+        """Return the feed as part of `feed_max` on an open path.
+
+        Parameters
+        ----------
+        curvature : ndarray, shape (n,)
+            Magnitude of the curvature [1/m], finite, not negative.
+        arc_length : ndarray, shape (n,)
+            Arc length [m], finite, increasing.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Ratios, above 0 and at most 1.
+
+        Raises
+        ------
+        ValueError
+            If an argument is not as said.
+        """
+        return self.bounded_ratio(SampledPath(arc_length, curvature))
+
+    def feed(self, path: SampledPath | ArrayLike) -> Array:
+        """Return the feed.
+
+        Parameters
+        ----------
+        path : SampledPath or array_like, shape (n, d)
+            Path made of n points, or points in the plane or in space [m] of an open path with
+            exact coordinates; those on top of each other share their feed.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Feeds [m/s] from `feed_min` to `feed_max`; `feed_min` where the path turns back.
+
+        Raises
+        ------
+        ValueError
+            If the points are no path.
+        """
+        sampled = path if isinstance(path, SampledPath) else SampledPath.from_points(path)
+        return sampled.at_points(self.feed_max * self.bounded_ratio(sampled))
+
+    @property
+    def reach(self) -> Reach:
+        """How far the feed at a point depends on the path elsewhere."""
+        return Reach()
+
+    def bounded_ratio(self, path: SampledPath) -> Array:
+        """Return the feed as part of `feed_max`.
+
+        Parameters
+        ----------
+        path : SampledPath
+            Path of m distinct points.
+
+        Returns
+        -------
+        ndarray, shape (m,)
+            Ratios, above 0 and at most 1; the least one where the path turns back.
+        """
+        least = self.feed_min / self.feed_max
+        ratio = np.clip(self._ratio(path), least, 1.0)
+        # After all smoothing, which would lift it again
+        ratio[path.reversal] = least
+        return np.asarray(ratio)
+
+    @abstractmethod
+    def _ratio(self, path: SampledPath) -> Array:
+        """Return ratios that need not be within bounds, at the distinct points."""
+
+    def _check_positive(self, *names: str) -> None:
+        """Refuse parameters that are not positive and finite."""
+        for name in names:
+            value = getattr(self, name)
+            if not (isfinite(value) and value > 0.0):
+                raise ValueError(
+                    f'{type(self).__name__}: {name}: expected a positive number, but found {value}'
+                )
+
+    def _check_points(self, *names: str) -> None:
+        """Refuse numbers of points below 1."""
+        for name in names:
+            value = getattr(self, name)
+            if isinstance(value, float) or value < 1:
+                raise ValueError(
+                    f'{type(self).__name__}: {name}: expected a whole number of points, '
+                    f'at least 1, but found {value}'
+                )
+
+    def _check_choice(self, name: str, choices: tuple[str, ...]) -> None:
+        """Refuse a parameter that is none of the choices."""
+        value = getattr(self, name)
+        if value not in choices:
+            raise ValueError(
+                f'{type(self).__name__}: {name}: expected one of {", ".join(choices)}, '
+                f'but found {value!r}'
+            )
+
+    def __repr__(self) -> str:
+        """Return the constructor call that makes an equal scheduler, without its defaults."""
+        changed = (
+            f'{field.name}={getattr(self, field.name)!r}'
+            for field in fields(self)
+            if getattr(self, field.name) != field.default
+        )
+        return f'{type(self).__name__}({", ".join(changed)})'
+
+
+class ConstantFeed(Scheduler):
+    """The same feed everywhere but at reversals."""
+
+    relative: ClassVar[bool] = True
+
+    def _ratio(self, path: SampledPath) -> Array:
+        return np.ones(len(path.curvature))
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ConstantNormalAcceleration(Scheduler):
+    """The feed that keeps the normal acceleration, v = min(feed_max, sqrt(a / curvature)).
+
+    As the contour error is C curvature v^2, this is also the fastest feed at a tolerance.
+
+    Parameters
+    ----------
+    normal_acceleration : float
+        Acceleration a [m/s^2], positive; the tolerance over the machine constant C.
+    """
+
+    normal_acceleration: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_positive('normal_acceleration')
+
+    def _ratio(self, path: SampledPath) -> Array:
+        return normal_acceleration_feed(path.curvature, self.normal_acceleration) / self.feed_max
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ChordErrorFeed(Scheduler):
+    """The feed that keeps the chord error of the interpolator, after Yeh and Hsu.
+
+    Parameters
+    ----------
+    chord_error : float
+        Largest distance between a step's chord and its arc [m], positive.
+    period : float
+        Time of one interpolation step [s], positive.
+    """
+
+    chord_error: float = 1e-6
+    period: float = 1e-3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_positive('chord_error', 'period')
+
+    def _ratio(self, path: SampledPath) -> Array:
+        return chord_error_feed(path.curvature, self.chord_error, self.period) / self.feed_max
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class LookAheadFeed(ChordErrorFeed):
+    """Chord error, normal acceleration and path acceleration with look-ahead, after Luan.
+
+    Parameters
+    ----------
+    normal_acceleration : float
+        Largest acceleration across the path [m/s^2], positive.
+    path_acceleration : float
+        Largest acceleration along the path [m/s^2], positive.
+    """
+
+    normal_acceleration: float = 1.0
+    path_acceleration: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_positive('normal_acceleration', 'path_acceleration')
+
+    @property
+    def reach(self) -> Reach:
+        """The acceleration along the path links all of it."""
+        return WHOLE_PATH
+
+    def _ratio(self, path: SampledPath) -> Array:
+        feed = np.minimum(
+            chord_error_feed(path.curvature, self.chord_error, self.period),
+            normal_acceleration_feed(path.curvature, self.normal_acceleration),
+        )
+        np.minimum(feed, self.feed_max, out=feed)
+        return limit_acceleration(feed, path.arc_length, self.path_acceleration) / self.feed_max
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class JerkLimitedFeed(ChordErrorFeed):
+    """Chord error, acceleration and jerk with smooth transitions, in the manner of Giannelli.
+
+    Parameters
+    ----------
+    acceleration : float
+        Largest acceleration A [m/s^2], positive; half of it each along and across the path.
+    jerk : float or None
+        Largest jerk J [m/s^3], positive; None for the number of 20 A.
+    erosion : int
+        Points of the running minima, at least 1.
+    average : int
+        Points of each of the three averages, at least 1.
+    """
+
+    acceleration: float = 1.0
+    jerk: float | None = None
+    erosion: int = 41
+    average: int = 13
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_positive('acceleration')
+        if self.jerk is not None:
+            self._check_positive('jerk')
+        self._check_points('erosion', 'average')
+
+    @property
+    def reach(self) -> Reach:
+        """The acceleration along the path links all of it."""
+        return WHOLE_PATH
+
+    def _ratio(self, path: SampledPath) -> Array:
+        jerk = 20.0 * self.acceleration if self.jerk is None else self.jerk
+        change = np.zeros(len(path.curvature))
+        if len(change) > 1:
+            change = np.abs(np.gradient(path.curvature, path.arc_length))
+        bend = np.maximum(path.curvature**2 + change, CURVATURE_FLOOR**2)
+        feed = np.minimum(
+            chord_error_feed(path.curvature, self.chord_error, self.period),
+            normal_acceleration_feed(path.curvature, 0.5 * self.acceleration),
+        )
+        feed = np.minimum(np.minimum(feed, np.cbrt(jerk / 3.0 / bend)), self.feed_max)
+        feed = erode(feed, self.erosion, closed=path.closed)
+        feed = limit_acceleration(feed, path.arc_length, 0.5 * self.acceleration)
+        feed = erode(feed, self.erosion, closed=path.closed)
+        for _ in range(3):
+            feed = moving_average(feed, self.average, closed=path.closed)
+        return feed / self.feed_max
+
+
+def normal_acceleration_feed(curvature: Array, acceleration: float) -> Array:
+    """Return the feed whose normal acceleration is given.
+
+    Parameters
+    ----------
+    curvature : ndarray
+        Curvature [1/m]; below 1e-9 1/m it counts as that.
+    acceleration : float
+        Normal acceleration [m/s^2], positive.
+
+    Returns
+    -------
+    ndarray
+        Feeds [m/s] in the shape of the curvature.
+    """
+    return np.asarray(np.sqrt(acceleration / np.maximum(curvature, CURVATURE_FLOOR)))
+
+
+def chord_error_feed(curvature: Array, chord_error: float, period: float) -> Array:
+    """Return the feed whose steps leave a chord error, 2/T sqrt(R^2 - (R - d)^2), after Yeh-Hsu.
+
+    Parameters
+    ----------
+    curvature : ndarray
+        Curvature 1/R [1/m]; below 1e-9 1/m it counts as that.
+    chord_error : float
+        Chord error d [m], positive; above R it counts as R, the most a step can leave.
+    period : float
+        Time T of a step [s], positive.
+
+    Returns
+    -------
+    ndarray
+        Feeds [m/s] in the shape of the curvature.
+    """
+    radius = 1.0 / np.maximum(curvature, CURVATURE_FLOOR)
+    sagitta = np.minimum(chord_error, radius)
+    # R^2 - (R - d)^2 without its cancellation
+    return np.asarray(2.0 / period * np.sqrt(sagitta * (2.0 * radius - sagitta)))

@@ -1,0 +1,446 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""One run of a part program: from its blocks to their feeds and to the time that it takes.
+
+Everything is pulled through in parts, so that memory is bounded by how far the scheduler and the
+limits look ahead; rules that link the whole path hold a run as a whole.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+from math import inf, nan
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.feedrate.gcode.blocks import Block
+from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, LineSegment, Segment
+from fuzzycnc_ros.core.feedrate.path.nodes import (
+    NodePlan,
+    near_neighbours,
+    own_curvature,
+    with_nodes,
+)
+from fuzzycnc_ros.core.feedrate.path.reference_path import PathBuilder, ReferencePath
+from fuzzycnc_ros.core.feedrate.path.sampled_path import WINDOW_EDGE, SampledPath
+from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
+from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath
+
+GROUP = 1024
+"""Blocks that share a feed at most: so many are held back."""
+
+_CORE, _EDGE, _BLEND = range(3)
+
+
+class BlockFeeds:
+    """The feed of each block of a run, from parts of its path.
+
+    A block gets the smallest feed of its pieces.  Blends with its neighbours count only where
+    they make up half of it or more: elsewhere the controller slows down for them by itself.  So
+    it does where only a neighbour asks for less, near the ends of a block.
+
+    Parameters
+    ----------
+    plan : NodePlan
+        How far neighbours count.
+    step : float
+        Neighbouring blocks share the lowest of their feeds where the highest is no more than
+        this share above it [-].
+    own : callable
+        Told the index of a block; returns the curvature that it has by itself all along [1/m],
+        infinite where that varies.
+    """
+
+    def __init__(self, plan: NodePlan, step: float, own: Callable[[int], float]) -> None:
+        self._plan = plan
+        self._step = 1.0 + step
+        self._own = own
+        self._open: tuple[int, list[Array]] | None = None
+        self._next = 0  # index of the next block to be settled
+        self._group = 0  # blocks that share a feed so far, from `_low` to `_high`
+        self._low, self._high = inf, -inf
+        self._last = nan
+
+    def take(self, path: ReferencePath, feed: Array) -> list[float]:
+        """Take the feeds of a part's pieces, (m,) [m/s]; return those of the next blocks."""
+        first = np.flatnonzero(np.diff(path.owner, prepend=-1))
+        index = path.owner[first]
+        sums = self._sums(path, feed, first)
+        if self._open is not None:
+            if self._open[0] == index[0]:
+                before = self._open[1]
+                for total, own, merge in zip(
+                    sums, before, (np.minimum, np.add, np.maximum, np.maximum), strict=True
+                ):
+                    total[:, 0] = merge(total[:, 0], own)
+            else:
+                index = np.append(self._open[0], index)
+                sums = [
+                    np.column_stack([own, total])
+                    for own, total in zip(self._open[1], sums, strict=True)
+                ]
+        self._open = int(index[-1]), [total[:, -1].copy() for total in sums]
+        return self._settle(index[:-1], self._feeds(index[:-1], [one[:, :-1] for one in sums]))
+
+    def finish(self, count: int) -> list[float]:
+        """Return the feeds of the remaining ones of `count` blocks."""
+        found: list[float] = []
+        if self._open is not None:
+            index = np.array([self._open[0]])
+            sums = [total[:, np.newaxis] for total in self._open[1]]
+            found += self._settle(index, self._feeds(index, sums))
+            self._open = None
+        rest = count - self._next
+        if rest:  # too short for pieces of their own
+            found += self._settle(np.array([count - 1]), np.array([self._last]))
+        return found + self._merged()
+
+    def _sums(self, path: ReferencePath, feed: Array, first: NDArray[np.intp]) -> list[Array]:
+        """Return least feed, length, largest curvature and feed by kind of piece and block."""
+        bend = own_curvature(path.geometry).max(axis=1)
+        own = np.array([self._own(index) for index in path.owner[first].tolist()])
+        count = np.diff(np.append(first, len(path.owner)))
+        near = near_neighbours(path, np.repeat(own, count), bend, self._plan)
+        length = np.diff(path.geometry.node)
+        kind = np.where(path.blend, _BLEND, np.where(near, _EDGE, _CORE))
+        chosen = kind == np.arange(3)[:, np.newaxis]
+        return [
+            np.minimum.reduceat(np.where(chosen, feed, inf), first, axis=1),
+            np.add.reduceat(np.where(chosen, length, 0.0), first, axis=1),
+            np.maximum.reduceat(np.where(chosen, bend, 0.0), first, axis=1),
+            np.maximum.reduceat(np.where(chosen, feed, 0.0), first, axis=1),
+        ]
+
+    def _feeds(self, index: NDArray[np.intp], sums: list[Array]) -> Array:
+        """Return the feed of each block, shape (k,) [m/s]."""
+        feed, length, bend, top = sums
+        plain = np.minimum(feed[_CORE], feed[_EDGE])
+        # A block that is all near its neighbours, and bends alike all along: what is lower
+        # somewhere is so because of them.
+        alike = np.array([self._own(at) < inf for at in index.tolist()], dtype=bool)
+        found = np.where(alike & (length[_EDGE] > 0.0), top[_EDGE], plain)
+        found = np.where(length[_CORE] > 0.0, feed[_CORE], found)
+        for row in np.flatnonzero(bend[_EDGE] > 1.001 * bend[_CORE]).tolist():
+            if self._own(int(index[row])) == inf:  # sharpest at its ends, by itself
+                found[row] = plain[row]
+        blended = length[_BLEND] >= 0.5 * length.sum(axis=0)
+        return np.asarray(np.where(blended, np.minimum(plain, feed[_BLEND]), found))
+
+    def _settle(self, index: NDArray[np.intp], feeds: Array) -> list[float]:
+        """Return the feeds that are final with those of some blocks, which rise in index."""
+        final: list[float] = []
+        for at, feed in zip(index.tolist(), feeds.tolist(), strict=True):
+            while self._next <= at:  # blocks too short for pieces of their own go with the next
+                low, high = min(self._low, feed), max(self._high, feed)
+                if self._group == GROUP or (self._group and high > self._step * low):
+                    final += self._merged()
+                    low = high = feed
+                self._low, self._high = low, high
+                self._group += 1
+                self._next += 1
+            self._last = feed
+        return final
+
+    def _merged(self) -> list[float]:
+        found = [self._low] * self._group
+        self._group, self._low, self._high = 0, inf, -inf
+        return found
+
+
+def stream_ratio(scheduler: Scheduler, parts: Iterable[SampledPath]) -> Iterator[Array]:
+    """Return the ratios of an open path part by part, the same as of the whole path.
+
+    Points leave as soon as all that their feed depends on has arrived; no more than the reach of
+    the scheduler to both sides, and one part, is kept.
+
+    Parameters
+    ----------
+    scheduler : Scheduler
+        Scheduler whose reach is finite.
+    parts : iterable of SampledPath
+        Successive parts of the path, whose arc length goes on increasing from one to the next.
+
+    Yields
+    ------
+    ndarray
+        Ratios of the next points, as `Scheduler.ratio` gives them; altogether one for each point.
+
+    Raises
+    ------
+    ValueError
+        If the scheduler needs the whole path, or the arc lengths of the parts do not follow each
+        other.
+    """
+    reach = scheduler.reach
+    if not np.isfinite([reach.length_behind, reach.length_ahead]).all():
+        raise ValueError(
+            f'expected a scheduler that can take a path in parts, but found {scheduler!r}, which '
+            'needs all of it; fix what it takes from the path, such as curvature_max'
+        )
+    kept: SampledPath | None = None
+    done = 0  # points of `kept` whose ratios have left
+    for part in parts:
+        kept = part if kept is None else _joined(kept, part)
+        ready = _ready(kept.arc_length, reach.points_ahead, reach.length_ahead)
+        if ready <= done:
+            continue
+        yield scheduler.bounded_ratio(kept)[done:ready]
+        first = _first_needed(kept.arc_length, ready, reach.points_behind, reach.length_behind)
+        kept, done = _from_point(kept, first), ready - first
+    if kept is not None:
+        yield scheduler.bounded_ratio(kept)[done:]
+
+
+def _ready(arc_length: Array, points: int, length: float) -> int:
+    """Return how many points have all that is ahead of them."""
+    if not length:
+        return max(len(arc_length) - points, 0)
+    known = int(np.searchsorted(arc_length, arc_length[-1] - length * WINDOW_EDGE)) - points
+    if known <= 0:
+        return 0
+    # What lies within the length ahead depends on points ahead of it in its turn.
+    return int(np.searchsorted(arc_length, arc_length[known - 1] - length * WINDOW_EDGE))
+
+
+def _first_needed(arc_length: Array, ready: int, points: int, length: float) -> int:
+    """Return the first point that the next one to leave depends on."""
+    # The last point stays in any case, so that what follows is seen to follow it.
+    first = max(min(ready, len(arc_length) - 1) - points, 0)
+    return int(np.searchsorted(arc_length, arc_length[first] - length * WINDOW_EDGE))
+
+
+def _from_point(path: SampledPath, first: int) -> SampledPath:
+    """Return the path from a point on."""
+    return SampledPath(
+        path.arc_length[first:],
+        path.curvature[first:],
+        reversal=path.reversal[first:],
+        programmed=None if path.programmed is None else path.programmed[first:],
+    )
+
+
+def _joined(path: SampledPath, part: SampledPath) -> SampledPath:
+    """Return a path and the part after it as one."""
+    return SampledPath(
+        np.concatenate([path.arc_length, part.arc_length]),
+        np.concatenate([path.curvature, part.curvature]),
+        reversal=np.concatenate([path.reversal, part.reversal]),
+        programmed=None
+        if path.programmed is None or part.programmed is None
+        else np.concatenate([path.programmed, part.programmed]),
+    )
+
+
+CHUNK = 2048
+"""Blocks that are taken at a time."""
+
+QUIET = 1000
+"""Blocks without motion after which a run is taken to be over."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScheduledPath:
+    """A stretch of a run with its feeds, m pieces.
+
+    Attributes
+    ----------
+    path : ReferencePath
+        The stretch.
+    feed, programmed : ndarray, shape (m, 2)
+        Feeds asked for at both ends of each piece, before the limits of the motion: of the
+        words that the program gets, and of its own ones [m/s].
+    first : bool
+        A run begins with it.
+    """
+
+    path: ReferencePath
+    feed: Array
+    programmed: Array
+    first: bool
+
+
+Observer = Callable[[ScheduledPath], None]
+"""Told of every stretch when its feeds are settled, in order."""
+
+
+class Source:
+    """Blocks one by one, of which the next may be looked at."""
+
+    def __init__(self, blocks: Iterable[Block]) -> None:
+        self._blocks = iter(blocks)
+        self._next: Block | None = next(self._blocks, None)
+
+    @property
+    def next(self) -> Block | None:
+        """The next block, None after the last one."""
+        return self._next
+
+    def take(self) -> Block:
+        """Return the next block and go on."""
+        block = self._next
+        assert block is not None
+        self._next = next(self._blocks, None)
+        return block
+
+
+class ProgramRun:
+    """A run that is being scheduled.
+
+    Parameters
+    ----------
+    settings : ProgramSettings
+        How.
+    source : Source
+        Where its blocks come from; the next one begins the run.
+    observe : callable
+        Told of every stretch when its feeds are settled.
+    """
+
+    def __init__(self, settings: ProgramSettings, source: Source, observe: Observer) -> None:
+        self._settings = settings
+        self._source = source
+        self._observe = observe
+        self._plan = NodePlan.of(settings.scheduler)
+        self._feeds = BlockFeeds(self._plan, settings.feed_step, self._own)
+        self._pending: deque[tuple[Block, int | None]] = deque()
+        self._moves = 0  # segments taken
+        self._bends: dict[int, float] = {}  # curvature of those that are no lines
+        self._feed: deque[float] = deque()  # of the segments from `_base` on
+        self._base = 0
+        self._waiting: deque[ReferencePath] = deque()
+        self._begun = False
+
+    def schedule(self) -> Iterator[tuple[Block, float | None]]:
+        """Yield the blocks of the run, each with its feed [m/s], None where it has none."""
+        settings = self._settings
+        for path, ratio in self._rated():
+            wanted = settings.wanted(np.minimum(ratio[:-1], ratio[1:]), settings.bound(path.feed))
+            feed = np.minimum(wanted, settings.reachable(path.geometry))
+            self._feed.extend(self._feeds.take(path, feed))
+            self._waiting.append(path)
+            yield from self._release()
+        self._feed.extend(self._feeds.finish(self._moves))
+        yield from self._release()
+
+    def _own(self, index: int) -> float:
+        """Return the curvature that a segment has all along, infinite where it varies [1/m]."""
+        return self._bends.get(index, 0.0)
+
+    def _chunks(self) -> Iterator[tuple[list[Segment], bool]]:
+        """Yield the segments of the run, and whether more come; its blocks become pending."""
+        run, quiet, taken = None, 0, 0
+        chunk: list[Segment] = []
+        while (block := self._source.next) is not None and quiet < QUIET:
+            segment = block.segment
+            if segment is not None:
+                run = segment.run if run is None else run
+                if segment.run != run:
+                    break
+            quiet = 0 if segment is not None else quiet + 1
+            self._source.take()
+            if segment is None or not segment.schedulable:
+                self._pending.append((block, None))
+            else:
+                self._pending.append((block, self._moves))
+                if isinstance(segment, ArcSegment):
+                    self._bends[self._moves] = float(segment.curvatures(1).max())
+                elif not isinstance(segment, LineSegment):
+                    self._bends[self._moves] = inf
+                self._moves += 1
+                chunk.append(segment)
+            taken += 1
+            if taken == CHUNK:
+                yield chunk, True
+                chunk, taken = [], 0
+        yield chunk, False
+
+    def _paths(self) -> Iterator[ReferencePath]:
+        """Yield the reference path of the run in parts, with nodes for the scheduler."""
+        builder = PathBuilder(blend=self._settings.blend)
+        for chunk, more in self._chunks():
+            parts = [builder.push(chunk)]
+            if not more:
+                parts.append(builder.finish())
+            found = [part for part in parts if part is not None]
+            if found:
+                yield with_nodes(ReferencePath.join(found), self._plan)
+
+    def _rated(self) -> Iterator[tuple[ReferencePath, Array]]:
+        """Yield the parts of the path with the scheduler's ratios at their nodes."""
+        arrived: deque[ReferencePath] = deque()
+
+        def samples() -> Iterator[SampledPath]:
+            first = 0
+            for path in self._paths():
+                arrived.append(path)
+                node = path.place + path.geometry.node[first:]
+                curvature = np.minimum(path.curvature[first:], self._settings.sharpest)
+                bound = self._settings.bound(path.feed)
+                # At a node between two feeds the larger one: it may be come from there.
+                programmed = np.maximum(np.append(bound[0], bound), np.append(bound, bound[-1]))
+                yield SampledPath(node, curvature, programmed=programmed[first:])
+                first = 1  # the others begin with the last node of the one before
+
+        scheduler = self._settings.scheduler
+        reach = scheduler.reach
+        if np.isfinite([reach.length_behind, reach.length_ahead]).all():
+            ratios = stream_ratio(scheduler, samples())
+        else:
+            whole = list(samples())
+            ratios = iter([scheduler.bounded_ratio(_whole(whole))] if whole else [])
+        known = np.empty(0)
+        for ratio in ratios:
+            known = np.append(known, ratio)
+            while arrived and len(known) >= len(arrived[0].curvature):
+                path = arrived.popleft()
+                size = len(path.curvature)
+                yield path, known[:size]
+                known = known[size - 1 :]
+
+    def _release(self) -> Iterator[tuple[Block, float | None]]:
+        """Tell of the stretches and yield the blocks whose feeds are final."""
+        final = self._base + len(self._feed)
+        while self._waiting and self._waiting[0].owner[-1] < final:
+            self._settle(self._waiting.popleft())
+        if self._waiting:
+            final = min(final, int(self._waiting[0].owner[0]))
+        while self._pending:
+            block, index = self._pending[0]
+            if index is not None and index >= final:
+                break
+            self._pending.popleft()
+            if index is None:
+                yield block, None
+                continue
+            while self._base < index:
+                self._feed.popleft()
+                self._base += 1
+            self._bends.pop(index, None)
+            yield block, self._feed[0]
+
+    def _settle(self, path: ReferencePath) -> None:
+        """Tell of a stretch whose blocks have their feeds: a block has one, all along."""
+        low, high = int(path.owner[0]) - self._base, int(path.owner[-1]) - self._base
+        chosen = np.array(list(islice(self._feed, low, high + 1)))[path.owner - path.owner[0]]
+        feed = np.column_stack([chosen, chosen])
+        programmed = np.column_stack([path.feed, path.feed])
+        self._observe(ScheduledPath(path, feed, programmed, not self._begun))
+        self._begun = True
+
+
+def _whole(parts: list[SampledPath]) -> SampledPath:
+    """Return the parts of a path as one."""
+    return SampledPath(
+        np.concatenate([part.arc_length for part in parts]),
+        np.concatenate([part.curvature for part in parts]),
+        programmed=np.concatenate([part.programmed for part in parts]),
+    )

@@ -1,0 +1,519 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fuzzy c-means clustering.
+
+References
+----------
+.. [1] J. C. Bezdek, "Pattern Recognition with Fuzzy Objective Function Algorithms", 1981.
+.. [2] X. L. Xie, G. Beni, "A validity measure for fuzzy clustering", 1991.
+"""
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fuzzycnc_ros.core.arrays import Array, Seed
+from fuzzycnc_ros.core.estimator import ClusterEstimator, check_features, check_fitted
+
+FUZZIFIER_MAX = 50.0
+"""Largest fuzzifier; far above any use, and the powers of small memberships stay numbers."""
+
+
+class FuzzyPartition(ClusterEstimator, ABC):
+    """Base of fuzzy clusterings from random starts; they differ in the distances that count."""
+
+    n_clusters: int
+    m: float
+    n_init: int
+    max_iter: int
+    tol: float
+    random_state: Seed
+    cluster_centers_: Array
+
+    _DISTINCT: ClassVar[bool]
+    """Whether equal samples count once for the largest number of clusters."""
+
+    def predict_membership(self, X: ArrayLike) -> Array:  # noqa: N803
+        """Return the memberships of new samples in the learnt clusters.
+
+        Parameters
+        ----------
+        X : array_like, shape (n, p)
+            Samples by rows.
+
+        Returns
+        -------
+        ndarray, shape (n, n_clusters)
+            Memberships [-]; rows sum to 1.
+        """
+        check_fitted(self, 'cluster_centers_')
+        samples = check_features(self, X, reset=False)
+        return np.asarray(memberships_by_distance(self._squared_distances(samples), self.m).T)
+
+    def predict(self, X: ArrayLike) -> NDArray[np.int64]:  # noqa: N803
+        """Return the cluster of highest membership of each sample, shape (n,)."""
+        return np.asarray(self.predict_membership(X).argmax(axis=1), dtype=np.int64)
+
+    @abstractmethod
+    def _squared_distances(self, samples: Array) -> Array:
+        """Return squared distances above 0 of samples (n, p) to the clusters, shape (c, n)."""
+
+    def _begin(self, samples: ArrayLike) -> tuple[Array, Array, np.random.Generator]:
+        """Return checked samples about their mean, that mean, and the generator of the starts."""
+        checked = check_features(self, samples, reset=True)
+        self._check_parameters(checked)
+        mean = checked.mean(axis=0)
+        return checked - mean, mean, np.random.default_rng(self.random_state)
+
+    def _check_parameters(self, samples: Array) -> None:
+        most, kind = len(samples), 'samples'
+        if self._DISTINCT:
+            most, kind = len(np.unique(samples, axis=0)), 'distinct samples'
+        if not 1 <= self.n_clusters <= most:
+            raise ValueError(
+                f'n_clusters: expected 1 to {most} (the number of {kind}; n_samples='
+                f'{len(samples)}), but found {self.n_clusters}'
+            )
+        if not 1.0 < self.m <= FUZZIFIER_MAX:
+            raise ValueError(
+                f'm: expected a fuzzifier above 1 and at most {FUZZIFIER_MAX:g}, '
+                f'but found {self.m}'
+            )
+        for name, value in (('n_init', self.n_init), ('max_iter', self.max_iter)):
+            if value < 1:
+                raise ValueError(f'{name}: expected at least 1, but found {value}')
+        if not self.tol >= 0.0:
+            raise ValueError(f'tol: expected 0 or more, but found {self.tol}')
+
+    def _keep(self, membership: Array, centers: Array, history: Array) -> None:
+        """Keep memberships (c, n), centres and objectives of the best start."""
+        self.membership_ = membership.T
+        self.cluster_centers_ = centers
+        self.labels_: NDArray[np.int64] = membership.argmax(axis=0)
+        self.objective_history_ = history
+        self.objective_ = float(history[-1])
+        self.n_iter_ = len(history)
+
+
+def memberships_by_distance(distance: Array, m: float) -> Array:
+    """Return memberships by squared distances (..., c, n); method sheet 001 eq. (7)."""
+    nearness = distance.min(axis=-2, keepdims=True) / distance
+    if m != 2.0:
+        nearness **= 1.0 / (m - 1.0)
+    return np.asarray(nearness / nearness.sum(axis=-2, keepdims=True))
+
+
+class FuzzyCMeans(FuzzyPartition):
+    """Fuzzy c-means, [1]_; method sheet 001 eqs. (7)-(9).
+
+    Parameters
+    ----------
+    n_clusters : int
+        Number of clusters, 1 to the number of samples.
+    m : float
+        Fuzzifier [-], above 1, at most 50; towards 1 the memberships become crisp.
+    n_init : int
+        Number of random starts; the one with the least objective is kept.
+    max_iter : int
+        Largest number of iterations of one start.
+    tol : float
+        Largest change of a membership [-] that counts as converged.
+    random_state : int, numpy.random.Generator or None
+        Seed of the starts.
+
+    Attributes
+    ----------
+    membership_ : ndarray, shape (n, n_clusters)
+        Degree to which each sample belongs to each cluster [-]; rows sum to 1.
+    cluster_centers_ : ndarray, shape (n_clusters, p)
+        Cluster centres in the units of the samples.
+    labels_ : ndarray, shape (n,)
+        Cluster of highest membership of each sample.
+    objective_ : float
+        Objective J of the kept start, eq. (8), in squared units of the samples.
+    objective_history_ : ndarray, shape (n_iter_,)
+        J after each iteration; it never increases.
+    n_iter_ : int
+        Iterations of the kept start.
+    partition_coefficient_ : float
+        Mean squared membership sum, in [1/n_clusters, 1]; 1 is crisp, 1/n_clusters collapsed.
+    xie_beni_ : float
+        Compactness over separation, [2]_; smaller is better, NaN if two centres coincide.
+
+    Notes
+    -----
+    Only distances enter the equations, so samples with more features than there are samples are
+    first turned, without loss, into as many coordinates as there are samples.  All starts
+    iterate together.
+
+    Examples
+    --------
+    >>> model = FuzzyCMeans(2, random_state=0).fit([[0.0], [0.1], [5.0], [5.1]])
+    >>> sorted(model.cluster_centers_.round(2).ravel().tolist())
+    [0.05, 5.05]
+    """
+
+    _DISTINCT: ClassVar = False
+
+    def __init__(
+        self,
+        n_clusters: int = 5,
+        *,
+        m: float = 2.0,
+        n_init: int = 5,
+        max_iter: int = 300,
+        tol: float = 1e-6,
+        random_state: Seed = None,
+    ) -> None:
+        self.n_clusters = n_clusters
+        self.m = m
+        self.n_init = n_init
+        self.max_iter = max_iter
+        self.tol = tol
+        self.random_state = random_state
+
+    def fit(self, X: ArrayLike, y: Any = None) -> 'FuzzyCMeans':  # noqa: N803
+        """Cluster the samples.
+
+        Parameters
+        ----------
+        X : array_like, shape (n, p)
+            Samples by rows.
+        y : None
+            Ignored; part of scikit-learn's convention.
+
+        Returns
+        -------
+        FuzzyCMeans
+            The estimator.
+
+        Raises
+        ------
+        ValueError
+            If a parameter is out of range, or there are fewer samples than clusters.
+        """
+        centred, mean, rng = self._begin(X)
+        points = centred
+        if points.shape[1] > points.shape[0]:
+            points = np.transpose(np.linalg.qr(points.T, mode='r'))
+        starts = rng.dirichlet(np.ones(self.n_clusters), (self.n_init, len(points)))
+        membership, history = _iterate(
+            points, starts.transpose(0, 2, 1), self.m, self.max_iter, self.tol
+        )
+        weight = membership**self.m
+        centers = weight @ centred / weight.sum(axis=1, keepdims=True)
+        self._keep(membership, centers + mean, history)
+        self.partition_coefficient_ = float((membership**2).sum() / len(points))
+        self.xie_beni_ = _xie_beni(self.objective_, centers, len(points))
+        return self
+
+    def _squared_distances(self, samples: Array) -> Array:
+        # Centred so that samples far from the origin keep their digits.
+        mean = self.cluster_centers_.mean(axis=0)
+        return np.asarray(
+            _squared_distance(samples - mean, (self.cluster_centers_ - mean)[np.newaxis])[0]
+        )
+
+
+def _iterate(
+    points: Array, starts: Array, m: float, max_iter: int, tol: float
+) -> tuple[Array, Array]:
+    """Alternate eqs. (9) and (7) from all starts (r, c, n); return the best and its history."""
+    membership = starts
+    active = np.arange(len(starts))
+    history: list[list[float]] = [[] for _ in starts]
+    final = np.empty_like(starts)
+    for _ in range(max_iter):
+        weight = membership**m
+        centers = weight @ points / weight.sum(axis=2, keepdims=True)
+        distance = _squared_distance(points, centers)
+        updated = memberships_by_distance(distance, m)
+        objective = np.einsum('rcn,rcn->r', updated**m, distance)
+        change = np.abs(updated - membership).max(axis=(1, 2))
+        membership = updated
+        final[active] = updated
+        for start, value in zip(active, objective, strict=True):
+            history[start].append(float(value))
+        going = change > tol
+        if not going.all():
+            membership, active = membership[going], active[going]
+        if not len(active):
+            break
+    best = min(range(len(starts)), key=lambda start: history[start][-1])
+    return final[best], np.array(history[best])
+
+
+def _squared_distance(points: Array, centers: Array) -> Array:
+    """Return the squared distances of points (n, p) to centres (r, c, p), shape (r, c, n)."""
+    square = np.einsum('np,np->n', points, points)
+    distance = centers @ points.T
+    distance *= -2.0
+    distance += square
+    distance += np.einsum('rcp,rcp->rc', centers, centers)[..., np.newaxis]
+    # Rounding leaves about 1e-16 of the square; a floor there keeps a sample that sits on a
+    # centre from dividing by zero, and lets centres that coincide share it equally.
+    floor = np.finfo(np.float64).eps * max(float(square.max(initial=0.0)), 1e-300)
+    return np.asarray(np.maximum(distance, floor))
+
+
+def _xie_beni(objective: float, centers: Array, samples: int) -> float:
+    if len(centers) < 2:
+        return float('nan')
+    difference = centers[:, np.newaxis] - centers
+    separation = np.einsum('ijp,ijp->ij', difference, difference)
+    closest = float(separation[~np.eye(len(centers), dtype=bool)].min())
+    return objective / (samples * closest) if closest > 0.0 else float('nan')
+
+
+CONDITION_MAX = 1e8
+"""Largest ratio of the eigenvalues of a cluster's covariance, [2]_."""
+
+DISTANCE_MIN = 1e-12
+"""Floor of the squared distances: a sample may lie on a centre."""
+
+
+class GustafsonKessel(FuzzyPartition):
+    """Regularised Gustafson-Kessel clustering, [1]_ with [2]_; method sheet 000 section 3.1.
+
+    Parameters
+    ----------
+    n_clusters : int
+        Number of clusters, 1 to the number of distinct samples.
+    m : float
+        Fuzzifier [-], above 1, at most 50.
+    regularisation : float
+        Share of the covariance of all samples, made round, in that of each cluster [-], 0 to 1.
+        Without any the norm of a cluster that lies in a plane does not exist.
+    n_init : int
+        Number of random starts; the one with the least objective is kept.
+    max_iter : int
+        Largest number of iterations of one start.
+    tol : float
+        Largest change of a membership [-] that counts as converged.
+    random_state : int, numpy.random.Generator or None
+        Seed of the starts.
+
+    Attributes
+    ----------
+    membership_ : ndarray, shape (n, n_clusters)
+        Degree to which each sample belongs to each cluster [-]; rows sum to 1.
+    cluster_centers_ : ndarray, shape (n_clusters, p)
+        Cluster centres in the units of the samples.
+    norm_matrices_ : ndarray, shape (n_clusters, p, p)
+        Matrices M of the clusters' norms, of determinant 1.
+    labels_ : ndarray, shape (n,)
+        Cluster of highest membership of each sample.
+    objective_ : float
+        Objective J of the kept start.
+    objective_history_ : ndarray, shape (n_iter_,)
+        J after each iteration.  With regularisation it may rise by about 1e-4 of itself.
+    n_iter_ : int
+        Iterations of the kept start.
+    converged_ : bool
+        Whether the kept start came to rest before `max_iter`.
+
+    Notes
+    -----
+    Distances depend on the units of the columns: scale them first, and leave constant columns out.
+    All starts iterate together.
+
+    Examples
+    --------
+    >>> lines = [[t, 0.0] for t in range(5)] + [[2.0, 10.0 + t] for t in range(5)]
+    >>> model = GustafsonKessel(2, random_state=0).fit(lines)
+    >>> sorted(model.cluster_centers_.round(1).tolist())
+    [[2.0, 0.0], [2.0, 12.0]]
+    """
+
+    _DISTINCT: ClassVar = True
+
+    def __init__(
+        self,
+        n_clusters: int = 10,
+        *,
+        m: float = 2.0,
+        regularisation: float = 0.02,
+        n_init: int = 4,
+        max_iter: int = 400,
+        tol: float = 1e-5,
+        random_state: Seed = None,
+    ) -> None:
+        self.n_clusters = n_clusters
+        self.m = m
+        self.regularisation = regularisation
+        self.n_init = n_init
+        self.max_iter = max_iter
+        self.tol = tol
+        self.random_state = random_state
+
+    def fit(self, X: ArrayLike, y: Any = None) -> 'GustafsonKessel':  # noqa: N803
+        """Cluster the samples.
+
+        Parameters
+        ----------
+        X : array_like, shape (n, p)
+            Samples by rows.
+        y : None
+            Ignored; part of scikit-learn's convention.
+
+        Returns
+        -------
+        GustafsonKessel
+            The estimator.
+
+        Raises
+        ------
+        ValueError
+            If a parameter is out of range, or there are fewer distinct samples than clusters.
+        """
+        points, mean, rng = self._begin(X)
+        seeds = np.stack([_spread_seeds(points, self.n_clusters, rng) for _ in range(self.n_init)])
+        found = _iterate_with_norms(
+            points, seeds, self.m, _round_covariance(points, self.regularisation),
+            self.regularisation, self.max_iter, self.tol,
+        )  # fmt: skip
+        self._keep(found.membership, found.center + mean, found.history)
+        self.norm_matrices_ = found.norm
+        self.converged_ = found.converged
+        return self
+
+    def _squared_distances(self, samples: Array) -> Array:
+        apart = samples - self.cluster_centers_[:, np.newaxis]
+        distance = np.einsum('cnp,cpq,cnq->cn', apart, self.norm_matrices_, apart)
+        return np.asarray(np.maximum(distance, DISTANCE_MIN))
+
+    def _check_parameters(self, samples: Array) -> None:
+        super()._check_parameters(samples)
+        if not 0.0 <= self.regularisation <= 1.0:
+            raise ValueError(f'regularisation: expected 0 to 1, but found {self.regularisation}')
+
+
+class ClassValues(NamedTuple):
+    """What the clusters say of output values, method sheet 000 section 3.2.
+
+    Parameters
+    ----------
+    center, variance : ndarray, shape (c, q)
+        Weighted mean and variance of each output in each cluster.
+    decision : ndarray, shape (c, q)
+        The recorded value closest to the mean.
+    """
+
+    center: Array
+    variance: Array
+    decision: Array
+
+
+def class_values(membership: Array, outputs: Array, m: float = 2.0) -> ClassValues:
+    """Return centre, variance and decision value of outputs (n, q) by memberships (n, c)."""
+    weight = membership.T**m
+    weight /= weight.sum(axis=1, keepdims=True)
+    center = weight @ outputs
+    apart = outputs - center[:, np.newaxis]
+    variance = np.einsum('cn,cnq->cq', weight, apart**2)
+    nearest = np.abs(apart).argmin(axis=1)
+    return ClassValues(center, variance, np.take_along_axis(outputs, nearest, axis=0))
+
+
+def grow_clusters(
+    samples: Array, outputs: Array, variance_max: float, model: GustafsonKessel
+) -> GustafsonKessel:
+    """Return the clustering with the fewest clusters, from 2, whose outputs vary little enough.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n, p)
+        Scaled samples to cluster.
+    outputs : ndarray, shape (n, q)
+        Outputs that the variance is taken of.
+    variance_max : float
+        Largest variance of any output in any cluster, in squared units of the outputs.
+    model : GustafsonKessel
+        Settings; its number of clusters is the most that is tried, and kept if none suffices.
+    """
+    params = model.get_params()
+    for count in range(2, model.n_clusters):
+        grown = GustafsonKessel(**(params | {'n_clusters': count})).fit(samples)
+        if class_values(grown.membership_, outputs, model.m).variance.max() <= variance_max:
+            return grown
+    return model.fit(samples)
+
+
+class _Found(NamedTuple):
+    """Memberships (c, n), centres, norms and objectives of the best start."""
+
+    membership: Array
+    center: Array
+    norm: Array
+    history: Array
+    converged: bool
+
+
+def _spread_seeds(points: Array, count: int, rng: np.random.Generator) -> Array:
+    """Return centres (c, p) drawn from the points far from each other, as k-means++ does."""
+    chosen = [points[rng.integers(len(points))]]
+    nearest = ((points - chosen[0]) ** 2).sum(axis=1)
+    while len(chosen) < count:
+        # Squares of differences near 1e-200 are 0 although the points are distinct.
+        weight = nearest if nearest.any() else np.ones(len(points))
+        chosen.append(points[rng.choice(len(points), p=weight / weight.sum())])
+        nearest = np.minimum(nearest, ((points - chosen[-1]) ** 2).sum(axis=1))
+    return np.stack(chosen)
+
+
+def _round_covariance(points: Array, regularisation: float) -> Array:
+    """Return the share g d0 I of the round covariance that is mixed into each cluster's."""
+    size = points.shape[1]
+    total = points.T @ points / len(points)
+    value = np.linalg.eigvalsh(total)
+    if value[0] > value[-1] / CONDITION_MAX:
+        volume = float(np.exp(np.log(value).mean()))
+    else:
+        volume = float(value.sum()) / size
+    return np.asarray(regularisation * volume * np.eye(size))
+
+
+def _iterate_with_norms(
+    points: Array, seeds: Array, m: float, mixed: Array, share: float, max_iter: int, tol: float
+) -> _Found:
+    """Alternate the equations of section 3.1 from centres (r, c, p); return the best start."""
+    apart = points - seeds[:, :, np.newaxis]
+    distance = (apart**2).sum(axis=-1)
+    membership = memberships_by_distance(np.maximum(distance, DISTANCE_MIN), m)
+    starts = len(seeds)
+    active = np.arange(starts)
+    history: list[list[float]] = [[] for _ in range(starts)]
+    last: list[tuple[Array, Array, Array, bool]] = [(seeds[0], seeds[0], seeds[0], False)] * starts
+    for _ in range(max_iter):
+        weight = membership**m
+        total = weight.sum(axis=2, keepdims=True)
+        center = weight @ points / total
+        apart = points - center[:, :, np.newaxis]
+        scatter = (weight[..., np.newaxis] * apart).swapaxes(-1, -2) @ apart
+        factor = _norm_factor((1.0 - share) * scatter / total[..., np.newaxis] + mixed)
+        distance = np.maximum(((apart @ factor) ** 2).sum(axis=-1), DISTANCE_MIN)
+        updated = memberships_by_distance(distance, m)
+        objective = (updated**m * distance).sum(axis=(1, 2))
+        change = np.abs(updated - membership).max(axis=(1, 2))
+        for at, start in enumerate(active):
+            history[start].append(float(objective[at]))
+            last[start] = (updated[at], center[at], factor[at], bool(change[at] <= tol))
+        going = change > tol
+        membership, active = updated[going], active[going]
+        if not len(active):
+            break
+    best = min(range(starts), key=lambda start: history[start][-1])
+    found, center, factor, converged = last[best]
+    norm = factor @ factor.swapaxes(-1, -2)
+    return _Found(found, center, norm, np.array(history[best]), converged)
+
+
+def _norm_factor(covariance: Array) -> Array:
+    """Return factors A (..., p, p) of the norms M = A A^T of determinant 1."""
+    value, vector = np.linalg.eigh(covariance)
+    largest = np.maximum(value[..., -1:], DISTANCE_MIN)
+    value = np.maximum(value, largest / CONDITION_MAX)
+    volume = np.exp(0.5 * np.log(value).mean(axis=-1, keepdims=True))
+    return np.asarray(vector * (volume / np.sqrt(value))[..., np.newaxis, :])
