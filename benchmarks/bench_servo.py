@@ -23,7 +23,7 @@ import numpy as np
 
 from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 
 STEPS, REPEATS = 1000, 15

@@ -38,9 +38,8 @@ from fuzzycnc_ros.core.servo.observer import ObserverNoise
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning, VariableUniverseParams
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, Reference, point_to_point
 from fuzzycnc_ros.core.servo.variable_universe import FixedSurface, VariableUniverseController
-from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import random_moves
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun, position, position_many
 from fuzzycnc_ros.simulation.servo.tuning import BOUNDS, production, tune
 from fuzzycnc_ros.studies.servo.servo_cases import ServoCase, drive_many

@@ -16,8 +16,7 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSch
 from fuzzycnc_ros.components.motion.program_request import program_settings
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-from fuzzycnc_ros.core.feedrate.gcode.sampling import sample_path
-from fuzzycnc_ros.core.feedrate.gcode.segments import Segment
+from fuzzycnc_ros.core.feedrate.gcode.segments import Segment, sample_path
 from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_program
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES

@@ -169,6 +169,12 @@ def circles(tree: Path) -> int:
     return sum(name in reached(name) for name in every)
 
 
+def component(tree: Path, name: str) -> str:
+    """Return the module of a component, wherever its tree has it."""
+    found = next((tree / PACKAGE / 'components').rglob(f'{name}.py'))
+    return '.'.join(found.relative_to(tree).with_suffix('').parts)
+
+
 def measured(tree: Path) -> dict[str, int]:
     """Return all figures of a tree."""
     lines: Counter[str] = Counter()
@@ -204,6 +210,9 @@ def measured(tree: Path) -> dict[str, int]:
         ),
         'modules loaded for compensator': int(
             answer(tree, LOADED, f'{PACKAGE}.nodes.compensator')
+        ),
+        'modules loaded for its component alone': int(
+            answer(tree, LOADED, component(tree, 'compensator'))
         ),
         'core modules loaded for ThermalModel': int(
             answer(

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Text of foreign origin as terminals and pages may show it."""
+"""Text of foreign origin as terminals and pages may show it, and names that come twice."""
 
 import unicodedata
 from collections import Counter

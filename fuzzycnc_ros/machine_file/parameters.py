@@ -8,8 +8,7 @@ import json
 from dataclasses import asdict
 from typing import Any
 
-from fuzzycnc_ros.core.machine.machine_data import MachineData
-from fuzzycnc_ros.core.servo.axis_text import axis_texts
+from fuzzycnc_ros.core.machine.machine_data import MachineData, axis_texts
 from fuzzycnc_ros.machine_file.feeds import scheduler_parameters, simulated_loop
 
 _LOOP = (

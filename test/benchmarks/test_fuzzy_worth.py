@@ -15,7 +15,7 @@ import pytest
 from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.servo.params import VariableUniverseParams
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.studies.pareto.pareto_path import CURVES, curve_path
 
 BENCHMARKS = Path(__file__).parents[2] / 'benchmarks'

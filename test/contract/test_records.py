@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rules import for_each
 
-from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
+from fuzzycnc_ros.core.deformation.compensation import StepFlag
 from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.runtime import enums as codes
 from fuzzycnc_ros.runtime import host as host_records

@@ -16,7 +16,7 @@ from fuzzycnc_ros.machine_file.parameters import node_parameters, parameter_text
 from fuzzycnc_ros.machine_file.reader import BUILT_IN, is_machine_file, read_machine_file
 from fuzzycnc_ros.machine_file.units import UNITS, si_value, written
 from fuzzycnc_ros.machine_file.writer import machine_text
-from fuzzycnc_ros.simulation.servo.simulated_axis import simulated_axis
+from fuzzycnc_ros.simulation.servo.axes import simulated_axis
 
 INI = """
 [EMC]

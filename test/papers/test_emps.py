@@ -16,7 +16,7 @@ from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
 from fuzzycnc_ros.core.servo.controllers import OBSERVER_BANDWIDTH, BallscrewController
 from fuzzycnc_ros.core.servo.observer import ObserverDesign, ObserverNoise
 from fuzzycnc_ros.machine_file.reader import read_machine_file
-from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 
 pytestmark = pytest.mark.paper
 

@@ -10,11 +10,11 @@ import pytest
 from fuzzycnc_ros.core.deformation.compensation import (
     CompensatedPath,
     CompensationConfig,
+    StepFlag,
     compensate_path,
     learn_offsets,
 )
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
-from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.core.deformation.samples import identify_relaxation
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples, true_compensation

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.simulation.thermal.duties import DUTIES, record_runs, simulate_duty
-from fuzzycnc_ros.simulation.thermal.mill import MILL_SENSORS
-from fuzzycnc_ros.simulation.thermal.mill_network import NODES, RPM, sensor_weights
+from fuzzycnc_ros.simulation.thermal.mill import MILL_SENSORS, NODES, RPM, sensor_weights
 
 pytestmark = pytest.mark.paper
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.thermal.fit import GreyModel, LagRidge, StaticRidge
-from fuzzycnc_ros.simulation.thermal.grinder_network import NODES, SENSORS
+from fuzzycnc_ros.simulation.thermal.grinder import NODES, SENSORS
 from fuzzycnc_ros.simulation.thermal.grinder_runs import (
     FLUX_CASES,
     GRINDER_EXPERIMENTS,

@@ -13,7 +13,7 @@ from fuzzycnc_ros.core.servo.params import VariableUniverseParams
 from fuzzycnc_ros.core.servo.rule_learning import learn_rules, records_of_run
 from fuzzycnc_ros.core.servo.rule_table import SETS, RuleTableWarning, published_rules
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 
 pytestmark = pytest.mark.paper

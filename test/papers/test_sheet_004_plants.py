@@ -7,8 +7,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
-from fuzzycnc_ros.simulation.servo.position_sensor import PositionSensor
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis, PositionSensor
 
 pytestmark = pytest.mark.paper
 

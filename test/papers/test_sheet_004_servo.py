@@ -14,8 +14,8 @@ from fuzzycnc_ros.core.servo.rule_table import CENTRES, RuleTable, published_rul
 from fuzzycnc_ros.core.servo.stability import stability_report
 from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import random_moves
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position, position_many
 
 pytestmark = pytest.mark.paper

@@ -17,7 +17,7 @@ from campaign.scenario import BY_DRIVE, BY_PATH, Kind, Scenario
 from campaign.verdict import judge
 
 from fuzzycnc_ros.components.motion.tool_paths import curve_tool_path
-from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
+from fuzzycnc_ros.core.deformation.compensation import StepFlag
 from fuzzycnc_ros.core.feedrate.path.curves import trident
 from fuzzycnc_ros.runtime.enums import ServoStatus, TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (

@@ -13,11 +13,10 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSch
 from fuzzycnc_ros.components.soft.deformation_compensator import (
     DeformationCompensatorConfig,
 )
-from fuzzycnc_ros.core.deformation.compensation import CompensatedPath, learn_offsets
+from fuzzycnc_ros.core.deformation.compensation import CompensatedPath, StepFlag, learn_offsets
 from fuzzycnc_ros.core.deformation.model import write_model
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, write_offsets
-from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.core.deformation.stitch_path import StitchPath
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples, true_compensation
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet

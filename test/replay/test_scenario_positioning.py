@@ -21,7 +21,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
 from fuzzycnc_ros.core.servo.profile import point_to_point
 from fuzzycnc_ros.runtime.enums import ServoStatus, TrajectoryStatus
 from fuzzycnc_ros.runtime.graph import InProcessGraph
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.servo.positioning import PositioningError, run_positioning

@@ -8,7 +8,7 @@ from math import exp, pi, sin, sqrt
 import numpy as np
 
 from fuzzycnc_ros.core.servo.axis import LinearAxis
-from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant, DutyDelay
+from fuzzycnc_ros.simulation.servo.axes import AxisPlant, DutyDelay
 
 
 @dataclass(frozen=True, kw_only=True)

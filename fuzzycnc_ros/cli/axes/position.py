@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.machine.machine_data import AxisData, PlantConfig
     from fuzzycnc_ros.core.servo.controller import AxisController
     from fuzzycnc_ros.core.servo.profile import Reference
-    from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant
+    from fuzzycnc_ros.simulation.servo.axes import AxisPlant
 
 DURATION_MIN, DURATION_MAX = 0.05, 120.0
 """Lengths of a run that are simulated [s]."""
@@ -136,8 +136,8 @@ def position(
         fuzzycnc position --axis ballscrew --to 100mm --friction 2
         fuzzycnc position --machine-file tuned.yaml --axis X --to 100mm --load 10%
     """
+    from fuzzycnc_ros.simulation.servo.axes import simulated_axis
     from fuzzycnc_ros.simulation.servo.positioning import position as moved
-    from fuzzycnc_ros.simulation.servo.simulated_axis import simulated_axis
     from fuzzycnc_ros.studies.servo import positioning_page as shown
 
     known = _known(machine_file, axis)

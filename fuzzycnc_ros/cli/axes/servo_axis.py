@@ -19,7 +19,7 @@ from fuzzycnc_ros.cli.quantities import quantity
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.axes.servo_settings import ServoSettings
     from fuzzycnc_ros.core.servo.controller import AxisController
-    from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant
+    from fuzzycnc_ros.simulation.servo.axes import AxisPlant
 
 AXES = ('lathe', 'ballscrew')
 """Simulated axes."""
@@ -90,8 +90,7 @@ def make_axis(axis: str, knobs: Mapping[str, tuple[str, Any]]) -> AxisPlant:
         If a value is out of its bounds; the message names the option.
     """
     from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
-    from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
-    from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+    from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
 
     if axis == 'lathe':
         return made_with(lambda **values: LatheAxis(LatheAxisConfig(**values)), knobs)

@@ -4,7 +4,7 @@
 
 from fuzzycnc_ros.core.servo.stability import spectral_radii
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position_many
 from fuzzycnc_ros.simulation.servo.tuning import (
     GAIN_SPREAD,

@@ -312,7 +312,7 @@ def sheet_size(text: str) -> tuple[float, float]:
 
 def _reasons(flag: int) -> tuple[str, ...]:
     """Return what flags of steps say, in words."""
-    from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
+    from fuzzycnc_ros.core.deformation.compensation import StepFlag
 
     words = {
         StepFlag.OUTSIDE_DOMAIN: 'unlike the samples',

@@ -255,7 +255,7 @@ def _counted(
     scheduled: 'Iterable[tuple[Block, float | None]]', words: Words, rest: float
 ) -> Iterator[str]:
     """Yield the lines of the program with its new feeds; count the words that changed."""
-    from fuzzycnc_ros.core.feedrate.gcode.tally import FeedTally
+    from fuzzycnc_ros.core.feedrate.gcode.blocks import FeedTally
     from fuzzycnc_ros.core.feedrate.gcode.writer import write_blocks
 
     tally = FeedTally()

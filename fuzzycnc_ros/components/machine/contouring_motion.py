@@ -14,7 +14,7 @@ import numpy as np
 
 from fuzzycnc_ros.components.servo.setpoints import trajectory_part
 from fuzzycnc_ros.core.config import Config
-from fuzzycnc_ros.core.feedrate.path.path_error import PathError
+from fuzzycnc_ros.core.feedrate.path.contour import PathError
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInput, TrajectoryInputConfig
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.runtime.component import Emission, Health, Level

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from fuzzycnc_ros.core.servo.axis import velocity_lag
 from fuzzycnc_ros.runtime.records import AxisCommand
-from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant
+from fuzzycnc_ros.simulation.servo.axes import AxisPlant
 
 
 class ServoDrives:

@@ -23,7 +23,7 @@ from fuzzycnc_ros.components.servo.servo_axes import (
     parse_plants,
 )
 from fuzzycnc_ros.components.servo.setpoints import ServoLead
-from fuzzycnc_ros.core.feedrate.path.path_error import PathError
+from fuzzycnc_ros.core.feedrate.path.contour import PathError
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInputConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
@@ -37,7 +37,7 @@ from fuzzycnc_ros.runtime.records import (
     TrajectoryState,
     nanoseconds,
 )
-from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant
+from fuzzycnc_ros.simulation.servo.axes import AxisPlant
 
 _ARRIVED = 1e-5
 """Distance from the end of a trajectory within which an axis has arrived [m]."""

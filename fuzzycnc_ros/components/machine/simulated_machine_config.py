@@ -9,7 +9,7 @@ from types import MappingProxyType
 from fuzzycnc_ros.components.machine.contouring_motion import axis_param
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.simulation.thermal.duties import DUTIES, Duty, DutyBlock
-from fuzzycnc_ros.simulation.thermal.mill_network import RPM
+from fuzzycnc_ros.simulation.thermal.mill import RPM
 
 WHOLE_SHIFT = Duty(
     'shift',

@@ -11,11 +11,8 @@ from types import MappingProxyType
 from typing import Any
 
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
-from fuzzycnc_ros.core.machine.machine_data import AxisData, PlantConfig
-from fuzzycnc_ros.core.servo.axis_text import parse_axis_texts
-from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant
-from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.core.machine.machine_data import AxisData, PlantConfig, parse_axis_texts
+from fuzzycnc_ros.simulation.servo.axes import AxisPlant, BallscrewAxis, LatheAxis
 
 FROM_FILE = 'machine_file'
 """Model of an axis whose data come from a machine file."""

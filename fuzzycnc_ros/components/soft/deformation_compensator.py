@@ -23,11 +23,12 @@ from fuzzycnc_ros.core.config import param
 from fuzzycnc_ros.core.deformation.compensation import (
     CompensatedPath,
     CompensationConfig,
+    StepFlag,
     compensate_path,
+    limit_offsets,
 )
 from fuzzycnc_ros.core.deformation.model import GAIN_MAX, GAIN_MIN, DeformationModel, read_model
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, read_offsets
-from fuzzycnc_ros.core.deformation.offset_limits import StepFlag, limit_offsets
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
 from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.runtime import records

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A trained T-S fuzzy neural network as a machine runs it: without any training code."""
+"""A trained T-S fuzzy neural network as a machine runs it, and its file: no training code."""
 
 import json
 from collections.abc import Iterator, Sequence

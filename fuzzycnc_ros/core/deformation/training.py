@@ -1,10 +1,8 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Training of the consequents with a hidden layer; method sheet 000 sections 3.5 and 6.1.
+"""Consequents of the T-S fuzzy neural network: their cost, its gradient, and their training.
 
-The default, 'hybrid', is variable projection: for given w_ij the best w_jk follow from one ridge
-regression, so only w_ij are searched.  'steepest_descent' is the published method with the sign
-of the w_ij line put right, 'levenberg_marquardt' the usual one for networks of this size.
+Inputs are scaled and extended by a one in front; `e` is the value less its target.
 """
 
 from dataclasses import dataclass

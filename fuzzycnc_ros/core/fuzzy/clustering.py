@@ -1,11 +1,14 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fuzzy c-means clustering.
+"""Fuzzy clustering: c-means, and Gustafson-Kessel with an ellipsoidal norm for each cluster.
 
 References
 ----------
 .. [1] J. C. Bezdek, "Pattern Recognition with Fuzzy Objective Function Algorithms", 1981.
 .. [2] X. L. Xie, G. Beni, "A validity measure for fuzzy clustering", 1991.
+.. [3] D. E. Gustafson, W. C. Kessel, "Fuzzy clustering with a fuzzy covariance matrix", 1979.
+.. [4] R. Babuska, P. J. van der Veen, U. Kaymak, "Improved covariance estimation for
+   Gustafson-Kessel clustering", 2002.
 """
 
 from abc import ABC, abstractmethod
@@ -106,7 +109,7 @@ def memberships_by_distance(distance: Array, m: float) -> Array:
 
 
 class FuzzyCMeans(FuzzyPartition):
-    """Fuzzy c-means, [1]_; method sheet 001 eqs. (7)-(9).
+    """Fuzzy c-means, [1]_.
 
     Parameters
     ----------
@@ -268,14 +271,14 @@ def _xie_beni(objective: float, centers: Array, samples: int) -> float:
 
 
 CONDITION_MAX = 1e8
-"""Largest ratio of the eigenvalues of a cluster's covariance, [2]_."""
+"""Largest ratio of the eigenvalues of a cluster's covariance, [4]_."""
 
 DISTANCE_MIN = 1e-12
 """Floor of the squared distances: a sample may lie on a centre."""
 
 
 class GustafsonKessel(FuzzyPartition):
-    """Regularised Gustafson-Kessel clustering, [1]_ with [2]_; method sheet 000 section 3.1.
+    """Regularised Gustafson-Kessel clustering, [3]_ with [4]_.
 
     Parameters
     ----------

@@ -1,6 +1,14 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Inference of Takagi-Sugeno rules with Gaussian sets, method sheet 001 eqs. (1)-(6)."""
+"""Takagi-Sugeno rules with Gaussian sets: inference, and hybrid learning.
+
+Each epoch solves all consequents by one ridge regression and takes one gradient step on the
+Gaussian sets, [1]_.
+
+References
+----------
+.. [1] J.-S. R. Jang, "ANFIS: adaptive-network-based fuzzy inference system", 1993.
+"""
 
 from dataclasses import dataclass, replace
 

@@ -1,6 +1,9 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Position controllers by name: the one naming of nodes, commands and documentation."""
+"""Position controllers by name, the one naming of nodes, commands and documentation.
+
+That of a ball-screw axis is set from its nominal model alone.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +67,7 @@ class BallscrewController(FrictionFedController):
 
     Examples
     --------
-    >>> from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+    >>> from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
     >>> axis, controller = BallscrewAxis(), BallscrewController()
     >>> for step in range(1500):
     ...     axis.drive(controller.step(min(1e-4 * step, 0.1), axis.measure()))

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The variable-universe fuzzy position controller of Long, Yuan, Xu and Du (2014), repaired.
 
-Method sheet 004.  Error and rate are each divided by a scale that shrinks with them, so that the
-same 36 rules zoom in near the target.
+Error and rate are each divided by a scale that shrinks with them, so that the same 36 rules zoom
+in near the target.  Each surface of duty over error and rate is there twice, for arrays and as a
+function of two numbers for the control loop, where numpy would take longer than the rules.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Correct a prediction by occasional probes, method sheet 001 section 8.D.
+"""Correct a prediction by occasional probes, and notice where the error drifts from it.
 
 Both corrections are of the form error = prediction + offset + gain * prediction, per channel.
 """

@@ -1,6 +1,11 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded thermal run: temperatures and displacements on one time axis."""
+"""A recorded thermal run: temperatures and displacements on one time axis, and windows of it.
+
+One rule holds for every command.  A window says which samples count.  It never moves the
+reference: temperatures and displacements stay referred to the first samples of the recording,
+and what lies before the window warms up the lags, as it did on the machine.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

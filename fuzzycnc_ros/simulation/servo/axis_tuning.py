@@ -20,8 +20,7 @@ from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, SETTINGS, mak
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
-from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant
-from fuzzycnc_ros.simulation.servo.simulated_axis import simulated_axis
+from fuzzycnc_ros.simulation.servo.axes import AxisPlant, simulated_axis
 
 REST = 0.3
 """Rest before, between and after the two ways of a case [s]."""

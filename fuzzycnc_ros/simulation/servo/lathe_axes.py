@@ -10,9 +10,11 @@ from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array, Seed
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
-from fuzzycnc_ros.simulation.servo.axis_plant import stribeck_frictions
-from fuzzycnc_ros.simulation.servo.lathe_axis import substep_shares
-from fuzzycnc_ros.simulation.servo.position_sensor import PositionSensors
+from fuzzycnc_ros.simulation.servo.axes import (
+    PositionSensors,
+    stribeck_frictions,
+    substep_shares,
+)
 
 
 class LatheAxes:

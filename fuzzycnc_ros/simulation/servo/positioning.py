@@ -13,7 +13,7 @@ import numpy as np
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.profile import Reference, step_reference
-from fuzzycnc_ros.simulation.servo.axis_plant import AxisPlant
+from fuzzycnc_ros.simulation.servo.axes import AxisPlant
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheAxes, LatheMove
 
 
@@ -112,7 +112,7 @@ def position(
 
     Examples
     --------
-    >>> from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+    >>> from fuzzycnc_ros.simulation.servo.axes import LatheAxis
     >>> from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
     >>> axis = LatheAxis()
     >>> run = position(VariableUniverseController(axis.linear()), axis, 1e-3, 0.5)

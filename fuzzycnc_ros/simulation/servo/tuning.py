@@ -25,8 +25,8 @@ from fuzzycnc_ros.core.servo.observer import ObserverNoise
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning, VariableUniverseParams
 from fuzzycnc_ros.core.servo.stability import spectral_radii
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheMove
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import PositioningBatch, position_many
 
 _TOLERANCE = 2e-6

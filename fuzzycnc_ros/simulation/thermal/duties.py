@@ -17,10 +17,10 @@ from fuzzycnc_ros.simulation.thermal.mill import (
     DISPLACEMENT_NOISE,
     MILL_AXES,
     MILL_SENSORS,
+    RPM,
     TEMPERATURE_NOISE,
     ThermalMill,
 )
-from fuzzycnc_ros.simulation.thermal.mill_network import RPM
 from fuzzycnc_ros.simulation.thermal.sensor_faults import FaultInjector, SensorFault
 
 if TYPE_CHECKING:

@@ -11,11 +11,13 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.run import ThermalRun
-from fuzzycnc_ros.simulation.thermal.grinder import GRINDER_AXES, AmbientCourse, Grinder
-from fuzzycnc_ros.simulation.thermal.grinder_network import (
+from fuzzycnc_ros.simulation.thermal.grinder import (
     FLUX_PLACES,
+    GRINDER_AXES,
     GRINDER_SENSORS,
     MACHINE_SENSORS,
+    AmbientCourse,
+    Grinder,
     Heat,
     running_heat,
     surface_heat,

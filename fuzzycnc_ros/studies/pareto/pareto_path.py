@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
-from fuzzycnc_ros.core.feedrate.gcode.sampling import sample_path
-from fuzzycnc_ros.core.feedrate.gcode.segments import NurbsSegment, Segment
+from fuzzycnc_ros.core.feedrate.gcode.segments import NurbsSegment, Segment, sample_path
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve

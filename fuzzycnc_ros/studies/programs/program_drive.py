@@ -19,9 +19,8 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
-from fuzzycnc_ros.core.feedrate.path.contour import Contour
+from fuzzycnc_ros.core.feedrate.path.contour import WINDOW_LENGTH, WINDOW_TIME, Contour
 from fuzzycnc_ros.core.feedrate.path.nodes import own_curvature
-from fuzzycnc_ros.core.feedrate.path.path_error import WINDOW_LENGTH, WINDOW_TIME
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (

@@ -14,8 +14,7 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 from fuzzycnc_ros.core.feedrate.motion.controller_motion import Commanded
 from fuzzycnc_ros.core.feedrate.motion.controller_moves import Moves
-from fuzzycnc_ros.core.feedrate.path.contour import Contour
-from fuzzycnc_ros.core.feedrate.path.path_error import WINDOW_TIME
+from fuzzycnc_ros.core.feedrate.path.contour import WINDOW_TIME, Contour
 from fuzzycnc_ros.core.feedrate.schedule.controller_program import ProgramMoves, simulate, turns
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes

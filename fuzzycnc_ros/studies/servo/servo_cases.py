@@ -16,8 +16,8 @@ from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.controllers import CONTROLLERS
 from fuzzycnc_ros.core.servo.profile import Reference, point_to_point, step_reference
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheAxes, random_moves
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun, position, position_many
 from fuzzycnc_ros.studies.servo.positioning_model import (
     LABELS,

@@ -9,7 +9,7 @@ import pytest
 
 from fuzzycnc_ros.core.identify.loop_fit import following
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 
 AXIS = ('--columns', 'command=volts,position=place', '--full', '10', '--out', 'axis.yaml')
 

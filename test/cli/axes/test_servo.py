@@ -24,7 +24,7 @@ from fuzzycnc_ros.runtime.records import (
     AxisState,
     ServoState,
 )
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.servo.positioning import run_positioning

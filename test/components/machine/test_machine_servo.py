@@ -22,7 +22,7 @@ from fuzzycnc_ros.runtime.records import (
     AxisCommand,
     nanoseconds,
 )
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 
 PERIOD = 1_000_000
 START = nanoseconds(DAY_START)

@@ -17,8 +17,7 @@ from fuzzycnc_ros.core.servo.controllers import FOR_USE
 from fuzzycnc_ros.core.servo.profile import point_to_point
 from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.records import SECOND
-from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 
 

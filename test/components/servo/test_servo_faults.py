@@ -13,7 +13,7 @@ from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.servo.controllers import FOR_USE
 from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.records import SECOND, AxisCommand, AxisState, MachineState
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.studies.servo.positioning import PositioningError, run_positioning
 
 

@@ -21,13 +21,18 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     make_controllers,
 )
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
-from fuzzycnc_ros.core.machine.machine_data import AxisData, AxisLimits, MachineData
+from fuzzycnc_ros.core.machine.machine_data import (
+    AxisData,
+    AxisLimits,
+    MachineData,
+    axis_texts,
+    parse_axis_texts,
+)
 from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, make_axis_controller
-from fuzzycnc_ros.core.servo.axis_text import axis_texts, parse_axis_texts
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
 from fuzzycnc_ros.machine_file.parameters import node_parameters
+from fuzzycnc_ros.simulation.servo.axes import simulated_axis
 from fuzzycnc_ros.simulation.servo.positioning import position
-from fuzzycnc_ros.simulation.servo.simulated_axis import simulated_axis
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.servo.positioning import PositioningError, run_positioning
 

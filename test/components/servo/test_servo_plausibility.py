@@ -17,9 +17,8 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
 from fuzzycnc_ros.components.servo.servo_plausibility import MotionDoubt, MotionWatch
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
-from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import random_moves
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 
 
 def moved(plant, target, *, model='lathe', rest=0.3):

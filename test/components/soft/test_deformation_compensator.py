@@ -25,11 +25,10 @@ from fuzzycnc_ros.components.soft.deformation_compensator import (
     DeformationCompensator,
     DeformationCompensatorConfig,
 )
-from fuzzycnc_ros.core.deformation.compensation import compensate_path
+from fuzzycnc_ros.core.deformation.compensation import StepFlag, compensate_path
 from fuzzycnc_ros.core.deformation.model import read_model, write_model
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, write_offsets
-from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive, SheetMaterial, StitchPath
 from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.runtime.enums import Junction, PrimitiveKind, SegmentKind

@@ -8,11 +8,12 @@ from hypothesis import strategies as st
 from fuzzycnc_ros.core.deformation.compensation import (
     CompensatedPath,
     CompensationConfig,
+    StepFlag,
     compensate_path,
     feature_rows,
     initial_rate_factor,
+    limit_offsets,
 )
-from fuzzycnc_ros.core.deformation.offset_limits import StepFlag, limit_offsets
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
 from fuzzycnc_ros.simulation.soft.foam_samples import true_compensation
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack

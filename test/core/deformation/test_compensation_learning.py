@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from fuzzycnc_ros.core.deformation.compensation import (
     CompensatedPath,
     CompensationConfig,
+    StepFlag,
     learn_offsets,
 )
-from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.core.deformation.samples import identify_relaxation
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack

@@ -9,8 +9,12 @@ import pytest
 
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Role
 from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, read_program
-from fuzzycnc_ros.core.feedrate.gcode.sampling import sample_path
-from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, DwellSegment, NurbsSegment
+from fuzzycnc_ros.core.feedrate.gcode.segments import (
+    ArcSegment,
+    DwellSegment,
+    NurbsSegment,
+    sample_path,
+)
 
 MM = 1e-3
 

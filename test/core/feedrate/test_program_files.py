@@ -13,8 +13,7 @@ import pytest
 from programs.rs274 import check_against, interpreted
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-from fuzzycnc_ros.core.feedrate.gcode.sampling import sample_path
-from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment
+from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, sample_path
 from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_program
 
 # Name, segments that may be scheduled, arcs, runs.

@@ -13,8 +13,8 @@ from programs.flow_programs import FlowProgram
 from programs.rs274 import check_against, interpreted
 
 from fuzzycnc_ros.core.feedrate.gcode import reader as follow
+from fuzzycnc_ros.core.feedrate.gcode.blocks import FeedTally
 from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, read_program
-from fuzzycnc_ros.core.feedrate.gcode.tally import FeedTally
 from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_blocks, write_program
 
 MM = 1e-3

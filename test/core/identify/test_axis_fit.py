@@ -14,8 +14,7 @@ from fuzzycnc_ros.core.identify.axis_fit import AxisRecording, fit_axis
 from fuzzycnc_ros.core.identify.frequency import frequency_response
 from fuzzycnc_ros.core.identify.loop_fit import fit_loop, following
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
-from fuzzycnc_ros.simulation.servo.simulated_axis import simulated_axis
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, simulated_axis
 
 PERIOD = 1e-3
 

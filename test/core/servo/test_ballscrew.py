@@ -12,8 +12,7 @@ from fuzzycnc_ros.core.servo.controllers import BallscrewController
 from fuzzycnc_ros.core.servo.friction import MovingDisturbance
 from fuzzycnc_ros.core.servo.observer import ObserverDesign, ObserverNoise
 from fuzzycnc_ros.core.servo.profile import point_to_point
-from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 
 AXIS = BallscrewAxis().linear()

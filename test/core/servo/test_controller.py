@@ -19,8 +19,7 @@ from fuzzycnc_ros.core.servo.filtered_rate import Integrator
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning, VariableUniverseParams
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 
 AXIS = LatheAxis().linear()

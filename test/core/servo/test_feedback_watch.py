@@ -7,7 +7,7 @@ import pytest
 
 from fuzzycnc_ros.core.servo.controllers import BallscrewController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits, FeedbackWatch
-from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 
 COUNT = 5e-8
 

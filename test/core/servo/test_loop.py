@@ -22,9 +22,8 @@ from fuzzycnc_ros.core.servo.profile import point_to_point
 from fuzzycnc_ros.core.servo.stability import spectral_radii, stability_report
 from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheMove
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun, position, position_many
 from fuzzycnc_ros.simulation.servo.tuning import (
     GAIN_SPREAD,

@@ -26,7 +26,7 @@ from fuzzycnc_ros.core.servo.rule_table import (
     rules_with_zero,
 )
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 
 RULES = published_rules()

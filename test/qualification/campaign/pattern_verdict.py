@@ -11,7 +11,7 @@ from campaign.scenario import Scenario
 from fuzzycnc_ros.components.soft.deformation_compensator import (
     DeformationCompensatorConfig,
 )
-from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
+from fuzzycnc_ros.core.deformation.compensation import StepFlag
 from fuzzycnc_ros.runtime.records import CompensatedPath
 
 LIMITS = DeformationCompensatorConfig()

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 
 FREE = {'coulomb_forward': 0.0, 'coulomb_backward': 0.0, 'offset': 0.0}
 FORCE = 351.5065188

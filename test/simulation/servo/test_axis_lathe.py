@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheAxes, random_moves
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
 
 FREE = {'coulomb': 0.0, 'breakaway': 0.0, 'noise': 0.0}
 

@@ -11,9 +11,12 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
 from fuzzycnc_ros.core.servo.axis import LinearAxis
-from fuzzycnc_ros.simulation.servo.axis_plant import stribeck_friction, stribeck_frictions
-from fuzzycnc_ros.simulation.servo.ballscrew_axis import BallscrewAxis
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import (
+    BallscrewAxis,
+    LatheAxis,
+    stribeck_friction,
+    stribeck_frictions,
+)
 
 AXES = {'lathe': LatheAxis().linear(), 'ballscrew': BallscrewAxis().linear()}
 speeds = st.one_of(st.just(0.0), st.floats(-0.3, 0.3))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.machine.axis_models import PositionSensorConfig
-from fuzzycnc_ros.simulation.servo.position_sensor import PositionSensor, PositionSensors
+from fuzzycnc_ros.simulation.servo.axes import PositionSensor, PositionSensors
 
 PERIOD = 1e-3
 QUIET = {'noise': 0.0}

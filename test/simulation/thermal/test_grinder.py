@@ -5,14 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.simulation.thermal.grinder import AmbientCourse, Grinder
-from fuzzycnc_ros.simulation.thermal.grinder_network import (
+from fuzzycnc_ros.simulation.thermal.grinder import (
     FLUX_PLACES,
     GRINDER_SENSORS,
     NODE_CAPACITY,
     NODE_LOSS,
     NODES,
     STEP_SECONDS,
+    AmbientCourse,
+    Grinder,
     running_heat,
     surface_heat,
     thermal_displacement,

@@ -13,13 +13,14 @@ from fuzzycnc_ros.simulation.thermal.duties import (
     record_runs,
     simulate_duty,
 )
-from fuzzycnc_ros.simulation.thermal.mill import MILL_SENSORS, ThermalMill
-from fuzzycnc_ros.simulation.thermal.mill_network import (
+from fuzzycnc_ros.simulation.thermal.mill import (
+    MILL_SENSORS,
     NODE_CAPACITY,
     NODE_LOSS,
     NODES,
     RPM,
     STEP_SECONDS,
+    ThermalMill,
     thermal_displacement,
     thermal_step,
 )

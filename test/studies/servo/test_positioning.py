@@ -191,7 +191,7 @@ def test_stability_says_what_swings():
 
 def test_cases_side_by_side_are_those_one_by_one():
     from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
-    from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+    from fuzzycnc_ros.simulation.servo.axes import LatheAxis
     from fuzzycnc_ros.simulation.servo.positioning import position
 
     cases, axis = servo_cases(), LatheAxis().linear()

@@ -7,7 +7,7 @@ from benches.component_bench import Bench
 
 from fuzzycnc_ros.components.servo.servo_controller import ServoController, ServoControllerConfig
 from fuzzycnc_ros.runtime.records import SECOND, AxisState, PositionCommand
-from fuzzycnc_ros.simulation.servo.lathe_axis import LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 
 PERIOD = 1_000_000
 START = 5 * SECOND

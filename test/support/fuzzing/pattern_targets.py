@@ -11,8 +11,8 @@ from benches import pattern_bench
 from benches.component_bench import Bench
 from fuzzing.targets import CopiedTarget, work
 
+from fuzzycnc_ros.core.deformation.compensation import StepFlag
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, write_offsets
-from fuzzycnc_ros.core.deformation.offset_limits import StepFlag
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 
 LEARNT = 'learnt track'

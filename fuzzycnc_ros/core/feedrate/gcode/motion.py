@@ -1,6 +1,10 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the words of a line and the modal state to the segments that the tool runs, and cycles."""
+"""From the words of a line and the modal state to the segment that the tool runs, and cycles.
+
+A fixed cycle (G73, G81 to G86, G89) moves above its hole, down to R by rapid and to Z by feed,
+and back up: to R (G99), or to where the axis stood before the first of the cycles (G98).
+"""
 
 import math
 from math import isfinite, nan

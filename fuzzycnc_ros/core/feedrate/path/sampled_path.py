@@ -1,6 +1,10 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What schedulers know of a path: arc length, curvature and where it turns back."""
+"""What schedulers know of a path: arc length, curvature and where it turns back.
+
+The curvature of samples is that of their circle, in any dimension, with rules for duplicate
+points, corners and reversals, closed paths and rounded coordinates.
+"""
 
 import math
 from collections.abc import Callable

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fuzzy scheduler of the feed, as published."""
+"""Fuzzy scheduler of the feed, as published, and its rules."""
 
 from dataclasses import dataclass
 from typing import ClassVar

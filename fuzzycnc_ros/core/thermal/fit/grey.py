@@ -1,6 +1,15 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Grey models GM(1,N) of the thermal error: as published, in its variants, and made stable."""
+"""Grey models GM(1,N) of the thermal error: as published, in its variants, and made stable.
+
+References
+----------
+.. [1] T.-L. Tien, "A research on the grey prediction model GM(1,n)", 2012: GMC(1,N).
+.. [2] B. Zeng, C. Luo, S. Liu, Y. Bai, C. Li, "Development of an optimization method for the
+   GM(1,N) model", 2016: OGM(1,N).
+.. [3] N.-M. Xie, S.-F. Liu, "Discrete grey forecasting model and its optimization", 2009:
+   DGM(1,N).
+"""
 
 import copy
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recursions of different forms side by side, each speaking for some of the channels."""
+"""Recursions made of others: side by side for some channels each, in a row, bounded."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What models on delayed rises and on their own past outputs share at run time."""
+"""Models on delayed rises and on their own past outputs at run time: moving average, network."""
 
 from abc import abstractmethod
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The grey model GM(1,N) at run time: its published time response, or its exact solution."""
+"""The grey model GM(1,N) at run time: published time response, exact solution, differenced."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

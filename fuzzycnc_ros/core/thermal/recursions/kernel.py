@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Gaussian process at run time: a linear part and bumps around samples of the training."""
+"""Gaussian process and layered network at run time."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
