@@ -34,7 +34,7 @@ from fuzzycnc_ros.core.thermal.fit.anfis import (
     cluster_premises,
     grid_premises,
 )
-from fuzzycnc_ros.core.thermal.recursions import Stream, combine
+from fuzzycnc_ros.core.thermal.recursions.base import Stream, combine
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 SENSORS = ('T18', 'T55', 'T63', 'T68', 'T71')

@@ -39,11 +39,10 @@ from fuzzycnc_ros.cli.models.many_bags import cores
 from fuzzycnc_ros.cli.workers import Progress, in_workers
 from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun
 from fuzzycnc_ros.core.thermal.candidate import BASELINES, UNCOMPENSATED
-from fuzzycnc_ros.core.thermal.drivers import drivers_of
 from fuzzycnc_ros.core.thermal.fit import evaluate
 from fuzzycnc_ros.core.thermal.fit.comparison import Split
 from fuzzycnc_ros.core.thermal.fit.training import at_interval, train_model
-from fuzzycnc_ros.core.thermal.run import SAMPLES_MIN
+from fuzzycnc_ros.core.thermal.run import SAMPLES_MIN, drivers_of
 
 SEEDS = 3
 CONFIDENCE = 0.95

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.errors import BagDataError, BagTopicError, RunError
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.components.thermal.spindle_speed import TOPICS, speed_told, speeds_at
+from fuzzycnc_ros.components.thermal.predictor_stream import TOPICS, speed_told, speeds_at
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun, counted
 

@@ -12,7 +12,7 @@ from hypothesis import given
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.motion.program_request import schedule_text
-from fuzzycnc_ros.core.feedrate.gcode import reader as follow
+from fuzzycnc_ros.core.feedrate.gcode import reader
 from fuzzycnc_ros.core.feedrate.gcode.lexer import ProgramError
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 
@@ -20,7 +20,7 @@ from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 @pytest.fixture(autouse=True)
 def short_runs(monkeypatch):
     """Damaged loops often run for ever: give them up earlier than a user's."""
-    monkeypatch.setattr(follow, 'PASSES', 2000)
+    monkeypatch.setattr(reader, 'PASSES', 2000)
 
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')

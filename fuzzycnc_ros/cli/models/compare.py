@@ -268,8 +268,8 @@ def usable_run(
 
 def speed_missing(runs: 'Sequence[ThermalRun]', interval: float) -> str:
     """Return why the spindle speed cannot be used in all runs; empty if it can."""
-    from fuzzycnc_ros.core.thermal.drivers import drivers_of
     from fuzzycnc_ros.core.thermal.fit.training import at_interval
+    from fuzzycnc_ros.core.thermal.run import drivers_of
 
     even = [at_interval(run, interval) for run in runs]
     lacking = [run.name for run in even if run.spindle_speed is None]

@@ -13,8 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.components.thermal.predictor_stream import Heard, ProbeSource, SampleMemory
-from fuzzycnc_ros.components.thermal.spindle_speed import OWN, STATE, SpeedSources, speed_told
+from fuzzycnc_ros.components.thermal.predictor_stream import (
+    OWN,
+    STATE,
+    Heard,
+    ProbeSource,
+    SampleMemory,
+    SpeedSources,
+    speed_told,
+)
 from fuzzycnc_ros.components.thermal.thermal_history import ModelHistory, Prediction, losses_of
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal import ModelMismatchError, ThermalModel

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from fuzzycnc_ros.core.arrays import Array
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.thermal.recursions import Recursion
+    from fuzzycnc_ros.core.thermal.recursions.base import Recursion
 
 UNCOMPENSATED = 'uncompensated'
 """The machine as it is: the candidate that predicts nothing, which every model must beat."""

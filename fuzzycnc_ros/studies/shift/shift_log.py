@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.components.thermal.predictor_stream import TOPICS as SPEED_TOPICS
+from fuzzycnc_ros.components.thermal.predictor_stream import speed_told, speeds_at
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
-from fuzzycnc_ros.components.thermal.spindle_speed import TOPICS as SPEED_TOPICS
-from fuzzycnc_ros.components.thermal.spindle_speed import speed_told, speeds_at
 from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.runtime.enums import Status

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.components.thermal.spindle_speed import (
+from fuzzycnc_ros.components.thermal.predictor_stream import (
     LEAD_MAX,
     OWN,
     STATE,

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from programs.flow_programs import FlowProgram
 from programs.rs274 import check_against, interpreted
 
-from fuzzycnc_ros.core.feedrate.gcode import reader as follow
+from fuzzycnc_ros.core.feedrate.gcode import reader
 from fuzzycnc_ros.core.feedrate.gcode.blocks import FeedTally
 from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, read_program
 from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_blocks, write_program
@@ -52,7 +52,7 @@ def allowed(program, feeds):
 @given(seed=st.integers(0, 10**6))
 def test_random_programs_run_as_linuxcnc_runs_them(seed, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(follow, 'PASSES', 3000)
+        patch.setattr(reader, 'PASSES', 3000)
         text = FlowProgram(Random(seed)).text()
         program = read_program(text)
         # Some run for ever, in LinuxCNC as well.
@@ -214,7 +214,7 @@ def test_a_branch_that_only_ends_the_program_decides_nothing():
     ],
 )
 def test_programs_that_lead_nowhere_are_kept_and_said(text, monkeypatch):
-    monkeypatch.setattr(follow, 'PASSES', 1000)
+    monkeypatch.setattr(reader, 'PASSES', 1000)
     program = read_program(text + 'M2\n')
     assert program.text == text + 'M2\n'
     assert program.notes
@@ -250,8 +250,6 @@ def test_modes_are_saved_and_restored_but_the_feed_there_is_what_was_chosen():
 
 
 def test_a_long_part_is_not_followed_and_said(monkeypatch):
-    from fuzzycnc_ros.core.feedrate.program import reader
-
     monkeypatch.setattr(reader, 'LINES', 4)
     text = 'F100\no1 repeat [2]\nG91 G1 X1\no1 endrepeat\nG90 X1 Y0 Z0\nG1 X5 F100\n'
     program = read_program(text)

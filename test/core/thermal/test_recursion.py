@@ -6,17 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.document import Node
-from fuzzycnc_ros.core.thermal.recursions import (
-    GreyRecursion,
+from fuzzycnc_ros.core.thermal.recursions.base import (
     LinearRecursion,
     Stream,
     combine,
-    development_of,
-    pole_of,
     read_recursion,
     run_slices,
     write_recursion,
 )
+from fuzzycnc_ros.core.thermal.recursions.grey import GreyRecursion, development_of, pole_of
 
 
 def linear(seed=0, lags=4, inputs=3, channels=2):

@@ -9,15 +9,13 @@ from dataclasses import replace
 
 from fuzzycnc_ros.core.feedrate.gcode import modal
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Note, Role
-from fuzzycnc_ros.core.feedrate.gcode.curve_blocks import (
-    CurveBlock,
-    KnotCurveBlock,
-    PlaneCurveBlock,
-)
 from fuzzycnc_ros.core.feedrate.gcode.expressions import Expression, ExpressionError
 from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, ProgramError, Word, resolved
 from fuzzycnc_ros.core.feedrate.gcode.modal import State
 from fuzzycnc_ros.core.feedrate.gcode.motion import (
+    CurveBlock,
+    KnotCurveBlock,
+    PlaneCurveBlock,
     UnreadableError,
     begin_cycle,
     dwell,

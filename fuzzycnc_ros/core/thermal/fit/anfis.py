@@ -14,7 +14,7 @@ from fuzzycnc_ros.core.thermal.domain import RISE_NOISE
 from fuzzycnc_ros.core.thermal.fit.grey import GreyModel
 from fuzzycnc_ros.core.thermal.fit.linear import check_ridge, column_scale
 from fuzzycnc_ros.core.thermal.fit.regressor import ThermalRegressor, check_training
-from fuzzycnc_ros.core.thermal.recursions import check_interval
+from fuzzycnc_ros.core.thermal.recursions.base import check_interval
 from fuzzycnc_ros.core.thermal.recursions.rules import CorrectedRecursion, RulesRecursion
 
 RULES = ('fcm', 'grid')

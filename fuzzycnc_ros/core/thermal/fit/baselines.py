@@ -21,12 +21,12 @@ from fuzzycnc_ros.core.thermal.fit.regressor import (
     check_sample_count,
     check_training,
 )
-from fuzzycnc_ros.core.thermal.recursions import (
+from fuzzycnc_ros.core.thermal.recursions.base import check_interval
+from fuzzycnc_ros.core.thermal.recursions.kernel import (
+    ACTIVATIONS,
     KernelRecursion,
     LayersRecursion,
-    check_interval,
 )
-from fuzzycnc_ros.core.thermal.recursions.kernel import ACTIVATIONS
 
 
 class GaussianProcess(ThermalRegressor):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.band import better, log_residual, mean_of_square, worth_using
 from fuzzycnc_ros.core.thermal.candidate import (
     NETWORKS,
     SPEED_SUFFIX,
@@ -16,7 +17,6 @@ from fuzzycnc_ros.core.thermal.candidate import (
     Candidate,
     Settings,
 )
-from fuzzycnc_ros.core.thermal.chance import better, log_residual, worth_using
 from fuzzycnc_ros.core.thermal.fit.anfis import Anfis, GreyAnfis
 from fuzzycnc_ros.core.thermal.fit.baselines import GaussianProcess, Mlp
 from fuzzycnc_ros.core.thermal.fit.folds import independent_folds
@@ -41,14 +41,13 @@ from fuzzycnc_ros.core.thermal.moments import (
     spread,
     stable_grey_from_sums,
 )
-from fuzzycnc_ros.core.thermal.recursions import (
+from fuzzycnc_ros.core.thermal.recursions.base import (
     LinearRecursion,
     Recursion,
     SeriesRecursion,
     combine,
     leading,
 )
-from fuzzycnc_ros.core.thermal.residuals import mean_of_square
 from fuzzycnc_ros.core.thermal.run import ThermalDataError
 
 SPEED_LAGS = (1200.0, 3600.0, 14400.0)

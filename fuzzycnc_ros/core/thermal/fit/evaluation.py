@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.band import WIDTH, coverage
+from fuzzycnc_ros.core.thermal.band import WIDTH, coverage, largest_of, mean_of_square
 from fuzzycnc_ros.core.thermal.fingerprint import recognised_in
 from fuzzycnc_ros.core.thermal.fit.training import at_interval
 from fuzzycnc_ros.core.thermal.model import ThermalModel
-from fuzzycnc_ros.core.thermal.residuals import largest_of, mean_of_square
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 
 

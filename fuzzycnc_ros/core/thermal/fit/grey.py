@@ -31,11 +31,10 @@ from fuzzycnc_ros.core.thermal.fit.regressor import (
     check_sample_count,
     check_training,
 )
-from fuzzycnc_ros.core.thermal.recursions import (
+from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_interval
+from fuzzycnc_ros.core.thermal.recursions.grey import (
     DifferencedGreyRecursion,
     GreyRecursion,
-    Recursion,
-    check_interval,
     development_of,
     pole_of,
 )

@@ -14,7 +14,11 @@ from fuzzycnc_ros.core.thermal.fit.regressor import (
     check_sample_count,
     check_training,
 )
-from fuzzycnc_ros.core.thermal.recursions import LinearRecursion, check_interval, first_order_lags
+from fuzzycnc_ros.core.thermal.recursions.base import (
+    LinearRecursion,
+    check_interval,
+    first_order_lags,
+)
 
 
 class LeastSquares(ThermalRegressor):

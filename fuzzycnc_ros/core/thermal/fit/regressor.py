@@ -15,12 +15,7 @@ from fuzzycnc_ros.core.estimator import (
     check_fitted,
     check_target,
 )
-from fuzzycnc_ros.core.thermal.recursions import (
-    Recursion,
-    Stream,
-    check_interval,
-    run_slices,
-)
+from fuzzycnc_ros.core.thermal.recursions.base import Recursion, Stream, check_interval, run_slices
 
 Self = TypeVar('Self', bound='ThermalRegressor')
 

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array, Seed
 from fuzzycnc_ros.core.fuzzy.clustering import FuzzyCMeans
+from fuzzycnc_ros.core.thermal.band import largest_of, mean_of_square
 from fuzzycnc_ros.core.thermal.fit.folds import run_rows
 from fuzzycnc_ros.core.thermal.fit.grey import GreyModel
 from fuzzycnc_ros.core.thermal.fit.refinement import Progress, TemperatureField, refined
 from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
 from fuzzycnc_ros.core.thermal.ranking import correlation_of, grey_relational_grade
-from fuzzycnc_ros.core.thermal.residuals import largest_of, mean_of_square
 from fuzzycnc_ros.core.thermal.run import (
     RISE_MIN,
     ThermalDataError,

@@ -18,7 +18,6 @@ from fuzzycnc_ros.core.thermal.candidate import (
 )
 from fuzzycnc_ros.core.thermal.cold_start import ColdStart
 from fuzzycnc_ros.core.thermal.domain import trained_domain
-from fuzzycnc_ros.core.thermal.drivers import drivers_of
 from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
 from fuzzycnc_ros.core.thermal.fit.candidates import (
     JudgedCandidate,
@@ -36,11 +35,12 @@ from fuzzycnc_ros.core.thermal.fit.selection import (
 from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
 from fuzzycnc_ros.core.thermal.fit.training_set import TrainingSet
 from fuzzycnc_ros.core.thermal.model import ThermalModel
-from fuzzycnc_ros.core.thermal.recursions import bound_of, first_order_lags
+from fuzzycnc_ros.core.thermal.recursions.base import bound_of, first_order_lags
 from fuzzycnc_ros.core.thermal.run import (
     JITTER_MAX,
     ThermalDataError,
     ThermalRun,
+    drivers_of,
     hidden,
 )
 from fuzzycnc_ros.core.thermal.sensor_watch import (

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.drivers import drive_of
 from fuzzycnc_ros.core.thermal.fit.folds import run_rows, training_folds
 from fuzzycnc_ros.core.thermal.moments import Fold, measured_together
-from fuzzycnc_ros.core.thermal.run import ThermalRun, observed
+from fuzzycnc_ros.core.thermal.run import ThermalRun, drive_of, observed
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,7 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.document import Node
-from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_shapes
-from fuzzycnc_ros.core.thermal.recursions.linear import first_order_lags
+from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_shapes, first_order_lags
 
 
 @dataclass(frozen=True, eq=False)

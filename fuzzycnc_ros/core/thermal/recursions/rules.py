@@ -12,9 +12,10 @@ import numpy as np
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.document import Node
 from fuzzycnc_ros.core.fuzzy.takagi_sugeno import log_firing, normalised_firing
-from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_shapes
-from fuzzycnc_ros.core.thermal.recursions.composed import (
+from fuzzycnc_ros.core.thermal.recursions.base import (
     ParallelRecursion,
+    Recursion,
+    check_shapes,
     combine,
     read_recursion,
     write_recursion,

@@ -12,16 +12,15 @@ from hypothesis import strategies as st
 from fuzzycnc_ros.core.document import ModelFileError, Node
 from fuzzycnc_ros.core.thermal.fit.anfis import Anfis, GreyAnfis, mahalanobis
 from fuzzycnc_ros.core.thermal.fit.linear import ridge_solution
-from fuzzycnc_ros.core.thermal.recursions import (
-    CorrectedRecursion,
+from fuzzycnc_ros.core.thermal.recursions.base import (
     LinearRecursion,
     ParallelRecursion,
-    RulesRecursion,
     Stream,
     combine,
     read_recursion,
     write_recursion,
 )
+from fuzzycnc_ros.core.thermal.recursions.rules import CorrectedRecursion, RulesRecursion
 
 
 def warm_up(samples=150, inputs=2, seed=0):
@@ -328,7 +327,7 @@ def test_rules_run_without_the_estimators():
     """What a node loads to run a model leaves scikit-learn alone."""
     program = """
 import sys
-from fuzzycnc_ros.core.thermal.recursions import CorrectedRecursion, RulesRecursion
+from fuzzycnc_ros.core.thermal.recursions.rules import CorrectedRecursion, RulesRecursion
 print('sklearn' in sys.modules)
 """
     done = subprocess.run(

@@ -10,15 +10,14 @@ import pytest
 
 from fuzzycnc_ros.core.document import ModelFileError, Node
 from fuzzycnc_ros.core.thermal.fit.baselines import GaussianProcess, Mlp
-from fuzzycnc_ros.core.thermal.recursions import (
-    KernelRecursion,
-    LayersRecursion,
+from fuzzycnc_ros.core.thermal.recursions.base import (
     ParallelRecursion,
     Stream,
     combine,
     read_recursion,
     write_recursion,
 )
+from fuzzycnc_ros.core.thermal.recursions.kernel import KernelRecursion, LayersRecursion
 
 processes = pytest.importorskip('sklearn.gaussian_process')
 networks = pytest.importorskip('sklearn.neural_network')
@@ -290,7 +289,7 @@ sys.modules['sklearn'] = None
 import numpy as np
 from fuzzycnc_ros.core.thermal.fit.baselines import GaussianProcess, Mlp
 from fuzzycnc_ros.core.document import Node
-from fuzzycnc_ros.core.thermal.recursions import read_recursion
+from fuzzycnc_ros.core.thermal.recursions.base import read_recursion
 content = json.load(open({str(file)!r}))
 rise = np.array(content['rise'])
 for document, expected in content['models'].values():

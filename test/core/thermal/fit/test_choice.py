@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.thermal import ThermalDataError
+from fuzzycnc_ros.core.thermal.band import better, worth_using
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED, Candidate
-from fuzzycnc_ros.core.thermal.chance import better, worth_using
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.fit.candidates import JudgedCandidate, preferred, unseen_residual
 from fuzzycnc_ros.core.thermal.fit.comparison import judge, splits
 from fuzzycnc_ros.core.thermal.fit.training_set import TrainingSet
 from fuzzycnc_ros.core.thermal.moments import Fold
-from fuzzycnc_ros.core.thermal.recursions import LinearRecursion
+from fuzzycnc_ros.core.thermal.recursions.base import LinearRecursion
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 PLAIN = ('static_ridge', 'lag_ridge', 'stable_grey')

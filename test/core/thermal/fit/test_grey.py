@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.thermal.fit import GreyModel
 from fuzzycnc_ros.core.thermal.fit.grey import KINDS
-from fuzzycnc_ros.core.thermal.recursions import first_order_lags
+from fuzzycnc_ros.core.thermal.recursions.base import first_order_lags
 
 
 def dynamic_data(pole=0.9, samples=150, inputs=2, seed=0, noise=0.0):

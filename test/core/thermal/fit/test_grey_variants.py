@@ -11,14 +11,14 @@ from scipy.integrate import trapezoid
 from fuzzycnc_ros.core.document import ModelFileError, Node
 from fuzzycnc_ros.core.thermal.fit import GreyModel
 from fuzzycnc_ros.core.thermal.fit.grey import CONSTANTS, GreyCoefficients, regression
-from fuzzycnc_ros.core.thermal.recursions import (
-    DifferencedGreyRecursion,
+from fuzzycnc_ros.core.thermal.recursions.base import (
     ParallelRecursion,
     Stream,
     combine,
     read_recursion,
     write_recursion,
 )
+from fuzzycnc_ros.core.thermal.recursions.grey import DifferencedGreyRecursion
 
 VARIANTS = ('convolution', 'optimised', 'discrete')
 

@@ -10,14 +10,15 @@ from hypothesis import strategies as st
 from fuzzycnc_ros.core.document import ModelFileError, Node
 from fuzzycnc_ros.core.thermal.fit.filters import fit_filter, past
 from fuzzycnc_ros.core.thermal.fit.tanh_network import TanhNetwork, train_network
-from fuzzycnc_ros.core.thermal.recursions import (
+from fuzzycnc_ros.core.thermal.recursions.base import (
+    BoundedRecursion,
     LinearRecursion,
     Stream,
+    bound_of,
     combine,
     read_recursion,
     write_recursion,
 )
-from fuzzycnc_ros.core.thermal.recursions.composed import BoundedRecursion, bound_of
 from fuzzycnc_ros.core.thermal.recursions.filters import (
     FilterNetworkRecursion,
     MovingAverageRecursion,

@@ -19,8 +19,7 @@ from fuzzycnc_ros.core.thermal.fit.grey import GreyModel
 from fuzzycnc_ros.core.thermal.fit.hybrid import HybridFilterNetwork
 from fuzzycnc_ros.core.thermal.fit.linear import LagRidge, LeastSquares, StaticRidge
 from fuzzycnc_ros.core.thermal.fit.rivals import Arma, DynamicNetwork, LinearNetwork, StaticNetwork
-from fuzzycnc_ros.core.thermal.recursions import combine
-from fuzzycnc_ros.core.thermal.recursions.composed import BoundedRecursion, bound_of
+from fuzzycnc_ros.core.thermal.recursions.base import BoundedRecursion, bound_of, combine
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 from fuzzycnc_ros.simulation.thermal.grinder_runs import record_flux_case, record_grinder
 

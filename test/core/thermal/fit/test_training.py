@@ -25,7 +25,7 @@ from fuzzycnc_ros.core.thermal.fit.folds import (
 )
 from fuzzycnc_ros.core.thermal.fit.refinement import REFINE_SWEEPS
 from fuzzycnc_ros.core.thermal.ranking import grey_relational_grade
-from fuzzycnc_ros.core.thermal.recursions import first_order_lags
+from fuzzycnc_ros.core.thermal.recursions.base import first_order_lags
 
 PARTS = (300.0, 1800.0, 14400.0)
 SENSORS = (*(f'{part}{number}' for part in 'ABC' for number in range(4)), 'cold')
