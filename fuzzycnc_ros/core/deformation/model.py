@@ -91,10 +91,10 @@ class Antecedent:
 
     def support(self, scaled: Array) -> Array:
         """Return the logarithm of the summed fitness, shape (k,): how well rules cover inputs."""
-        return log_sum(self.log_fitness(scaled))
+        return _log_sum(self.log_fitness(scaled))
 
 
-def log_sum(logarithm: Array) -> Array:
+def _log_sum(logarithm: Array) -> Array:
     """Return the logarithm of the sum over the last axis of values given by their logarithms."""
     largest = logarithm.max(axis=-1, keepdims=True)
     return np.asarray(largest[..., 0] + np.log(np.exp(logarithm - largest).sum(axis=-1)))

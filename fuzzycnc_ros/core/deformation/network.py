@@ -62,7 +62,7 @@ held-out error, mean of data seeds 20 to 29, 0.287 instead of 0.277 mm.
 
 
 @dataclass(frozen=True)
-class Recipe:
+class _Recipe:
     """Settings of a training, as of `TSFuzzyNetwork`; no `training` stands for linear rules."""
 
     training: Method | None
@@ -78,7 +78,7 @@ class Recipe:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class _Rows:
     """Samples of features.
 
     Parameters
@@ -95,9 +95,9 @@ class Rows:
     output: Array
     load: Array
 
-    def take(self, rows: NDArray[np.bool_]) -> 'Rows':
+    def take(self, rows: NDArray[np.bool_]) -> '_Rows':
         """Return some of the samples."""
-        return Rows(self.inputs[rows], self.output[rows], self.load[rows])
+        return _Rows(self.inputs[rows], self.output[rows], self.load[rows])
 
     def square_error(self, network: RuleNetwork) -> float:
         """Return the sum of squared errors of the compensations."""
@@ -106,7 +106,7 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class Clustered:
+class _Clustered:
     """Rules found in samples, and the samples scaled for training.
 
     Parameters
@@ -131,7 +131,7 @@ class Clustered:
     problems: tuple[str, ...]
 
 
-def cluster(rows: Rows, recipe: Recipe, rng: np.random.Generator) -> Clustered:
+def cluster(rows: _Rows, recipe: _Recipe, rng: np.random.Generator) -> _Clustered:
     """Return rules from a clustering of inputs and outputs joined, sections 3.1 to 3.3."""
     scaled, input_scale = _standardised(rows.inputs)
     output, output_scale = _standardised(rows.output)
@@ -170,7 +170,7 @@ def cluster(rows: Rows, recipe: Recipe, rng: np.random.Generator) -> Clustered:
     )
     extended = np.concatenate([np.ones((len(scaled), 1)), scaled], axis=1)
     fitness = antecedent.fitness(scaled)
-    return Clustered(
+    return _Clustered(
         antecedent,
         [Samples(extended, fitness, target) for target in output.T],
         input_scale,
@@ -180,7 +180,9 @@ def cluster(rows: Rows, recipe: Recipe, rng: np.random.Generator) -> Clustered:
     )
 
 
-def train(rules: Clustered, recipe: Recipe, ridge: float, rng: np.random.Generator) -> RuleNetwork:
+def train(
+    rules: _Clustered, recipe: _Recipe, ridge: float, rng: np.random.Generator
+) -> RuleNetwork:
     """Return the rules with trained consequents, in the units of the samples."""
     mean, deviation = rules.input_scale
     inner, outer = [], []
@@ -213,10 +215,10 @@ def train(rules: Clustered, recipe: Recipe, ridge: float, rng: np.random.Generat
     return RuleNetwork(antecedent, np.stack(inner) if inner else None, weights, center)
 
 
-def choose_ridge(
-    rows: Rows,
+def _choose_ridge(
+    rows: _Rows,
     held_out: Sequence[NDArray[np.bool_]],
-    recipe: Recipe,
+    recipe: _Recipe,
     ridges: Sequence[float],
     seed: int,
 ) -> float:
@@ -227,11 +229,11 @@ def choose_ridge(
 
     Parameters
     ----------
-    rows : Rows
+    rows : _Rows
         All samples.
     held_out : sequence of ndarray of bool, each of shape (k,)
         The parts.
-    recipe : Recipe
+    recipe : _Recipe
         Settings.
     ridges : sequence of float
         Penalties, in order.
@@ -457,7 +459,7 @@ class TSFuzzyNetwork(RegressionEstimator):
         if not columns:
             raise TooFewSamplesError('x: expected samples that differ, but found only equal rows')
         weight = load(*rows[:, [1, 3, 4]].T) if features.loaded else np.ones(len(rows))
-        samples = Rows(inputs[:, varies], target / weight[:, np.newaxis], weight)
+        samples = _Rows(inputs[:, varies], target / weight[:, np.newaxis], weight)
         self._check_enough(samples, np.ones(len(rows), bool))
         rng = np.random.default_rng(self.random_state)
         recipe = self._recipe()
@@ -505,7 +507,7 @@ class TSFuzzyNetwork(RegressionEstimator):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f'{name}: expected more than 0, but found {getattr(self, name)}')
 
-    def _check_enough(self, samples: Rows, taken: NDArray[np.bool_]) -> None:
+    def _check_enough(self, samples: _Rows, taken: NDArray[np.bool_]) -> None:
         """Refuse samples in which there are fewer different ones than rules."""
         joined = np.column_stack([samples.inputs, samples.output])[taken]
         found = len(np.unique(joined, axis=0))
@@ -516,8 +518,8 @@ class TSFuzzyNetwork(RegressionEstimator):
                 f'those that are held out, but found {found}; record more'
             )
 
-    def _recipe(self) -> Recipe:
-        return Recipe(
+    def _recipe(self) -> _Recipe:
+        return _Recipe(
             training=self.training if self.consequent == 'nts' else None,
             n_rules=self.n_rules,
             hidden=self.hidden,
@@ -530,7 +532,7 @@ class TSFuzzyNetwork(RegressionEstimator):
         )
 
     def _chosen_ridge(
-        self, samples: Rows, group: NDArray[np.int64], recipe: Recipe, rng: np.random.Generator
+        self, samples: _Rows, group: NDArray[np.int64], recipe: _Recipe, rng: np.random.Generator
     ) -> float:
         if self.ridge != 'cv':
             return float(self.ridge)
@@ -543,4 +545,4 @@ class TSFuzzyNetwork(RegressionEstimator):
             )
         for part in held_out:
             self._check_enough(samples, ~part)
-        return choose_ridge(samples, held_out, recipe, RIDGES, int(rng.integers(2**32)))
+        return _choose_ridge(samples, held_out, recipe, RIDGES, int(rng.integers(2**32)))

@@ -30,7 +30,7 @@ _ENDING = re.compile(r'[\r\n]*\Z')
 
 
 @dataclass
-class Figure:
+class _Figure:
     """Stitches from one rapid to the next.
 
     Attributes
@@ -92,7 +92,7 @@ class StitchedProgram:
 
     Attributes
     ----------
-    figures : list of Figure
+    figures : list of _Figure
         The figures.
 
     Raises
@@ -123,7 +123,7 @@ class StitchedProgram:
         units: str = 'mm',
         size: tuple[float, float] | None = None,
     ) -> None:
-        self.figures: list[Figure] = []
+        self.figures: list[_Figure] = []
         self._entries: list[_Entry] = []
         self._step, self._size = step, size
         self._unit, self._absolute, self._cutter = _UNITS[units], True, False
@@ -201,7 +201,7 @@ class StitchedProgram:
         points = self._stitches(block)
         start = np.array(segment.start[:2])
         if not self._open:
-            self.figures.append(Figure([start[np.newaxis]]))
+            self.figures.append(_Figure([start[np.newaxis]]))
             self._open = True
         figure = self.figures[-1]
         figure.points.append(points)

@@ -71,18 +71,18 @@ class HiddenWeights:
         )
 
 
-def linear_regressor(samples: Samples) -> Array:
+def _linear_regressor(samples: Samples) -> Array:
     """Return the regressor of linear consequents, shape (k, c (n + 1)), rules first."""
     product = samples.fitness[:, :, np.newaxis] * samples.extended[:, np.newaxis]
     return product.reshape(len(product), -1)
 
 
-def hidden_regressor(hidden: Array, fitness: Array) -> Array:
+def _hidden_regressor(hidden: Array, fitness: Array) -> Array:
     """Return the regressor of w_jk, shape (k, m c), from hidden outputs (k, m)."""
     return (hidden[:, :, np.newaxis] * fitness[:, np.newaxis]).reshape(len(hidden), -1)
 
 
-def ridge_solution(regressor: Array, target: Array, ridge: float) -> Array:
+def _ridge_solution(regressor: Array, target: Array, ridge: float) -> Array:
     """Return what minimises 1/2 |A w - b|^2 + ridge/2 |w|^2."""
     normal = regressor.T @ regressor
     normal.flat[:: len(normal) + 1] += ridge
@@ -94,7 +94,7 @@ def ridge_solution(regressor: Array, target: Array, ridge: float) -> Array:
 
 def linear_weights(samples: Samples, ridge: float) -> Array:
     """Return linear consequents p, shape (c, n + 1), by ridge regression."""
-    solution = ridge_solution(linear_regressor(samples), samples.target, ridge)
+    solution = _ridge_solution(_linear_regressor(samples), samples.target, ridge)
     return solution.reshape(samples.fitness.shape[1], -1)
 
 
@@ -130,13 +130,13 @@ def gradient(hidden: Array, pull: Array, error: Array, samples: Samples) -> tupl
     return slope.T @ samples.extended, outer
 
 
-def jacobian(weights: HiddenWeights, samples: Samples) -> tuple[Array, Array]:
+def _jacobian(weights: HiddenWeights, samples: Samples) -> tuple[Array, Array]:
     """Return the errors (k,) and their derivatives by all weights, shape (k, m (n + 1) + m c)."""
     hidden = expit(samples.extended @ weights.inner.T)
     pull = samples.fitness @ weights.outer.T
     slope = hidden * (1.0 - hidden) * pull
     inner = (slope[:, :, np.newaxis] * samples.extended[:, np.newaxis]).reshape(len(slope), -1)
-    outer = hidden_regressor(hidden, samples.fitness)
+    outer = _hidden_regressor(hidden, samples.fitness)
     error = (hidden * pull).sum(axis=1) - samples.target
     return error, np.concatenate([inner, outer], axis=1)
 
@@ -213,8 +213,8 @@ def project(
     shape = start.inner.shape
 
     def outer_of(hidden: Array) -> Array:
-        regressor = hidden_regressor(hidden, samples.fitness)
-        return ridge_solution(regressor, samples.target, ridge).reshape(start.outer.shape)
+        regressor = _hidden_regressor(hidden, samples.fitness)
+        return _ridge_solution(regressor, samples.target, ridge).reshape(start.outer.shape)
 
     def cost(flat: Array) -> tuple[float, Array]:
         inner = flat.reshape(shape)
@@ -273,7 +273,7 @@ def levenberg_marquardt(
     weights, damping = start, 1e-2
     cost, _ = cost_and_gradient(weights, samples, ridge)
     for _ in range(iterations):
-        error, derivative = jacobian(weights, samples)
+        error, derivative = _jacobian(weights, samples)
         flat = weights.flat()
         normal = derivative.T @ derivative + ridge * np.eye(flat.size)
         slope = derivative.T @ error + ridge * flat

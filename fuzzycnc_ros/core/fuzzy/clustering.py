@@ -53,7 +53,7 @@ class FuzzyPartition(ClusterEstimator, ABC):
         """
         check_fitted(self, 'cluster_centers_')
         samples = check_features(self, X, reset=False)
-        return np.asarray(memberships_by_distance(self._squared_distances(samples), self.m).T)
+        return np.asarray(_memberships_by_distance(self._squared_distances(samples), self.m).T)
 
     def predict(self, X: ArrayLike) -> NDArray[np.int64]:  # noqa: N803
         """Return the cluster of highest membership of each sample, shape (n,)."""
@@ -100,7 +100,7 @@ class FuzzyPartition(ClusterEstimator, ABC):
         self.n_iter_ = len(history)
 
 
-def memberships_by_distance(distance: Array, m: float) -> Array:
+def _memberships_by_distance(distance: Array, m: float) -> Array:
     """Return memberships by squared distances (..., c, n); method sheet 001 eq. (7)."""
     nearness = distance.min(axis=-2, keepdims=True) / distance
     if m != 2.0:
@@ -232,7 +232,7 @@ def _iterate(
         weight = membership**m
         centers = weight @ points / weight.sum(axis=2, keepdims=True)
         distance = _squared_distance(points, centers)
-        updated = memberships_by_distance(distance, m)
+        updated = _memberships_by_distance(distance, m)
         objective = np.einsum('rcn,rcn->r', updated**m, distance)
         change = np.abs(updated - membership).max(axis=(1, 2))
         membership = updated
@@ -484,7 +484,7 @@ def _iterate_with_norms(
     """Alternate the equations of section 3.1 from centres (r, c, p); return the best start."""
     apart = points - seeds[:, :, np.newaxis]
     distance = (apart**2).sum(axis=-1)
-    membership = memberships_by_distance(np.maximum(distance, DISTANCE_MIN), m)
+    membership = _memberships_by_distance(np.maximum(distance, DISTANCE_MIN), m)
     starts = len(seeds)
     active = np.arange(starts)
     history: list[list[float]] = [[] for _ in range(starts)]
@@ -497,7 +497,7 @@ def _iterate_with_norms(
         scatter = (weight[..., np.newaxis] * apart).swapaxes(-1, -2) @ apart
         factor = _norm_factor((1.0 - share) * scatter / total[..., np.newaxis] + mixed)
         distance = np.maximum(((apart @ factor) ** 2).sum(axis=-1), DISTANCE_MIN)
-        updated = memberships_by_distance(distance, m)
+        updated = _memberships_by_distance(distance, m)
         objective = (updated**m * distance).sum(axis=(1, 2))
         change = np.abs(updated - membership).max(axis=(1, 2))
         for at, start in enumerate(active):

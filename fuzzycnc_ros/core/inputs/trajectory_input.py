@@ -126,7 +126,7 @@ class Motion:
         return known[-2:], self.velocity[committed - 1]
 
 
-def refused_by_content(part: TrajectoryPart, axes: Sequence[str]) -> str:
+def _refused_by_content(part: TrajectoryPart, axes: Sequence[str]) -> str:
     """Say why names, sizes, counts or numbers of a part make no motion; empty if they do."""
     if not part.axis:
         return f'axis: expected names among {", ".join(axes)} but found none'
@@ -166,7 +166,7 @@ def refused_by_content(part: TrajectoryPart, axes: Sequence[str]) -> str:
     return ''
 
 
-def refused_by_joint(motion: Motion, axes: Sequence[str], config: TrajectoryInputConfig) -> str:
+def _refused_by_joint(motion: Motion, axes: Sequence[str], config: TrajectoryInputConfig) -> str:
     """Say where the first sample does not go on from what is commanded before it."""
     period = config.period
     push = _ROOM * config.acceleration_max * period
@@ -190,7 +190,7 @@ def refused_by_joint(motion: Motion, axes: Sequence[str], config: TrajectoryInpu
     return ''
 
 
-def refused_by_limits(motion: Motion, axes: Sequence[str], config: TrajectoryInputConfig) -> str:
+def _refused_by_limits(motion: Motion, axes: Sequence[str], config: TrajectoryInputConfig) -> str:
     """Say where a motion passes the limits of an axis, up to rest behind its last sample."""
     period = config.period
     top, push = _ROOM * config.velocity_max, _ROOM * config.acceleration_max * period
@@ -472,12 +472,12 @@ class TrajectoryInput:
         refusal = (
             self._refused_by_owner(part)  # check 2
             or self._refused_by_order(part)  # check 3
-            or refused_by_content(part, self._axes)  # check 4
+            or _refused_by_content(part, self._axes)  # check 4
             or self._refused_by_time(part)  # check 5
         )
         if not refusal:
             motion = self._motion(part)
-            refusal = refused_by_joint(motion, self._axes, self._config) or refused_by_limits(
+            refusal = _refused_by_joint(motion, self._axes, self._config) or _refused_by_limits(
                 motion, self._axes, self._config
             )  # checks 6 and 7
         self._refusal = refusal

@@ -63,7 +63,7 @@ Of twelve axes with two masses, drawn at random (40 to 300 Hz, damping 3 to 10 %
 """
 
 
-class LinearSurface(ContractedSurface):
+class _LinearSurface(ContractedSurface):
     """The tangent of the contracted surface at the target: proportional and derivative action."""
 
     def duty(self, error: ArrayLike, rate: ArrayLike) -> Array:
@@ -79,17 +79,17 @@ class LinearSurface(ContractedSurface):
         return lambda error, rate: per_error * error + per_rate * rate
 
 
-class LinearTangentController(FrictionFedController):
+class _LinearTangentController(FrictionFedController):
     """The variable-universe controller with the tangent of its surface: linear state feedback.
 
     It is what the rules come down to near the target; parameters as `FrictionFedController`.
     """
 
-    def _on_universes(self) -> LinearSurface:
-        return LinearSurface(self.params, self._direction)
+    def _on_universes(self) -> _LinearSurface:
+        return _LinearSurface(self.params, self._direction)
 
 
-class FrictionFedCascade(CascadeController):
+class _FrictionFedCascade(CascadeController):
     """The cascade with the friction of the reference's motion fed forward.
 
     Parameters
@@ -124,7 +124,7 @@ class FrictionFedCascade(CascadeController):
         super()._bridge(duty - self._friction)
 
 
-class FrictionFedPid(PidController):
+class _FrictionFedPid(PidController):
     """The PID with velocity, acceleration and friction of the reference fed forward.
 
     Parameters
@@ -214,7 +214,7 @@ def _variable_universe(data: AxisData, settings: Mapping[str, float]) -> AxisCon
 
 
 def _linear_tangent(data: AxisData, settings: Mapping[str, float]) -> AxisController:
-    return _friction_fed(LinearTangentController, data, settings)
+    return _friction_fed(_LinearTangentController, data, settings)
 
 
 def _friction_fed(
@@ -245,7 +245,7 @@ def _cascade(data: AxisData, settings: Mapping[str, float]) -> AxisController:
     axis, common = _common(data)
     bandwidth, observer = _bandwidths(data, axis, settings)
     damping = _damping(axis, bandwidth, settings)
-    return FrictionFedCascade(
+    return _FrictionFedCascade(
         axis,
         _reference_friction(data, axis),
         position_gain=0.5 * bandwidth / damping,
@@ -261,7 +261,7 @@ def _pid(data: AxisData, settings: Mapping[str, float]) -> AxisController:
     bandwidth, estimator = _bandwidths(data, axis, settings)
     lag, gain = velocity_lag(axis), abs(axis.gain)
     proportional = bandwidth**2 * lag / gain
-    return FrictionFedPid(
+    return _FrictionFedPid(
         axis,
         _reference_friction(data, axis),
         proportional=proportional,

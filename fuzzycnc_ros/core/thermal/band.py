@@ -178,11 +178,11 @@ class Band:
             Standard deviation [m], the larger one of both.
         """
         ratio = np.asarray(distance, dtype=np.float64)[..., np.newaxis]
-        own = widening(ratio, self.growth) * self.deviation
+        own = _widening(ratio, self.growth) * self.deviation
         return np.asarray(own if claimed is None else np.fmax(own, claimed))
 
 
-def widening(distance: Array, growth: float) -> Array:
+def _widening(distance: Array, growth: float) -> Array:
     """Return the factor on the deviation at a distance from the training [-], 1 or more."""
     return np.maximum(1.0, growth * distance)
 
@@ -211,7 +211,7 @@ def fitted_band(residual: Array, distance: Array, folds: int) -> Band:
        113(523), 2018, pp. 1094-1111, doi:10.1080/01621459.2017.1307116.
     """
     bands = [
-        Band(held_out_deviation(residual / widening(distance, growth)[:, np.newaxis]), growth)
+        Band(held_out_deviation(residual / _widening(distance, growth)[:, np.newaxis]), growth)
         for growth in GROWTHS
     ]
     surprise = [_surprise(residual, band.at(distance)) for band in bands]

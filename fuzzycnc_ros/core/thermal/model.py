@@ -126,7 +126,7 @@ class ThermalModel:
             If a part contradicts another; the message names it.
         """
         check_interval(self.interval)
-        check_parts(self)
+        _check_parts(self)
         names = set(self.default)
         if len(names) == 1:
             recursion = self.candidates[names.pop()].recursion
@@ -143,7 +143,7 @@ class ThermalModel:
 
     def to_json(self) -> str:
         """Return the model as a JSON document; equal models give equal text."""
-        return write_document(self)
+        return _write_document(self)
 
     @staticmethod
     def from_json(text: str) -> 'ThermalModel':
@@ -154,10 +154,10 @@ class ThermalModel:
         ModelFileError
             If it is no usable model; the message says where and why.
         """
-        fields = read_document(text)
+        fields = _read_document(text)
         try:
             model = ThermalModel(**fields)
-            check_output(model)
+            _check_output(model)
         except ValueError as error:
             raise ModelFileError(f'model file: {error}') from error
         return model
@@ -428,7 +428,7 @@ class ThermalModel:
         return replace(self, interval=interval, candidates=candidates, omitted=omitted)
 
 
-def check_parts(model: 'ThermalModel') -> None:
+def _check_parts(model: 'ThermalModel') -> None:
     """Refuse parts that contradict each other.
 
     Raises
@@ -492,7 +492,7 @@ def check_parts(model: 'ThermalModel') -> None:
             )
 
 
-def check_output(model: 'ThermalModel') -> None:
+def _check_output(model: 'ThermalModel') -> None:
     """Refuse numbers that are finite one by one, but of which no finite prediction follows.
 
     Raises
@@ -565,7 +565,7 @@ SIZE_MAX = 16 * 1024 * 1024
 """Largest model file that is read [characters]; 76 inputs with all candidates take 3.6 million."""
 
 
-def write_document(model: 'ThermalModel') -> str:
+def _write_document(model: 'ThermalModel') -> str:
     """Return the model as a JSON document; equal models give equal text."""
     document = {
         'schema': SCHEMA,
@@ -611,13 +611,13 @@ def write_document(model: 'ThermalModel') -> str:
     return json.dumps(document, allow_nan=False) + '\n'
 
 
-def read_document(text: str) -> dict[str, Any]:
+def _read_document(text: str) -> dict[str, Any]:
     """Return the fields of the `ThermalModel` that a JSON document describes.
 
     Parameters
     ----------
     text : str
-        Text that `write_document` returned.
+        Text that `_write_document` returned.
 
     Returns
     -------

@@ -118,7 +118,7 @@ def half_rise_time(time: Array, temperature: Array) -> float:
     return np.nan
 
 
-class Turned(NamedTuple):
+class _Turned(NamedTuple):
     """A channel that moves with the temperatures in some runs and against them in others.
 
     Parameters
@@ -137,7 +137,7 @@ class Turned(NamedTuple):
     others: dict[str, float]
 
 
-def turned_channels(runs: Sequence[ThermalRun]) -> Iterator[Turned]:
+def turned_channels(runs: Sequence[ThermalRun]) -> Iterator[_Turned]:
     """Yield the channels whose sign differs between runs of one machine.
 
     The sign is that of the correlation with the mean rise of all sensors; runs in which it tells
@@ -149,7 +149,7 @@ def turned_channels(runs: Sequence[ThermalRun]) -> Iterator[Turned]:
         falling = {name: value for name, value in told.items() if value < 0.0}
         rising = {name: value for name, value in told.items() if value > 0.0}
         if falling and rising:
-            yield Turned(channel, *sorted((falling, rising), key=len))
+            yield _Turned(channel, *sorted((falling, rising), key=len))
 
 
 def _correlation(run: ThermalRun, channel: str) -> float:

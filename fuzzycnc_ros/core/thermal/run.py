@@ -19,7 +19,7 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.names import repeated_names
 
 
-def even_blocks(
+def _even_blocks(
     time: Array, values: Array, interval: float, jitter_max: float
 ) -> tuple[Array, Array] | None:
     """Return readings in even blocks of one interval each.
@@ -64,7 +64,7 @@ def even_blocks(
     return grid[block - 1 :: block], even.reshape(blocks, block, values.shape[1])
 
 
-def mean_of_measured(values: Array) -> Array:
+def _mean_of_measured(values: Array) -> Array:
     """Return the mean over axis 1 of what is not NaN, NaN where nothing is."""
     measured = np.isfinite(values)
     count = measured.sum(axis=1)
@@ -72,13 +72,13 @@ def mean_of_measured(values: Array) -> Array:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def mean_of_most(values: Array) -> Array:
+def _mean_of_most(values: Array) -> Array:
     """Return the mean over axis 1 of what is not NaN, NaN unless that is more than half."""
     enough = 2 * np.isfinite(values).sum(axis=1) > values.shape[1]
-    return np.where(enough, mean_of_measured(values), np.nan)
+    return np.where(enough, _mean_of_measured(values), np.nan)
 
 
-def gaps_of(values: Array) -> Iterator[tuple[int, int, int]]:
+def _gaps_of(values: Array) -> Iterator[tuple[int, int, int]]:
     """Yield column, first and last row of each stretch of NaN in values (n, w)."""
     for column, readings in enumerate(values.T):
         lost = np.concatenate([[False], np.isnan(readings), [False]])
@@ -113,7 +113,7 @@ def bridged(time: Array, values: Array, longest: float, free: float, begin: int)
         `values` itself where nothing was filled.
     """
     filled = values
-    for column, first, last in gaps_of(values):
+    for column, first, last in _gaps_of(values):
         before, behind = max(first - 1, 0), min(last + 1, len(time) - 1)
         head = values[:begin, column]
         too_long = time[behind] - time[before] > longest and time[behind] > free
@@ -294,7 +294,7 @@ class ThermalRun:
 
         NaN for one that read nothing.
         """
-        return np.asarray(mean_of_measured(self.temperature[np.newaxis, :REFERENCE_SAMPLES])[0])
+        return np.asarray(_mean_of_measured(self.temperature[np.newaxis, :REFERENCE_SAMPLES])[0])
 
     def rise(self, reference: ArrayLike | None = None) -> NDArray[np.float64]:
         """Return temperature minus reference.
@@ -389,7 +389,7 @@ class ThermalRun:
         columns = [self.temperature, self.displacement]
         if self.spindle_speed is not None:
             columns.append(self.spindle_speed[:, np.newaxis])
-        even = even_blocks(self.time, np.hstack(columns), interval, JITTER_MAX)
+        even = _even_blocks(self.time, np.hstack(columns), interval, JITTER_MAX)
         if even is None:
             return self
         time, values = even
@@ -403,12 +403,12 @@ class ThermalRun:
         return replace(
             self,
             time=time,
-            temperature=mean_of_most(temperature),
-            displacement=mean_of_measured(displacement),
+            temperature=_mean_of_most(temperature),
+            displacement=_mean_of_measured(displacement),
             spindle_speed=None
             if self.spindle_speed is None
             # Heat goes with the square of the speed, and so must its mean.
-            else np.sqrt(mean_of_measured(speed**2))[:, 0],
+            else np.sqrt(_mean_of_measured(speed**2))[:, 0],
         )
 
     def bridged(self) -> 'ThermalRun':
@@ -461,7 +461,7 @@ class ThermalRun:
                 float(self.time[max(first - 1, 0)]),
                 float(self.time[min(last + 1, end)]),
             )
-            for column, first, last in gaps_of(self.temperature)
+            for column, first, last in _gaps_of(self.temperature)
         )
 
     def window(self, start: float | None = None, stop: float | None = None) -> 'ThermalRun':

@@ -110,15 +110,15 @@ def moment_of(rise: Array) -> Array:
     return np.asarray(rise.T @ rise)
 
 
-def scale_of(moment: Array) -> Array:
+def _scale_of(moment: Array) -> Array:
     """Return the root mean square of each sensor's rise, 1 for one that never rose, shape (s,)."""
     scale = np.sqrt(np.diag(moment))
     return np.where(scale > 0.0, scale, 1.0)
 
 
-def ranked_mates(moment: Array, target: int, usable: Indices) -> Indices:
+def _ranked_mates(moment: Array, target: int, usable: Indices) -> Indices:
     """Return the usable sensors but the target, the one most alike first."""
-    alike = moment[target] / scale_of(moment)
+    alike = moment[target] / _scale_of(moment)
     mates = usable[usable != target]
     return np.asarray(mates[np.argsort(-alike[mates], kind='stable')])
 
@@ -135,7 +135,7 @@ def mate_weights(moment: Array, target: int, mates: Indices) -> Array:
     mates : ndarray of int, shape (k,)
         Sensors to estimate it from.
     """
-    scale = scale_of(moment)[mates]
+    scale = _scale_of(moment)[mates]
     alike = moment[np.ix_(mates, mates)] / np.outer(scale, scale)
     own = moment[target, mates] / scale
     return np.asarray(np.linalg.solve(alike + RIDGE * np.eye(len(mates)), own) / scale)
@@ -171,7 +171,7 @@ def voter_weights(moment: Array, targets: Indices, usable: Indices) -> Array:
     """
     weights = np.zeros((VOTERS, len(targets), len(moment)))
     for row, target in enumerate(targets):
-        mates = ranked_mates(moment, int(target), usable)
+        mates = _ranked_mates(moment, int(target), usable)
         if len(mates) < VOTERS:
             weights[:, row] = np.nan
             continue
@@ -213,7 +213,7 @@ class Leverage:
     """
 
     def __init__(self, moment: Array, targets: Indices, usable: Indices) -> None:
-        scale = scale_of(moment)[usable]
+        scale = _scale_of(moment)[usable]
         alike = moment[np.ix_(usable, usable)] / np.outer(scale, scale)
         inverse = np.linalg.inv(alike + LEVERAGE_RIDGE * np.eye(len(usable)))
         self.metric = np.zeros_like(moment)
@@ -569,6 +569,6 @@ class MateEstimate:
     def _weigh(self, number: int, usable: NDArray[np.bool_]) -> tuple[Indices, Array, float]:
         """Return the mates of an input, best first, their weights, and what they miss [K]."""
         moment, target = self._model.moment, int(self._columns[number])
-        mates = ranked_mates(moment, target, np.flatnonzero(usable))
+        mates = _ranked_mates(moment, target, np.flatnonzero(usable))
         weights = mate_weights(moment, target, mates)
         return mates, weights, unexplained(moment, target, mates, weights)

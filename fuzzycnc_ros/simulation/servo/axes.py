@@ -175,7 +175,7 @@ _BLOCK = 1024
 """Samples of noise that are drawn in one go."""
 
 
-class SensorNoise:
+class _SensorNoise:
     """Normal samples of unit variance from a seed, one at a time.
 
     Parameters
@@ -226,7 +226,7 @@ class PositionSensor:
         self._changes = round(config.count_change_time / period)
         self._fails = round(config.dropout_time / period)
         self._recovers = self._fails + round(config.dropout_duration / period)
-        self._source = SensorNoise(config.seed)
+        self._source = _SensorNoise(config.seed)
         self._noise = config.noise * self._source.draw()
 
     def read(self, position: float) -> float:
@@ -282,7 +282,7 @@ class PositionSensors:
         self._pitch = np.where(encoder, column('pitch_error'), 0.0)
         self._turns = 2.0 * pi / column('screw_lead')
         self._amplitude = column('noise')
-        self._sources = [SensorNoise(config.seed) for config in configs]
+        self._sources = [_SensorNoise(config.seed) for config in configs]
         self._ahead = self._block()
 
     def read(self, position: Array) -> Array:

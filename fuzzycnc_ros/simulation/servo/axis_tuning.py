@@ -47,12 +47,12 @@ _PER_FAULT = 100.0
 Progress = Callable[[int, int], None]
 """Told how many generations are done, and how many there are."""
 
-Plant = Callable[['AxisCase'], AxisPlant]
+Plant = Callable[['_AxisCase'], AxisPlant]
 """Makes the axis that a case is driven on."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxisCase:
+class _AxisCase:
     """A way there and back, with what is off against the nominal axis.
 
     Parameters
@@ -83,7 +83,7 @@ class AxisCase:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxisFigures:
+class _AxisFigures:
     """What a controller did in a case.
 
     Attributes
@@ -114,7 +114,7 @@ class TunedController:
         Cost on the cases of the search [m]; infinite without one.
     trials : int
         Settings that were tried.
-    held_out : tuple of AxisFigures
+    held_out : tuple of _AxisFigures
         Figures on cases that nothing was tuned on.
     held_out_cost : float
         Cost on these [m].
@@ -124,7 +124,7 @@ class TunedController:
     settings: dict[str, float]
     cost: float
     trials: int
-    held_out: tuple[AxisFigures, ...]
+    held_out: tuple[_AxisFigures, ...]
     held_out_cost: float
 
     @property
@@ -155,12 +155,12 @@ class AxisTuning:
     ----------
     controllers : tuple of TunedController
         In the order of `AXIS_CONTROLLERS`, the simplest first.
-    held_out : tuple of AxisCase
+    held_out : tuple of _AxisCase
         What they were judged on.
     """
 
     controllers: tuple[TunedController, ...]
-    held_out: tuple[AxisCase, ...]
+    held_out: tuple[_AxisCase, ...]
 
     @property
     def best(self) -> TunedController:
@@ -178,7 +178,7 @@ class AxisTuning:
         )
 
 
-def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tuple[AxisCase, ...]:
+def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tuple[_AxisCase, ...]:
     """Return the cases of an axis: ways from some counts to half its travel, gains, loads.
 
     Parameters
@@ -199,7 +199,7 @@ def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tupl
     ways = draw.permutation(ways * np.exp(draw.uniform(-0.3, 0.0, len(gains))))
     load = data.limits.load * (1.0 if held_out else 0.9)
     cases = [
-        AxisCase(
+        _AxisCase(
             way=float(way) * (-1.0 if draw.random() < 0.5 else 1.0),
             gain=gain,
             friction=float(draw.uniform(0.6, 1.6)),
@@ -212,7 +212,7 @@ def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tupl
     ]
     if not held_out:
         cases += [
-            AxisCase(
+            _AxisCase(
                 way=0.3 * travel,
                 gain=gain,
                 friction=0.3,
@@ -225,9 +225,9 @@ def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tupl
     return tuple(cases)
 
 
-def drive_case(
-    controller: AxisController, plant: AxisPlant, data: AxisData, case: AxisCase
-) -> AxisFigures:
+def _drive_case(
+    controller: AxisController, plant: AxisPlant, data: AxisData, case: _AxisCase
+) -> _AxisFigures:
     """Drive a case on a plant, and return the figures.
 
     Parameters
@@ -235,10 +235,10 @@ def drive_case(
     controller : AxisController
         The controller, made for the nominal axis.
     plant : AxisPlant
-        The axis as it is in this case, at 0; its load sets in by itself (`load_time`).
+        The axis as it is in this case, at 0; its load sets in by itself (`_load_time`).
     data : AxisData
         Limits of the way.
-    case : AxisCase
+    case : _AxisCase
         Way and pace.
     """
     period = plant.period
@@ -250,27 +250,27 @@ def drive_case(
         plant.drive(controller.step(place, plant.measure(), speed, rise))
         if controller.watch.fault:
             lost = _GIVEN_UP * (data.limits.travel_high - data.limits.travel_low)
-            return AxisFigures(rms=lost, largest=lost, rest=lost, fault=controller.watch.fault)
-    return AxisFigures(
+            return _AxisFigures(rms=lost, largest=lost, rest=lost, fault=controller.watch.fault)
+    return _AxisFigures(
         rms=float(np.sqrt((errors**2).mean())),
         largest=float(np.abs(errors).max()),
         rest=float(np.sqrt((errors[judged] ** 2).mean())),
     )
 
 
-def load_time(data: AxisData, case: AxisCase, period: float) -> float:
+def _load_time(data: AxisData, case: _AxisCase, period: float) -> float:
     """Return when the load of a case sets in: amid the rest before the way back [s]."""
     return REST + _way(data, case, period)[:, 0].size * period + 0.3 * REST
 
 
-def simulated_case(data: AxisData, case: AxisCase) -> AxisPlant:
+def _simulated_case(data: AxisData, case: _AxisCase) -> AxisPlant:
     """Return the axis of the machine file as it is in a case."""
     plant = data.known_plant()
     changes: dict[str, Any] = {
         'gain_factor': case.gain,
         'delay': plant.delay + case.delay,
         'seed': case.seed,
-        'load_time': load_time(data, case, plant.period),
+        'load_time': _load_time(data, case, plant.period),
     }
     if isinstance(plant, LatheAxisConfig):
         changes |= {
@@ -322,7 +322,7 @@ def tune_controller(
     def cost(point: Array) -> float:
         nonlocal tried
         tried += 1
-        return _cost(data, figures_of(data, name, _settings(point), cases))
+        return _cost(data, _figures_of(data, name, _settings(point), cases))
 
     def told(best: Array, convergence: float = 0.0) -> None:
         nonlocal done
@@ -352,11 +352,11 @@ def judged_controller(
 ) -> TunedController:
     """Return a controller with its figures on the held-out cases, without a search."""
     cases = axis_cases(data, held_out=True, seed=seed)
-    figures = figures_of(data, name, settings, cases)
+    figures = _figures_of(data, name, settings, cases)
     return TunedController(name, dict(settings), inf, 0, figures, _cost(data, figures))
 
 
-def tune_axis(
+def _tune_axis(
     data: AxisData, *, seed: int = 0, generations: int = 8, population: int = 6
 ) -> AxisTuning:
     """Tune all controllers of an axis with equal effort, and find which suits it.
@@ -385,13 +385,13 @@ def tune_axis(
     return AxisTuning(tuple(found), axis_cases(data, held_out=True, seed=seed))
 
 
-def figures_of(
+def _figures_of(
     data: AxisData,
     name: str,
     settings: Mapping[str, float],
-    cases: Sequence[AxisCase],
+    cases: Sequence[_AxisCase],
     plant: Plant | None = None,
-) -> tuple[AxisFigures, ...]:
+) -> tuple[_AxisFigures, ...]:
     """Return the figures of a controller on some cases.
 
     Parameters
@@ -402,20 +402,20 @@ def figures_of(
         Of `AXIS_CONTROLLERS`.
     settings : mapping of str to float
         Of `SETTINGS`.
-    cases : sequence of AxisCase
+    cases : sequence of _AxisCase
         What is driven.
     plant : callable, optional
         Makes the axis that is driven, by default the simulated one of the data.
     """
-    made = plant or (lambda case: simulated_case(data, case))
+    made = plant or (lambda case: _simulated_case(data, case))
     with warnings.catch_warnings():
         # What does not settle shows in its figures.
         warnings.simplefilter('ignore', ServoParamsWarning)
         controller = make_axis_controller(data, name, settings)
-        return tuple(drive_case(controller, made(case), data, case) for case in cases)
+        return tuple(_drive_case(controller, made(case), data, case) for case in cases)
 
 
-def case_cost(data: AxisData, figures: AxisFigures) -> float:
+def _case_cost(data: AxisData, figures: _AxisFigures) -> float:
     """Return what a case costs [m]: the geometric mean of its three errors, not below a count."""
     plant = data.known_plant()
     least = max(0.5 * plant.count, plant.noise, 1e-9)
@@ -423,8 +423,8 @@ def case_cost(data: AxisData, figures: AxisFigures) -> float:
     return float(np.exp(np.mean([log(max(error, least)) for error in errors])))
 
 
-def _cost(data: AxisData, figures: Sequence[AxisFigures]) -> float:
-    costs = [case_cost(data, one) for one in figures]
+def _cost(data: AxisData, figures: Sequence[_AxisFigures]) -> float:
+    costs = [_case_cost(data, one) for one in figures]
     if not all(map(isfinite, costs)):
         return inf
     # No accuracy elsewhere makes up for a loop that gives up.
@@ -432,7 +432,7 @@ def _cost(data: AxisData, figures: Sequence[AxisFigures]) -> float:
     return float(np.exp(np.mean(np.log(costs)))) * _PER_FAULT**lost
 
 
-def _logs(figures: Sequence[AxisFigures]) -> Array:
+def _logs(figures: Sequence[_AxisFigures]) -> Array:
     """Return logarithms of the errors of figures, one a case."""
     return np.array(
         [np.mean([log(max(e, 1e-9)) for e in (one.rms, one.largest, one.rest)]) for one in figures]
@@ -446,7 +446,7 @@ def _settings(point: Array) -> dict[str, float]:
     }
 
 
-def _way(data: AxisData, case: AxisCase, period: float) -> Array:
+def _way(data: AxisData, case: _AxisCase, period: float) -> Array:
     """Return position, velocity and acceleration over a way, shape (n, 3)."""
     velocity, acceleration, jerk = data.limits.positioning
     limits = ProfileLimits(
@@ -456,7 +456,7 @@ def _way(data: AxisData, case: AxisCase, period: float) -> Array:
     return np.column_stack([course.position, course.velocity, course.acceleration])
 
 
-def _course(data: AxisData, case: AxisCase, period: float) -> tuple[Array, Array]:
+def _course(data: AxisData, case: _AxisCase, period: float) -> tuple[Array, Array]:
     """Return the reference of a case, shape (n, 3), and which samples are judged at rest."""
     there = _way(data, case, period)
     rest = round(REST / period)

@@ -224,7 +224,7 @@ GRINDER_SENSORS = MACHINE_SENSORS + AIR_SENSORS
 
 
 @dataclass(frozen=True, eq=False)
-class GrinderSensors:
+class _GrinderSensors:
     """How the 38 sensors see nodes and air; drawn once, the same for every grinder.
 
     A sensor follows `weights` T + `air` ambient + `shift` through a first-order lag and shows
@@ -255,7 +255,7 @@ class GrinderSensors:
         return np.asarray(self.weights @ temperatures + self.air * ambient + self.shift)
 
 
-def _draw_sensors() -> GrinderSensors:
+def _draw_sensors() -> _GrinderSensors:
     """Draw the sensors as the sheet does; the order of the draws is part of it."""
     rng = np.random.default_rng(28)
     machine, count = len(MACHINE_SENSORS), len(GRINDER_SENSORS)
@@ -273,7 +273,7 @@ def _draw_sensors() -> GrinderSensors:
     shift = np.zeros(count)
     shift[machine:] = 0.3 * rng.uniform(-1.0, 1.0, count - machine)
     lag[machine:] = rng.uniform(600.0, 2400.0, count - machine)
-    return GrinderSensors(
+    return _GrinderSensors(
         weights=(1.0 - air)[:, np.newaxis] * weights,
         air=air,
         shift=shift,

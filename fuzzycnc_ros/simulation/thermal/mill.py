@@ -104,7 +104,7 @@ _FRONT, _REAR = _INDEX['fb'], _INDEX['rb']
 
 
 @dataclass(frozen=True)
-class ThermalStep:
+class _ThermalStep:
     """One implicit Euler step of the network at a fixed spindle speed.
 
     Losses depend on the spindle speed alone, so the solved matrix serves every step at that
@@ -130,7 +130,7 @@ class ThermalStep:
 
 
 @lru_cache(maxsize=64)
-def thermal_step(spindle_speed: float) -> ThermalStep:
+def thermal_step(spindle_speed: float) -> _ThermalStep:
     """Solve the implicit step of `STEP_SECONDS` at a spindle speed.
 
     Parameters
@@ -167,7 +167,7 @@ def thermal_step(spindle_speed: float) -> ThermalStep:
     matrix = np.column_stack(
         [solved * storage, solved @ loss, solved[:, _FRONT], solved[:, _REAR], solved @ heat]
     )
-    return ThermalStep(matrix, (55.0 * u**1.5, 35.0 * u**1.5))
+    return _ThermalStep(matrix, (55.0 * u**1.5, 35.0 * u**1.5))
 
 
 def _along(names: tuple[str, ...], count: int) -> list[NDArray[np.float64]]:

@@ -30,7 +30,7 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import NurbsSegment, Segment
 LETTERS = '@^'
 
 
-def cartesian(line: Line, state: State) -> Line:
+def _cartesian(line: Line, state: State) -> Line:
     """Return a line with X and Y in place of `@` and `^`.
 
     Parameters
@@ -83,7 +83,7 @@ def _xy(value: dict[str, float | None], state: State) -> tuple[float | None, flo
     return (place[0] - start[0]) / way, (place[1] - start[1]) / way
 
 
-class Notes:
+class _Notes:
     """Collects notes; the same text is counted."""
 
     def __init__(self) -> None:
@@ -118,7 +118,7 @@ class Interpreter:
         Modal state after the last line.
     parameters : Parameters
         Values that the program has set.
-    notes : Notes
+    notes : _Notes
         What was passed through so far.
     followed : bool
         The lines belong to a part whose order O-words or calls decide.
@@ -130,10 +130,10 @@ class Interpreter:
         self._held: list[Block] = []
         self._saved: list[tuple[dict[str, object], bool] | None] = [None]
         self._line = 0
-        self.notes = Notes()
+        self.notes = _Notes()
         self.parameters = Parameters(self.state)
         self.followed = False
-        self._words = GWords(self.state, self._say)
+        self._words = _GWords(self.state, self._say)
 
     def read(self, text: str, line: Line, number: int) -> list[Block]:
         """Read the next line.
@@ -385,7 +385,7 @@ class Interpreter:
     def _move(self, line: Line) -> tuple[Role, Segment | None]:
         state = self.state
         if line.polar:
-            line = cartesian(line, state)
+            line = _cartesian(line, state)
         if state.motion == -1 and not state.modal_call and runs_cycle(line, state):
             self._say(
                 'fixed cycle: keeps its feed'
@@ -494,7 +494,7 @@ def _names(line: Line, letter: str) -> bool:
 LOST = 'where the tool stands is unknown until all axes are named'
 
 
-class GWords:
+class _GWords:
     """Takes G words, as numbers in tenths: 53 is G5.3, below 0 is one that is computed.
 
     Parameters

@@ -229,11 +229,11 @@ def _word(match: re.Match[str], number: int) -> Word:
         raise ProgramError(number, f'expected a finite number but found {match[0][:30]!r}...')
     letter = match[1].upper()
     if abs(value) > LENGTH_MAX:
-        check_length(letter, value, match[0], number)
+        _check_length(letter, value, match[0], number)
     return Word(letter, value, match.start(), match.end())
 
 
-def check_length(letter: str, value: float, found: str, number: int) -> None:
+def _check_length(letter: str, value: float, found: str, number: int) -> None:
     """Refuse a length of no machine; `found` is what the line says."""
     if abs(value) > LENGTH_MAX and letter in 'XYZIJKR':
         raise ProgramError(
@@ -273,7 +273,7 @@ def resolved(line: Line, values: Values, number: int) -> Line:
         except ExpressionError as error:
             raise ProgramError(number, str(error)) from error
         if value is not None:
-            check_length(letter, value, f'{letter}{value:g}', number)
+            _check_length(letter, value, f'{letter}{value:g}', number)
         found.words[index] = Word(letter, value, start, end)
     return found
 

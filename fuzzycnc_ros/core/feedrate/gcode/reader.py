@@ -28,7 +28,7 @@ MAIN = ''
 """Name of what is in no subroutine."""
 
 
-class Listing:
+class _Listing:
     """The lines of a program or of a subroutine's file, from a line on to the end.
 
     Parameters
@@ -188,18 +188,18 @@ class Subroutines:
 
     Parameters
     ----------
-    main : Listing
+    main : _Listing
         The program.
     files : callable or None
         Finds files.
     """
 
-    def __init__(self, main: Listing, files: Files | None) -> None:
+    def __init__(self, main: _Listing, files: Files | None) -> None:
         self._main = main
         self._files = files
-        self._loaded: dict[str, Listing | None] = {}
+        self._loaded: dict[str, _Listing | None] = {}
 
-    def find(self, name: str, caller: Listing, index: int) -> tuple[Listing, int] | None:
+    def find(self, name: str, caller: _Listing, index: int) -> tuple[_Listing, int] | None:
         """Return where `oNAME sub` stands, called before a line of a text; None for nowhere."""
         own = caller.subroutine(name)
         if own is not None and own < index:
@@ -213,12 +213,12 @@ class Subroutines:
             return listing, start
         return None if own is None else (caller, own)
 
-    def _file(self, name: str) -> Listing | None:
+    def _file(self, name: str) -> _Listing | None:
         if name not in self._loaded:
             text = self._files(name) if self._files is not None and name else None
             lines = [] if text is None else text.splitlines(keepends=True)
             known = 0 < len(lines) <= LINES
-            self._loaded[name] = Listing(lines, label=f'{name}.ngc') if known else None
+            self._loaded[name] = _Listing(lines, label=f'{name}.ngc') if known else None
         return self._loaded[name]
 
 
@@ -229,7 +229,7 @@ DEPTH = 9
 """Subroutines that call each other at most, as in LinuxCNC."""
 
 
-def steers(line: Line) -> bool:
+def _steers(line: Line) -> bool:
     """Whether a line decides which one is run next."""
     return line.flow is not None or any(
         word.letter == 'M' and word.value == 98.0 for word in line.words
@@ -244,7 +244,7 @@ class _AstrayError(Exception):
 class _Frame:
     """Where a subroutine returns to, and how often it is run again (M98 with L)."""
 
-    listing: Listing
+    listing: _Listing
     index: int
     name: str
     fanuc: bool
@@ -252,7 +252,7 @@ class _Frame:
     again: int
 
 
-class Follower:
+class _Follower:
     """Runs the rest of a program.
 
     Parameters
@@ -271,7 +271,7 @@ class Follower:
         self, interpreter: Interpreter, lines: list[str], first: int, files: Files | None
     ) -> None:
         self._interpreter = interpreter
-        self._listing = Listing(lines, first)
+        self._listing = _Listing(lines, first)
         self._files = files
 
     def blocks(self) -> Iterator[Block]:
@@ -328,7 +328,7 @@ class _Run:
     def __init__(
         self,
         interpreter: Interpreter,
-        listing: Listing,
+        listing: _Listing,
         files: Files | None,
         stop: int | None = None,
         sealed: bool = False,
@@ -376,14 +376,14 @@ class _Run:
                 return
             yield from self._shown(found, listing, called)
 
-    def _shown(self, blocks: list[Block], listing: Listing, called: int) -> list[Block]:
+    def _shown(self, blocks: list[Block], listing: _Listing, called: int) -> list[Block]:
         """Return blocks as they count: those of files and sealed subroutines take no words."""
         if listing.label:
             number = self._main.first + called
             return [replace(_sealed(block), line=number, text='') for block in blocks]
         return [_sealed(one) for one in blocks] if self._sealed and self._frames else blocks
 
-    def _step(self, listing: Listing, at: int) -> list[Block]:
+    def _step(self, listing: _Listing, at: int) -> list[Block]:
         """Run a line, and go to the next one."""
         text, number = listing.lines[at], listing.first + at
         word = listing.flow.get(at)
@@ -592,7 +592,7 @@ class _Run:
 
     def _enter(
         self,
-        listing: Listing,
+        listing: _Listing,
         start: int,
         name: str,
         arguments: list[float | None] | None,
@@ -697,10 +697,10 @@ class ProgramReader:
                 continue
             line = read_line(text, number)
             empty = empty and line.end == 0
-            if follow and (line.flow is not None or '98' in text) and steers(line):
+            if follow and (line.flow is not None or '98' in text) and _steers(line):
                 rest = list(islice(chain([text], source), LINES + 1))
                 if len(rest) <= LINES:
-                    yield from Follower(interpreter, rest, number, self._files).blocks()
+                    yield from _Follower(interpreter, rest, number, self._files).blocks()
                     return
                 follow = False
                 interpreter.notes.add(

@@ -24,7 +24,7 @@ _DECIMALS_INCH = 5
 _SAME = 1e-9
 
 
-def target_of(block: Block, feed: float | None) -> float | None:
+def _target_of(block: Block, feed: float | None) -> float | None:
     """Return the feed that has to be in effect in a block, None if it does not matter."""
     if feed is None or math.isnan(feed):
         return block.feed if block.role in (Role.FEED, Role.KEPT) else None
@@ -38,7 +38,7 @@ def target_of(block: Block, feed: float | None) -> float | None:
     return feed
 
 
-def same(feed: float, other: float | None, unit: float) -> bool:
+def _same(feed: float, other: float | None, unit: float) -> bool:
     """Whether two feeds [m/s] are one in a program whose unit of feed is given [m/s]."""
     if other is None:
         return False
@@ -59,15 +59,15 @@ def _number(feed: float, unit: float) -> str:
     return f'{steps * 10.0**-decimals:.{decimals}f}'.rstrip('0')
 
 
-def with_word(block: Block, feed: float) -> str:
+def _with_word(block: Block, feed: float) -> str:
     """Return the text of a block with a feed word [m/s]; its own word where that is the same."""
     own = block.feed
     if block.word is not None and own is not None and abs(own - feed) <= _SAME * own:
         return block.text
-    return with_number(block, feed)
+    return _with_number(block, feed)
 
 
-def with_number(block: Block, feed: float) -> str:
+def _with_number(block: Block, feed: float) -> str:
     """Return the text of a block with a feed [m/s] in digits, instead of its own word if any."""
     text, number = block.text, _number(feed, block.feed_unit)
     if block.word is None:
@@ -113,7 +113,7 @@ class _Entry:
         return self.free and self.moves
 
 
-class PassMerger:
+class _PassMerger:
     """Chooses the feed words of lines that are run in any order and any number of times.
 
     A line gets the least feed of its passes, and a word only where the feed in effect would be
@@ -138,7 +138,7 @@ class PassMerger:
 
     def take(self, block: Block, feed: float | None) -> None:
         """Take a pass with its feed [m/s], None or NaN for that of the program."""
-        target = target_of(block, feed)
+        target = _target_of(block, feed)
         if block.role is Role.SEALED and block.word is None:
             target = block.feed
         if block.text:
@@ -157,7 +157,7 @@ class PassMerger:
             pass
         for number in sorted(self._entry):
             entry = self._entry[number]
-            yield with_number(entry.block, entry.most) if entry.written else entry.block.text
+            yield _with_number(entry.block, entry.most) if entry.written else entry.block.text
 
     def _corrected(self) -> bool:
         """Run all passes; return whether a line got a word, or a lower one, on the way."""
@@ -177,7 +177,7 @@ class PassMerger:
                     rapid = entry
                 continue
             if entry is not None and entry.addable:
-                if not same(entry.most, active, entry.block.feed_unit):
+                if not _same(entry.most, active, entry.block.feed_unit):
                     entry.written = changed = True
                     active, setter = entry.most, entry
                 rapid = None
@@ -266,7 +266,7 @@ def write_blocks(blocks: Iterable[tuple[Block, float | None]]) -> Iterator[str]:
     for block, feed in blocks:
         if merger is None and block.followed:
             yield from writer.settle(block.feed)
-            merger = PassMerger(writer.active)
+            merger = _PassMerger(writer.active)
         if merger is None:
             yield from writer.take(block, feed)
         else:
@@ -314,7 +314,7 @@ class _Writer:
 
     def take(self, block: Block, feed: float | None) -> Iterator[str]:
         """Take a block; yield the lines that are settled."""
-        target = target_of(block, feed)
+        target = _target_of(block, feed)
         if block.role is Role.SEALED:
             if block.word is None:
                 self._restore(block.feed)
@@ -325,7 +325,7 @@ class _Writer:
             yield from self.flush()
         word = None
         if target is not None:
-            if block.word is not None or not same(target, self._active, block.feed_unit):
+            if block.word is not None or not _same(target, self._active, block.feed_unit):
                 word = target
                 self._active = target
         elif block.word is not None:
@@ -339,7 +339,7 @@ class _Writer:
     def flush(self) -> Iterator[str]:
         """Yield all lines that are held back."""
         for block, word in self._held:
-            yield block.text if word is None else with_word(block, word)
+            yield block.text if word is None else _with_word(block, word)
         self._held.clear()
 
     @property

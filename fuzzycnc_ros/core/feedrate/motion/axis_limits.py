@@ -119,11 +119,11 @@ def _fastest(geometry: PathGeometry, cap: Array, table: Array) -> Array:
     bands = acceleration_bands(geometry, table)
     cap = np.minimum(cap, node_minimum(bands.fastest))
     cap[:-1] = np.minimum(cap[:-1], bands.most)
-    sweep_spans(bands, cap, geometry.stop)
+    _sweep_spans(bands, cap, geometry.stop)
     return cap
 
 
-def sweep_spans(bands: Bands, cap: Array, stop: NDArray[np.bool_]) -> None:
+def _sweep_spans(bands: Bands, cap: Array, stop: NDArray[np.bool_]) -> None:
     """Lower squared speeds at the nodes to the fastest ones; those at stops must be 0."""
     brake_spans(bands, cap, stop)
     rise_spans(bands, cap, stop)

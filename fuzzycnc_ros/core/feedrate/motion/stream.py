@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Profile:
+class _Profile:
     """Squared speeds at k + 1 nodes, the first the last one of the profile before.
 
     `rise` holds the largest change of speed that each of the k pieces leaves, if motion is
@@ -40,23 +40,23 @@ class Profile:
     rise: Array | None = None
 
 
-class SpeedProfile(Protocol):
+class _SpeedProfile(Protocol):
     """What turns pieces into speeds."""
 
     def push(self, pieces: Pieces) -> None:
         """Take the next pieces."""
         ...
 
-    def settle(self, *, ended: bool = False) -> Profile:
+    def settle(self, *, ended: bool = False) -> _Profile:
         """Return what is final now, all of it if the path has ended."""
         ...
 
-    def to_rest(self) -> Profile:
+    def to_rest(self) -> _Profile:
         """Return how the motion could go on from what is final to rest on known pieces."""
         ...
 
 
-class BandProfile:
+class _BandProfile:
     """Speeds within the limits of velocity and acceleration of the path and the axes.
 
     Parameters
@@ -76,16 +76,16 @@ class BandProfile:
         bands = acceleration_bands(pieces.geometry, self._table)
         self._sweep.push(pieces.place, bands, pieces.square, pieces.stop)
 
-    def settle(self, *, ended: bool = False) -> Profile:
+    def settle(self, *, ended: bool = False) -> _Profile:
         """Return what is final now."""
-        return Profile(self._sweep.settle(ended=ended))
+        return _Profile(self._sweep.settle(ended=ended))
 
-    def to_rest(self) -> Profile:
+    def to_rest(self) -> _Profile:
         """Return how the motion could go on to rest."""
-        return Profile(self._sweep.to_rest())
+        return _Profile(self._sweep.to_rest())
 
 
-class AverageProfile:
+class _AverageProfile:
     """Speeds whose average over a window in time keeps all limits, those of jerk too.
 
     Three stages: the fastest motion within speed and acceleration tells what comes within the
@@ -131,7 +131,7 @@ class AverageProfile:
         cap, rise = self._note(pieces)
         self._first.push(pieces.place, cap, 2.0 * rise * pieces.length, pieces.stop)
 
-    def settle(self, *, ended: bool = False) -> Profile:
+    def settle(self, *, ended: bool = False) -> _Profile:
         """Return what is final now."""
         speed = np.sqrt(self._first.settle(ended=ended))
         known = len(self._time) - 1
@@ -153,7 +153,7 @@ class AverageProfile:
         square = self._second.settle(ended=ended)
         count = len(square) - 1
         found, self._rise = self._rise[:count], self._rise[count:]
-        return Profile(square, found)
+        return _Profile(square, found)
 
     def _windows_known(self) -> int:
         """Return how many pieces have all that their windows reach ahead."""
@@ -175,9 +175,9 @@ class AverageProfile:
         self._time = self._time[count:]
         self._done -= count
 
-    def to_rest(self) -> Profile:
+    def to_rest(self) -> _Profile:
         """Return how the motion could go on to rest."""
-        return Profile(self._second.to_rest(), self._rise)
+        return _Profile(self._second.to_rest(), self._rise)
 
     def _note(self, pieces: Pieces) -> Array:
         """Keep the largest squared speeds and accelerations of the next pieces; return them."""
@@ -324,12 +324,12 @@ class MotionStream:
         self._rest = None if entry is None else entry.rest  # at the first node, if given
         braking = None if entry is None else entry.braking
         self._resting = braking is None or braking.lowest[0] == 0.0
-        self._profile: SpeedProfile
+        self._profile: _SpeedProfile
         if window:
             behind, passed = (None, None) if entry is None else (entry.behind, entry.passed)
-            self._profile = AverageProfile(self._table, window, braking, behind, passed)
+            self._profile = _AverageProfile(self._table, window, braking, behind, passed)
         else:
-            self._profile = BandProfile(self._table, braking)
+            self._profile = _BandProfile(self._table, braking)
         self._fine: Pieces | None = None  # pieces that wait for their speeds
         self._held: Pieces | None = None  # the last piece, whose end may be that of the path
         self._begun = entry is not None  # motion has left or is under way

@@ -46,7 +46,7 @@ class Braking:
         )
 
 
-class SpeedSweep(ABC):
+class _SpeedSweep(ABC):
     """Squared speeds at the nodes of pieces that wait for what follows.
 
     Parameters
@@ -144,7 +144,7 @@ class SpeedSweep(ABC):
         """Forget the first pieces."""
 
 
-class RiseSweep(SpeedSweep):
+class RiseSweep(_SpeedSweep):
     """Sweep within one largest rise of the squared speed per piece."""
 
     def __init__(self, braking: Braking | None = None) -> None:
@@ -171,7 +171,7 @@ class RiseSweep(SpeedSweep):
         self._rise = self._rise[count:]
 
 
-class BandSweep(SpeedSweep):
+class BandSweep(_SpeedSweep):
     """Sweep within bands of two neighbouring squared speeds."""
 
     def __init__(self, braking: Braking | None = None) -> None:

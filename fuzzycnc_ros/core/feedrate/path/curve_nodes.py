@@ -77,7 +77,7 @@ class CurveStretch:
 
     def frame(self, place: Array) -> tuple[Array, Array, Array]:
         """Return points, tangents and curvature vectors at arc lengths (k,), each (k, 3)."""
-        point, tangent, bend = frames(self.curve, self._parameter(place), self.low, self.high)
+        point, tangent, bend = _frames(self.curve, self._parameter(place), self.low, self.high)
         fade = 1.0 - place / self.length
         return point + fade[:, np.newaxis] * self.shift, tangent, bend
 
@@ -122,7 +122,7 @@ def curve_stretches(segment: NurbsSegment, start: Array) -> list[CurveStretch]:
     return found
 
 
-def frames(curve: NurbsCurve, u: Array, low: float, high: float) -> tuple[Array, Array, Array]:
+def _frames(curve: NurbsCurve, u: Array, low: float, high: float) -> tuple[Array, Array, Array]:
     """Return points, tangents and curvature vectors within a stretch, each (k, 3).
 
     At both ends they are the limits from inside.  Where the derivative vanishes, direction and
@@ -151,8 +151,8 @@ def _edges(curve: NurbsCurve) -> Array:
     inner = knot[(knot > first) & (knot < last) & (times >= curve.degree - 1)]
     if not len(inner):
         return np.array([first, last])
-    _, before, bend = frames(curve, inner, first, last)
-    left = [frames(curve, np.array([u]), first, u) for u in inner.tolist()]
+    _, before, bend = _frames(curve, inner, first, last)
+    left = [_frames(curve, np.array([u]), first, u) for u in inner.tolist()]
     ahead, behind = before, np.concatenate([one[1] for one in left])
     jump = np.linalg.norm(bend - np.concatenate([one[2] for one in left]), axis=1)
     size = np.linalg.norm(bend, axis=1)
@@ -190,7 +190,7 @@ def _pieces_needed(curve: NurbsCurve, begin: Array, end: Array, low: float, high
     place = begin[:, np.newaxis] + (end - begin)[:, np.newaxis] * share
     u = curve.parameter(np.clip(place, 0.0, curve.length).ravel())
     point, tangent, bend = (
-        values.reshape(*place.shape, 3) for values in frames(curve, u, low, high)
+        values.reshape(*place.shape, 3) for values in _frames(curve, u, low, high)
     )
     length = end - begin
     piece = hermite(

@@ -92,7 +92,7 @@ def with_nodes(path: ReferencePath, plan: NodePlan) -> ReferencePath:
         piece = np.repeat(np.arange(len(length)), count)
         first = np.append(0, np.cumsum(count))
         share = (np.arange(first[-1]) - first[piece]) / count[piece]
-        return cut(path, piece, share)
+        return _cut(path, piece, share)
     boundary = np.concatenate([[True], _boundary(path), [True]])
     shares = [np.zeros(len(length))]
     for end, nodes in enumerate((slice(None, -1), slice(1, None))):
@@ -102,7 +102,7 @@ def with_nodes(path: ReferencePath, plan: NodePlan) -> ReferencePath:
         for times in (1.0, 2.0):  # behind the second one not even the neighbour's node is near
             share = times * plan.edge / length
             shares.append(np.where(wanted, 1.0 - share if end else share, np.nan))
-    return cut(path, *_sorted(shares))
+    return _cut(path, *_sorted(shares))
 
 
 def with_ramps(
@@ -139,10 +139,10 @@ def with_ramps(
     end[end == 0.0] = 1.0
     rise = square[:, 1] - square[:, 0]
     wanted = np.column_stack([square[:, 0] + rise * share, square[:, 0] + rise * end])
-    return cut(path, piece, share), np.sqrt(wanted)
+    return _cut(path, piece, share), np.sqrt(wanted)
 
 
-def cut(path: ReferencePath, piece: NDArray[np.intp], low: Array) -> ReferencePath:
+def _cut(path: ReferencePath, piece: NDArray[np.intp], low: Array) -> ReferencePath:
     """Return the same path in other pieces.
 
     Parameters

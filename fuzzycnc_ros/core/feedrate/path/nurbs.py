@@ -21,7 +21,7 @@ SPAN_MIN = 1e-9
 """Least distance of two knots that differ, as a share of the domain."""
 
 
-def read_only(name: str, value: ArrayLike) -> Array:
+def _read_only(name: str, value: ArrayLike) -> Array:
     """Return a read-only copy as doubles; refuse what is not finite."""
     try:
         array = np.array(value, dtype=np.float64)
@@ -29,20 +29,20 @@ def read_only(name: str, value: ArrayLike) -> Array:
         raise ValueError(f'expected numbers in {name} but found {value!r}') from error
     if not np.isfinite(array).all():
         raise ValueError(
-            f'expected finite numbers in {name} but found {outlier(array)} at index '
+            f'expected finite numbers in {name} but found {_outlier(array)} at index '
             f'{tuple(int(k) for k in np.argwhere(~np.isfinite(array))[0])}'
         )
     array.setflags(write=False)
     return array
 
 
-def outlier(array: Array) -> float:
+def _outlier(array: Array) -> float:
     """Return a value to show of refused ones: one that is not finite, else the largest."""
     bad = array[~np.isfinite(array)]
     return float(bad.flat[0]) if bad.size else float(array.flat[np.abs(array).argmax()])
 
 
-def checked_degree(degree: int) -> int:
+def _checked_degree(degree: int) -> int:
     """Return the degree as an integer; refuse what is none or below 1."""
     try:
         number = operator.index(degree)
@@ -53,7 +53,7 @@ def checked_degree(degree: int) -> int:
     return number
 
 
-def check_points(control: Array, weight: Array, degree: int) -> None:
+def _check_points(control: Array, weight: Array, degree: int) -> None:
     """Refuse control points and weights that make no curve of this degree."""
     if control.ndim != 2 or control.shape[1] not in (2, 3):
         raise ValueError(
@@ -77,7 +77,7 @@ def check_points(control: Array, weight: Array, degree: int) -> None:
         )
 
 
-def check_knots(knot: Array, points: int, degree: int) -> None:
+def _check_knots(knot: Array, points: int, degree: int) -> None:
     """Refuse knots that do not fit the number of points and the degree, or tear the curve."""
     if knot.shape != (points + degree + 1,):
         raise ValueError(
@@ -206,12 +206,12 @@ class NurbsCurve:
     def __init__(
         self, control: ArrayLike, weight: ArrayLike, knot: ArrayLike, degree: int = 3
     ) -> None:
-        self.degree = checked_degree(degree)
-        self.control = read_only('control', control)
-        self.weight = read_only('weight', weight)
-        self.knot = read_only('knot', knot)
-        check_points(self.control, self.weight, self.degree)
-        check_knots(self.knot, len(self.control), self.degree)
+        self.degree = _checked_degree(degree)
+        self.control = _read_only('control', control)
+        self.weight = _read_only('weight', weight)
+        self.knot = _read_only('knot', knot)
+        _check_points(self.control, self.weight, self.degree)
+        _check_knots(self.knot, len(self.control), self.degree)
         self.domain = (float(self.knot[self.degree]), float(self.knot[len(self.control)]))
         self._origin = self.control[0]
 
@@ -358,7 +358,7 @@ class NurbsCurve:
         slack = _STILL * length[-1]
         if not np.all((wanted >= -slack) & (wanted <= length[-1] + slack)):
             raise ValueError(
-                f'expected arc lengths from 0 to {length[-1]:g} m but found {outlier(wanted)}; '
+                f'expected arc lengths from 0 to {length[-1]:g} m but found {_outlier(wanted)}; '
                 'take them within the curve'
             )
         wanted = np.clip(wanted, 0.0, length[-1])

@@ -79,7 +79,7 @@ _NODE, _WEIGHT = np.polynomial.legendre.leggauss(5)
 
 
 @dataclass(frozen=True)
-class Rounding:
+class _Rounding:
     """Pieces of k junctions, n each.
 
     Attributes
@@ -103,14 +103,14 @@ class Rounding:
     place: Array
 
 
-def pieces_of(turn: Array, straight: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _pieces_of(turn: Array, straight: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return the number of pieces of corners, by their turn [rad] and whether between lines."""
     found = np.where(turn <= _EIGHT, 8, 12)
     found = np.where(turn <= np.where(straight, _FEW, 0.0), 4, found)
     return np.asarray(np.where(turn <= _TINY, np.where(straight, 2, 6), found), dtype=np.intp)
 
 
-def control_shares(turn: Array, pieces: int) -> tuple[Array, Array]:
+def _control_shares(turn: Array, pieces: int) -> tuple[Array, Array]:
     """Return how far along each side the second and third control point lie, each (k,).
 
     The curvature is the flatter the nearer the second one is to the first, and rises the steeper.
@@ -123,14 +123,14 @@ def control_shares(turn: Array, pieces: int) -> tuple[Array, Array]:
     return 0.28 - 0.02 * square, 0.72 - 0.034 * square - 0.003 * square**2
 
 
-def line_reach(turn: Array, tolerance: float, pieces: int) -> Array:
+def _line_reach(turn: Array, tolerance: float, pieces: int) -> Array:
     """Return the reach at which blends of lines are `tolerance` from them [m], shape (k,)."""
-    first, second = control_shares(turn, pieces)
+    first, second = _control_shares(turn, pieces)
     middle = (1.0 + 5.0 * (1.0 - first) + 10.0 * (1.0 - second)) / 32.0
     return np.asarray((1.0 - 1e-9) * tolerance / (middle * np.sin(turn)))
 
 
-def corner_reach(
+def _corner_reach(
     shapes: Shapes, index: NDArray[np.intp], turn: Array, tolerance: float, pieces: int
 ) -> Array:
     """Return how far blends reach to either side of corners [m].
@@ -156,7 +156,7 @@ def corner_reach(
         difference from the path beside it, within which it lies.
     """
     limit = 0.5 * np.minimum(shapes.length[index], shapes.length[index + 1])
-    reach = _whole_halves(np.minimum(line_reach(turn, tolerance, pieces), limit), shapes, index)
+    reach = _whole_halves(np.minimum(_line_reach(turn, tolerance, pieces), limit), shapes, index)
     bent = np.flatnonzero((shapes.kind[index] != LINE) | (shapes.kind[index + 1] != LINE))
     if not len(bent):
         return reach
@@ -179,7 +179,7 @@ def corner_reach(
     return reach
 
 
-def ease_reach(shapes: Shapes, index: NDArray[np.intp], easing: float) -> Array:
+def _ease_reach(shapes: Shapes, index: NDArray[np.intp], easing: float) -> Array:
     """Return how far jumps of the curvature are eased to either side [m], shape (k,).
 
     At most half of each shape, and so that the path moves by no more than `easing` [m].
@@ -192,10 +192,10 @@ def ease_reach(shapes: Shapes, index: NDArray[np.intp], easing: float) -> Array:
 
 def rounded(
     shapes: Shapes, index: NDArray[np.intp], turn: Array, reach: Array, pieces: int
-) -> Rounding:
+) -> _Rounding:
     """Return the pieces of roundings that reach by `reach` (k,) [m] to either side."""
     share = _SHARES[pieces]
-    first, second = control_shares(turn, pieces)
+    first, second = _control_shares(turn, pieces)
     height = np.zeros((len(index), 6))
     height[:, 0], height[:, 1], height[:, 2] = 1.0, 1.0 - first, 1.0 - second
     size = reach[:, np.newaxis]
@@ -228,7 +228,7 @@ def rounded(
         point[:, at], tangent[:, at] = base.point[:, at], base.tangent[:, at]
         bend[:, at] = base.bend[:, at]
     coefficient, length = _pieces(point, tangent, bend)
-    return Rounding(coefficient, length, np.linalg.norm(bend, axis=2), point, place)
+    return _Rounding(coefficient, length, np.linalg.norm(bend, axis=2), point, place)
 
 
 def _pieces(point: Array, tangent: Array, bend: Array) -> tuple[Array, Array]:
@@ -255,7 +255,7 @@ def _between(point: Array, tangent: Array, bend: Array, length: Array) -> Array:
     return np.asarray(found[:, :-1])
 
 
-def _distance_bound(shapes: Shapes, index: NDArray[np.intp], made: Rounding) -> Array:
+def _distance_bound(shapes: Shapes, index: NDArray[np.intp], made: _Rounding) -> Array:
     """Return bounds on the distance of roundings from the path beside them [m], shape (k,)."""
     middle = made.coefficient.shape[1] // 2
     found = np.zeros(len(index))
@@ -354,7 +354,7 @@ _STEPS = 6
 
 
 @dataclass(frozen=True)
-class Pieces:
+class _Pieces:
     """Pieces in order, m of them, and m + 1 nodes; see `ReferencePath`.
 
     `head` is how far the last junction reaches into the last shape [m].
@@ -383,7 +383,7 @@ class _Group:
     blend: bool
 
 
-def assemble(shapes: Shapes, head: float, blend: float, easing: float, *, last: bool) -> Pieces:
+def _assemble(shapes: Shapes, head: float, blend: float, easing: float, *, last: bool) -> _Pieces:
     """Return the pieces of shapes and of all junctions between them.
 
     Parameters
@@ -409,13 +409,13 @@ def assemble(shapes: Shapes, head: float, blend: float, easing: float, *, last: 
     eased = ~corner & ~halt & (jump > _JUMP)
     reach = np.zeros(len(joint))
     straight = (shapes.kind[:-1] == LINE) & (shapes.kind[1:] == LINE)
-    count = np.where(blended, pieces_of(turn, straight), 0)
+    count = np.where(blended, _pieces_of(turn, straight), 0)
     count[eased] = EASING_PIECES
     for pieces in np.unique(count[blended]).tolist():
         rows = np.flatnonzero(blended & (count == pieces))
-        reach[rows] = corner_reach(shapes, rows, turn[rows], blend, pieces)
+        reach[rows] = _corner_reach(shapes, rows, turn[rows], blend, pieces)
     rows = np.flatnonzero(eased)
-    reach[rows] = ease_reach(shapes, rows, easing)
+    reach[rows] = _ease_reach(shapes, rows, easing)
     count[reach <= _LEAST] = 0
     reach[count == 0] = 0.0
     stop = halt | (corner & (count == 0))
@@ -448,7 +448,7 @@ def assemble(shapes: Shapes, head: float, blend: float, easing: float, *, last: 
     curvature[meeting] = np.maximum(curvature[meeting], onward)
     stops, rest = np.zeros(total + 1, bool), np.zeros(total + 1)
     stops[meeting], rest[meeting] = stop, shapes.rest[1:]
-    return Pieces(
+    return _Pieces(
         coefficient,
         length,
         curvature,
@@ -523,7 +523,7 @@ def _bodies(
 
 
 def _junctions(
-    made: Rounding, index: NDArray[np.intp], first: NDArray[np.intp], kink: bool
+    made: _Rounding, index: NDArray[np.intp], first: NDArray[np.intp], kink: bool
 ) -> _Group:
     """Return the pieces of junctions behind shapes `index`, from positions `first` on."""
     count = made.length.shape[1]
@@ -771,7 +771,7 @@ class PathBuilder:
 
     def _leave(self, shapes: Shapes, *, last: bool) -> ReferencePath | None:
         """Return the pieces up to the last shape, or to the end, and keep the rest."""
-        pieces = assemble(shapes, self._head, self.blend, self._easing, last=last)
+        pieces = _assemble(shapes, self._head, self.blend, self._easing, last=last)
         found = self._path(pieces, last) if len(pieces.length) else None
         if found is not None:
             self._place += np.longdouble(found.geometry.length)
@@ -784,7 +784,7 @@ class PathBuilder:
         self._kept, self._head = shapes.last(), pieces.head
         return found
 
-    def _path(self, pieces: Pieces, last: bool) -> ReferencePath:
+    def _path(self, pieces: _Pieces, last: bool) -> ReferencePath:
         count = len(pieces.length)
         node = np.zeros(count + 1)
         # Long doubles: the sums of parts and of the whole then agree to the last digits.

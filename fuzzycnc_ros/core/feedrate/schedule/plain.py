@@ -218,7 +218,7 @@ class ConstantNormalAcceleration(Scheduler):
         self._check_positive('normal_acceleration')
 
     def _ratio(self, path: SampledPath) -> Array:
-        return normal_acceleration_feed(path.curvature, self.normal_acceleration) / self.feed_max
+        return _normal_acceleration_feed(path.curvature, self.normal_acceleration) / self.feed_max
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -271,7 +271,7 @@ class LookAheadFeed(ChordErrorFeed):
     def _ratio(self, path: SampledPath) -> Array:
         feed = np.minimum(
             chord_error_feed(path.curvature, self.chord_error, self.period),
-            normal_acceleration_feed(path.curvature, self.normal_acceleration),
+            _normal_acceleration_feed(path.curvature, self.normal_acceleration),
         )
         np.minimum(feed, self.feed_max, out=feed)
         return limit_acceleration(feed, path.arc_length, self.path_acceleration) / self.feed_max
@@ -318,7 +318,7 @@ class JerkLimitedFeed(ChordErrorFeed):
         bend = np.maximum(path.curvature**2 + change, CURVATURE_FLOOR**2)
         feed = np.minimum(
             chord_error_feed(path.curvature, self.chord_error, self.period),
-            normal_acceleration_feed(path.curvature, 0.5 * self.acceleration),
+            _normal_acceleration_feed(path.curvature, 0.5 * self.acceleration),
         )
         feed = np.minimum(np.minimum(feed, np.cbrt(jerk / 3.0 / bend)), self.feed_max)
         feed = erode(feed, self.erosion, closed=path.closed)
@@ -329,7 +329,7 @@ class JerkLimitedFeed(ChordErrorFeed):
         return feed / self.feed_max
 
 
-def normal_acceleration_feed(curvature: Array, acceleration: float) -> Array:
+def _normal_acceleration_feed(curvature: Array, acceleration: float) -> Array:
     """Return the feed whose normal acceleration is given.
 
     Parameters

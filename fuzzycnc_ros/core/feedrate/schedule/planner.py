@@ -37,7 +37,7 @@ REMAINDER_MIN = 1e-6
 _GROUP = 64
 
 
-def strongest_braking(
+def _strongest_braking(
     pieces: Pieces, square: float, plan_place: Array, plan: Array, limits: Array
 ) -> Braking:
     """Return the fastest way to rest from the beginning of some pieces.
@@ -116,7 +116,7 @@ class Cut:
         """Return the fastest way to rest, within a table of limits if motion is not averaged."""
         limits = self.rise if self.motion.window else table
         entry = float(self.square[0])
-        return strongest_braking(self.ahead, entry, self.place, self.square, limits)
+        return _strongest_braking(self.ahead, entry, self.place, self.square, limits)
 
     def ended(self) -> PlannedMotion:
         """Return the motion up to here."""
@@ -163,7 +163,7 @@ class Cut:
 
 
 @dataclass(frozen=True, eq=False)
-class Outlook:
+class _Outlook:
     """All that is known of motion to come.
 
     Attributes
@@ -598,7 +598,7 @@ class Planner:
     def _cut(self) -> Cut:
         """Return the state of the motion at the last sample taken, or soon behind."""
         assert self._motion is not None
-        outlook = Outlook(
+        outlook = _Outlook(
             self._motion,
             self._stream,
             self._entry,

@@ -41,7 +41,7 @@ GROUP = 1024
 _CORE, _EDGE, _BLEND = range(3)
 
 
-class BlockFeeds:
+class _BlockFeeds:
     """The feed of each block of a run, from parts of its path.
 
     A block gets the smallest feed of its pieces.  Blends with its neighbours count only where
@@ -310,7 +310,7 @@ class ProgramRun:
         self._source = source
         self._observe = observe
         self._plan = NodePlan.of(settings.scheduler)
-        self._feeds = BlockFeeds(self._plan, settings.feed_step, self._own)
+        self._feeds = _BlockFeeds(self._plan, settings.feed_step, self._own)
         self._pending: deque[tuple[Block, int | None]] = deque()
         self._moves = 0  # segments taken
         self._bends: dict[int, float] = {}  # curvature of those that are no lines

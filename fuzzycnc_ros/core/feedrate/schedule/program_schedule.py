@@ -47,7 +47,7 @@ _STRAIGHT = 1e-6
 """Turn of a piece up to which it is straight [rad]; rounding of doubles stays below."""
 
 
-class ProgramMotion:
+class _ProgramMotion:
     """Time of the motion along paths that arrive in parts, at rest before and after each run.
 
     Parameters
@@ -419,8 +419,8 @@ class ProgramScheduler:
     def __init__(self, settings: ProgramSettings, observe: Observer | None = None) -> None:
         self._settings = settings
         self._observe = observe
-        self._motion = ProgramMotion(settings)
-        self._own_motion = ProgramMotion(settings)
+        self._motion = _ProgramMotion(settings)
+        self._own_motion = _ProgramMotion(settings)
         self.times = ProgramTimes()
 
     def schedule(self, blocks: Iterable[Block]) -> Iterator[tuple[Block, float | None]]:

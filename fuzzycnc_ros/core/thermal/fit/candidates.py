@@ -78,7 +78,7 @@ _ESTIMATORS: dict[str, Callable[..., ThermalRegressor]] = {
 }
 
 
-def fit_recursion(
+def _fit_recursion(
     name: str,
     settings: Settings,
     data: TrainingSet,
@@ -124,14 +124,14 @@ def fit_recursion(
         samples = np.hstack([data.rise, data.drive])
         recursion = model.fit(samples, target, runs=data.label).recursion_
     else:
-        bank = speed_bank(data.rise.shape[1], data.drive.shape[1], data.interval)
-        samples = run_all(bank, np.hstack([data.rise, data.drive]), data.rows)
+        bank = _speed_bank(data.rise.shape[1], data.drive.shape[1], data.interval)
+        samples = _run_all(bank, np.hstack([data.rise, data.drive]), data.rows)
         model.fit(samples, target, runs=data.label)
         recursion = SeriesRecursion(bank, model.recursion_)
     return recursion, tuple(getattr(model, 'problems_', ()))
 
 
-def speed_bank(rises: int, drivers: int, interval: float) -> LinearRecursion:
+def _speed_bank(rises: int, drivers: int, interval: float) -> LinearRecursion:
     """Return the bank whose outputs are the rises, the drivers and the lags of the drivers."""
     pole = poles_of_lags(SPEED_LAGS, interval)
     inputs = rises + drivers
@@ -146,7 +146,7 @@ def speed_bank(rises: int, drivers: int, interval: float) -> LinearRecursion:
     )
 
 
-def run_all(recursion: Recursion, samples: Array, rows: Sequence[slice]) -> Array:
+def _run_all(recursion: Recursion, samples: Array, rows: Sequence[slice]) -> Array:
     """Return the outputs (n, c) of a recursion over stacked runs, each from its own start."""
     return np.concatenate([recursion.run(samples[run]) for run in rows])
 
@@ -164,7 +164,7 @@ STABLE_GREY_RIDGE = 1e-3
 """Penalty of the stable grey candidate [-]."""
 
 
-def held_out_predictions(
+def _held_out_predictions(
     name: str, data: TrainingSet, step: Callable[[], None]
 ) -> tuple[list[Settings], list[Array]]:
     """Return the settings of a candidate and what it predicts on samples that it never saw.
@@ -205,7 +205,7 @@ def _refitted(name: str, data: TrainingSet, step: Callable[[], None]) -> list[Ar
         use, tested = np.isin(data.block, fold.train), data.tested(fold)
         fits = []
         for target in data.displacement.T:
-            fits.append(fit_recursion(name, {}, seen, target, use)[0])
+            fits.append(_fit_recursion(name, {}, seen, target, use)[0])
             step()
         recursion = combine(fits)
         values = np.full(data.displacement.shape, np.nan)
@@ -418,12 +418,12 @@ def fit_candidate(
     """
     try:
         if held_out:
-            settings, predicted = held_out_predictions(name, data, step)
+            settings, predicted = _held_out_predictions(name, data, step)
         else:
             settings, predicted = [{}] * data.displacement.shape[1], []
         fits = []
         for own, target in zip(settings, data.displacement.T, strict=True):
-            fits.append(fit_recursion(name, own, data, target))
+            fits.append(_fit_recursion(name, own, data, target))
             step()
     except ValueError as error:
         raise ThermalDataError(f'model {name!r}: {error}') from error
@@ -586,7 +586,7 @@ def unseen_residual(
     if nested is not None:
         measured = [data.displacement[data.tested(fold)] for fold in data.folds]
         for name in {name for names in chosen for name in names} - {UNCOMPENSATED}:
-            _, predicted = held_out_predictions(name, nested, lambda: None)
+            _, predicted = _held_out_predictions(name, nested, lambda: None)
             by_name[name] = [m - p for m, p in zip(measured, predicted, strict=True)]
     return [
         np.stack([by_name[name][fold][:, c] for c, name in enumerate(names)], axis=1)

@@ -101,7 +101,7 @@ class Feedback:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class _Fit:
     """A trained network with what it was made of, and its inputs (n, N) in free run [-]."""
 
     front: Front
@@ -112,7 +112,7 @@ class Fit:
     inputs: Array
 
 
-def hybrid_recursion(
+def _hybrid_recursion(
     front: Front, back: Feedback, network: TanhNetwork, scale: float
 ) -> FilterNetworkRecursion:
     """Return filters and network as one: the product of linear maps is one."""
@@ -343,7 +343,7 @@ class HybridFilterNetwork(ThermalRegressor):
 
     def _fitted(
         self, data: NetworkTraining, delays: NDArray[np.int64], ridge: float, start: TanhNetwork
-    ) -> tuple[Fit, tuple[str, ...]]:
+    ) -> tuple[_Fit, tuple[str, ...]]:
         """Return the fit for one penalty, with its problems."""
         front = Front.fitted(data, delays, self.moving_average, ridge, self.anchored)
         bound = self.feedback_max if self.guard else None
@@ -378,7 +378,7 @@ class HybridFilterNetwork(ThermalRegressor):
         ridge: float,
         bound: float | None,
         network: TanhNetwork,
-    ) -> Fit:
+    ) -> _Fit:
         """Fit AR and network on the measured history, then on the model's own."""
         source = data.target
         known = data.measured & np.isfinite(past(source, data.rows, self.history)).all(axis=1)
@@ -404,9 +404,9 @@ class HybridFilterNetwork(ThermalRegressor):
                 mean=self.guard,
                 solver=self.solver,
             )
-            recursion = hybrid_recursion(front, back, network, data.scale)
+            recursion = _hybrid_recursion(front, back, network, data.scale)
             source = np.concatenate([recursion.run(data.rise[run])[:, 0] for run in data.rows])
         own = back(past(source, data.rows, self.history), front.values)
         inputs = np.column_stack([front.values, own]) / data.scale
         gain = float(np.abs(network.slopes(inputs)[:, -1]).max() * np.abs(back.past.sum()))
-        return Fit(front, back.past, network, recursion, gain, inputs)
+        return _Fit(front, back.past, network, recursion, gain, inputs)

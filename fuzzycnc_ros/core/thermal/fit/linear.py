@@ -58,7 +58,7 @@ class LeastSquares(ThermalRegressor):
         """
         rise, target, _ = check_training(self, X, y, runs)
         check_sample_count(target, rise.shape[1] + 1)
-        self.recursion_ = static_recursion(rise, target, 0.0)
+        self.recursion_ = _static_recursion(rise, target, 0.0)
         self.coef_: Array = self.recursion_.direct[0]
         self.intercept_ = float(self.recursion_.offset[0])
         return self
@@ -94,7 +94,7 @@ class StaticRidge(ThermalRegressor):
         """Fit rises (n, p) [K] to the thermal error (n,) [m]; NaN targets are ignored."""
         rise, target, _ = check_training(self, X, y, runs)
         check_ridge(self.ridge)
-        self.recursion_ = static_recursion(rise, target, self.ridge)
+        self.recursion_ = _static_recursion(rise, target, self.ridge)
         self.coef_: Array = self.recursion_.direct[0]
         self.intercept_ = float(self.recursion_.offset[0])
         return self
@@ -180,8 +180,8 @@ class LagRidge(ThermalRegressor):
         pole = poles_of_lags(self.lags, self.interval)
         driver_pole = poles_of_lags(self.driver_lags, self.interval)
         features = driven_features(rise, rows, split, pole, driver_pole)
-        weight, offset = solve_linear(features, target, self.ridge, self.fit_intercept)
-        self.recursion_ = driven_recursion(weight, split, pole, self.drivers, driver_pole, offset)
+        weight, offset = _solve_linear(features, target, self.ridge, self.fit_intercept)
+        self.recursion_ = _driven_recursion(weight, split, pole, self.drivers, driver_pole, offset)
         coefficient = (1 + len(pole)) * split
         self.coef_: Array = weight[:coefficient].reshape(1 + len(pole), split)
         self.driver_coef_: Array = weight[coefficient:].reshape(1 + len(driver_pole), -1)
@@ -253,7 +253,7 @@ def column_scale(values: Array) -> Array:
     return np.where(scale > 0.0, scale, 1.0)
 
 
-def solve_linear(
+def _solve_linear(
     features: Array, target: Array, ridge: float, intercept: bool
 ) -> tuple[Array, float]:
     """Return the weights (q,) of features (n, q) and the constant that fit a target (n,).
@@ -271,11 +271,11 @@ def solve_linear(
     return solution / scale, level - float(center @ solution)
 
 
-def static_recursion(
+def _static_recursion(
     rise: Array, target: Array, ridge: float, intercept: bool = True
 ) -> LinearRecursion:
     """Fit rises (n, p) to a target (n,) without lags."""
-    weight, offset = solve_linear(rise, target, ridge, intercept)
+    weight, offset = _solve_linear(rise, target, ridge, intercept)
     return linear_recursion(weight, np.empty(0), True, offset)
 
 
@@ -302,7 +302,7 @@ def driven_features(
     return np.hstack([features, lag_features(inputs[:, rises:], rows, driver_pole)])
 
 
-def driven_recursion(
+def _driven_recursion(
     weight: Array, rises: int, pole: Array, drivers: int, driver_pole: Array, offset: float
 ) -> LinearRecursion:
     """Return the recursion of one channel from the weights of `driven_features`."""

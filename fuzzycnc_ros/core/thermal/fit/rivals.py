@@ -141,7 +141,7 @@ class Arma(ThermalRegressor):
         return self
 
 
-class PlainNetwork(ThermalRegressor):
+class _PlainNetwork(ThermalRegressor):
     """Base of the networks without feedback: what differs is what their inputs are.
 
     Attributes
@@ -183,7 +183,7 @@ class PlainNetwork(ThermalRegressor):
         self.problems_: tuple[str, ...] = ()
 
 
-class LinearNetwork(PlainNetwork):
+class LinearNetwork(_PlainNetwork):
     """Linear regression whose output feeds a small network (LR/NN), method sheet 003 section 2.
 
     Parameters
@@ -242,7 +242,7 @@ class LinearNetwork(PlainNetwork):
         return self
 
 
-class StaticNetwork(PlainNetwork):
+class StaticNetwork(_PlainNetwork):
     """Network on the present rises (FNN), method sheet 003 section 2.
 
     Parameters
@@ -289,11 +289,11 @@ class StaticNetwork(PlainNetwork):
     ) -> 'StaticNetwork':
         """Fit rises (n, p) [K] to the deformation (n,) [m]; NaN targets are ignored."""
         data = network_training(self, X, y, runs, self.output_range, samples_min(0, _PRESENT))
-        self._train(data, _PRESENT, *common_scale(data, 1))
+        self._train(data, _PRESENT, *_common_scale(data, 1))
         return self
 
 
-class DynamicNetwork(PlainNetwork):
+class DynamicNetwork(_PlainNetwork):
     """Network on the rises of the last samples, method sheet 003 section 6.
 
     Parameters
@@ -346,11 +346,11 @@ class DynamicNetwork(PlainNetwork):
         delays = check_delays(self.delays, 0)
         least = samples_min(0, delays)
         data = network_training(self, X, y, runs, self.output_range, least)
-        self._train(data, delays, *common_scale(data, len(delays)))
+        self._train(data, delays, *_common_scale(data, len(delays)))
         return self
 
 
-def common_scale(data: NetworkTraining, delays: int) -> tuple[Array, Array]:
+def _common_scale(data: NetworkTraining, delays: int) -> tuple[Array, Array]:
     """Return the map that divides all delayed rises by the largest rise, and no constants.
 
     Sensors that stood still in training are left out: nothing would have trained their weights.

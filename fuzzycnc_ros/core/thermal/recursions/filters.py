@@ -16,7 +16,7 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.document import Node
 from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_shapes, clipped
 
-Self = TypeVar('Self', bound='DelayedRecursion')
+Self = TypeVar('Self', bound='_DelayedRecursion')
 
 DELAY_MAX = 1440
 """Longest delay [samples], a day of minutes; all rises since then are part of the state."""
@@ -26,7 +26,7 @@ STATE_MAX = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class DelayedRecursion(Recursion):
+class _DelayedRecursion(Recursion):
     """Delayed rises and past outputs, mapped linearly and then by whatever the form adds.
 
     Parameters
@@ -142,7 +142,7 @@ def delayed_rises(rise: Array, rows: Sequence[slice], delay: NDArray[np.int64]) 
     return delayed.reshape(samples, -1)
 
 
-def own_history_columns(feedback: Array) -> Array:
+def _own_history_columns(feedback: Array) -> Array:
     """Return the part of the linear map that reads the history.
 
     Parameters
@@ -162,7 +162,7 @@ def own_history_columns(feedback: Array) -> Array:
     return columns.reshape(channels * rows, history * channels)
 
 
-def check_delay(delay: NDArray[np.int64], columns: int) -> None:
+def _check_delay(delay: NDArray[np.int64], columns: int) -> None:
     """Refuse delays that are negative, too long, not ascending, or ask for too large a state.
 
     Parameters
@@ -184,7 +184,7 @@ def check_delay(delay: NDArray[np.int64], columns: int) -> None:
         )
 
 
-def read_delay(node: Node) -> NDArray[np.int64]:
+def _read_delay(node: Node) -> NDArray[np.int64]:
     """Return the delays of a document; fractions and delays that fill the memory are refused."""
     delay = node.vector()
     if (delay != np.rint(delay)).any() or (np.abs(delay) > DELAY_MAX).any():
@@ -193,7 +193,7 @@ def read_delay(node: Node) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True, eq=False)
-class MovingAverageRecursion(DelayedRecursion):
+class MovingAverageRecursion(_DelayedRecursion):
     """Autoregressive model with moving averages of the rises, method sheet 003 section 2.
 
     y(n) = drive x + feedback y(n-1..n-K) + offset, cut at the limit, where x holds the rises at
@@ -224,7 +224,7 @@ class MovingAverageRecursion(DelayedRecursion):
     def __post_init__(self) -> None:
         """Refuse shapes that disagree."""
         channels, columns = self.drive.shape
-        check_delay(self.delay, columns)
+        _check_delay(self.delay, columns)
         if columns % len(self.delay):
             raise ValueError(
                 f'drive: expected a multiple of {len(self.delay)} columns, one per delay and '
@@ -256,7 +256,7 @@ class MovingAverageRecursion(DelayedRecursion):
         return int(self.feedback.shape[-1])
 
     def _linear(self) -> tuple[Array, Array]:
-        past = own_history_columns(self.feedback[:, np.newaxis, :])
+        past = _own_history_columns(self.feedback[:, np.newaxis, :])
         return np.hstack([self.drive, past]), self.offset
 
     def _output(self, activation: Array) -> Array:
@@ -303,7 +303,7 @@ class MovingAverageRecursion(DelayedRecursion):
     @classmethod
     def read(cls, node: Node, inputs: int) -> 'MovingAverageRecursion':
         """Return the recursion of a document."""
-        delay = read_delay(node.get('delay'))
+        delay = _read_delay(node.get('delay'))
         feedback = node.get('feedback').list()
         history = len(feedback[0].list()) if feedback else 0
         return cls(
@@ -316,7 +316,7 @@ class MovingAverageRecursion(DelayedRecursion):
 
 
 @dataclass(frozen=True, eq=False)
-class FilterNetworkRecursion(DelayedRecursion):
+class FilterNetworkRecursion(_DelayedRecursion):
     """Network with one hidden layer on delayed rises and past outputs, method sheet 003, 3.
 
     y(n) = scale tanh(outer tanh(inner x + feedback y(n-1..n-K) + bias) + offset), where x holds
@@ -352,7 +352,7 @@ class FilterNetworkRecursion(DelayedRecursion):
 
     def __post_init__(self) -> None:
         """Refuse shapes that disagree."""
-        check_delay(self.delay, self.inner.shape[-1])
+        _check_delay(self.delay, self.inner.shape[-1])
         channels, hidden = self.bias.shape
         columns, history = self.inner.shape[-1], self.feedback.shape[-1]
         if columns % len(self.delay):
@@ -389,7 +389,7 @@ class FilterNetworkRecursion(DelayedRecursion):
 
     def _linear(self) -> tuple[Array, Array]:
         rises = self.inner.reshape(self.bias.size, -1)
-        return np.hstack([rises, own_history_columns(self.feedback)]), self.bias.ravel()
+        return np.hstack([rises, _own_history_columns(self.feedback)]), self.bias.ravel()
 
     @cached_property
     def _outer(self) -> Array:
@@ -448,7 +448,7 @@ class FilterNetworkRecursion(DelayedRecursion):
     @classmethod
     def read(cls, node: Node, inputs: int) -> 'FilterNetworkRecursion':
         """Return the recursion of a document."""
-        delay = read_delay(node.get('delay'))
+        delay = _read_delay(node.get('delay'))
         # Each channel has its own matrix; the first tells how many outputs feed back.
         feedback = node.get('feedback').list()
         history = len(feedback[0].list()[0].list()) if feedback and feedback[0].list() else 0
