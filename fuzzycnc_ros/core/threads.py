@@ -12,11 +12,11 @@ from contextlib import AbstractContextManager, nullcontext
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
-Parameters = ParamSpec('Parameters')
+_Parameters = ParamSpec('_Parameters')
 Result = TypeVar('Result')
 
 
-def single_threaded(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
+def single_threaded(function: Callable[_Parameters, Result]) -> Callable[_Parameters, Result]:
     """Return a function that runs with one thread of linear algebra.
 
     Without threadpoolctl, which comes with scikit-learn, the number of threads stays as the
@@ -24,7 +24,7 @@ def single_threaded(function: Callable[Parameters, Result]) -> Callable[Paramete
     """
 
     @wraps(function)
-    def limited(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Result:
+    def limited(*args: _Parameters.args, **kwargs: _Parameters.kwargs) -> Result:
         with _one_thread():
             return function(*args, **kwargs)
 

@@ -23,7 +23,7 @@ from fuzzycnc_ros.runtime.component import Answer
 
 Request = Callable[[str, Mapping[str, Any]], Answer]
 
-FILES = {'model': model.SIZE_MAX, 'offsets': offset_file.SIZE_MAX}
+FILES = {'model': model.MODEL_SIZE_MAX, 'offsets': offset_file.OFFSETS_SIZE_MAX}
 """Parameters that name files, and how long these may be [characters]."""
 
 

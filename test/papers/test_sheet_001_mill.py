@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.simulation.thermal.duties import DUTIES, record_runs, simulate_duty
-from fuzzycnc_ros.simulation.thermal.mill import MILL_SENSORS, NODES, RPM, sensor_weights
+from fuzzycnc_ros.simulation.thermal.mill import MILL_NODES, MILL_SENSORS, RPM, sensor_weights
 
 pytestmark = pytest.mark.paper
 
@@ -54,12 +54,12 @@ def test_noise_is_drawn_in_the_sheets_order():
 
 def test_sensors_sit_where_section_1_puts_them():
     weights = sensor_weights()
-    assert weights.shape == (len(MILL_SENSORS), len(NODES)) == (76, 30)
+    assert weights.shape == (len(MILL_SENSORS), len(MILL_NODES)) == (76, 30)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, rtol=1e-15)
 
     def nodes_of(first, last):
         rows = weights[first - 1 : last]
-        return {NODES[i] for i in np.flatnonzero(rows.any(axis=0))}
+        return {MILL_NODES[i] for i in np.flatnonzero(rows.any(axis=0))}
 
     assert nodes_of(1, 7) == {'co0', 'co1', 'co2'}
     assert nodes_of(8, 32) == {f'b1{i}' for i in range(5)}
@@ -75,9 +75,9 @@ def test_sensors_sit_where_section_1_puts_them():
     ]
     assert nodes_of(73, 75) == {'ci0', 'ci1', 'ci2'}
     # A chain begins and ends on a node; the second of seven lies a third of the way to the next.
-    assert weights[0, NODES.index('co0')] == 1.0
-    assert weights[6, NODES.index('co2')] == 1.0
-    assert weights[1, NODES.index('co1')] == pytest.approx(1 / 3)
+    assert weights[0, MILL_NODES.index('co0')] == 1.0
+    assert weights[6, MILL_NODES.index('co2')] == 1.0
+    assert weights[1, MILL_NODES.index('co1')] == pytest.approx(1 / 3)
 
 
 def test_duties_speeds_are_the_printed_ones():

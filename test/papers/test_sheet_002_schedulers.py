@@ -12,7 +12,7 @@ from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler, published_rules
+from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler, published_feed_rules
 from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantNormalAcceleration, JerkLimitedFeed
 from fuzzycnc_ros.core.feedrate.schedule.refinement import knob_at_error
@@ -100,7 +100,7 @@ def segment_sum(path, feed):
 @pytest.mark.parametrize('vvlf', ['VLF', 'MF', 'HF'])
 def test_30_rules(vvlf):
     listed = [row.split() for row in RULE_LIST.replace('VVLF', vvlf).split('\n') if row]
-    assert list(zip(*published_rules(vvlf), strict=True)) == [tuple(row) for row in listed]
+    assert list(zip(*published_feed_rules(vvlf), strict=True)) == [tuple(row) for row in listed]
 
 
 @pytest.mark.parametrize('vvlf', ['VLF', 'MF'])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.thermal.fit import GreyModel, LagRidge, StaticRidge
-from fuzzycnc_ros.simulation.thermal.grinder import NODES, SENSORS
+from fuzzycnc_ros.simulation.thermal.grinder import GRINDER_NODES, SENSORS
 from fuzzycnc_ros.simulation.thermal.grinder_runs import (
     FLUX_CASES,
     GRINDER_EXPERIMENTS,
@@ -76,7 +76,7 @@ def test_sensors_sit_where_the_sheet_puts_them():
         'sp sp wh wh sh sh c0 c0 c1 c1 c2 c2 c3 c3 y0 y1 y1 y2 z0 z1 z1 z2 x0 x1 b0 b2 oil oil'
     )
     share = SENSORS.weights[:28] / SENSORS.weights[:28].sum(axis=1, keepdims=True)
-    assert [NODES[i] for i in share.argmax(axis=1)] == listed.split()
+    assert [GRINDER_NODES[i] for i in share.argmax(axis=1)] == listed.split()
     np.testing.assert_allclose(share.max(axis=1), 0.9)
     np.testing.assert_allclose(np.sort(share, axis=1)[:, -2], 0.1)
     np.testing.assert_allclose(SENSORS.weights.sum(axis=1) + SENSORS.air, 1.0)

@@ -250,7 +250,7 @@ class KnownAxis:
     @property
     def controller(self) -> str:
         """What controls it if nothing is said."""
-        from fuzzycnc_ros.core.servo.axis_control import DEFAULT as UNTUNED
+        from fuzzycnc_ros.core.servo.axis_control import UNTUNED_CONTROLLER as UNTUNED
 
         return (self.data.controller or UNTUNED) if self.machine else DEFAULT
 

@@ -109,11 +109,11 @@ def analysed_controller(
     ValueError
         If it is not clear which, or the controller is of a kind without such an analysis.
     """
-    from fuzzycnc_ros.core.servo.axis_control import DEFAULT
+    from fuzzycnc_ros.core.servo.axis_control import UNTUNED_CONTROLLER
     from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 
     _, axis, data = machine_axis(file, axis)
-    chosen = name or data.controller or DEFAULT
+    chosen = name or data.controller or UNTUNED_CONTROLLER
     controller = machine_controller(data, axis, chosen, params)
     if not isinstance(controller, VariableUniverseController):
         raise ValueError(

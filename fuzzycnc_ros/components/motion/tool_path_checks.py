@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT, RELATIVE_MISFIT, SAME_POINT
+from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT, POINT_ROUNDING, RELATIVE_MISFIT
 from fuzzycnc_ros.core.feedrate.path.nurbs import (
     COORDINATE_MAX,
     DEGREE_MAX,
@@ -257,7 +257,7 @@ def _check_circles(
     """Refuse arcs whose end is not where their start turned by their angle lies."""
     first, last = np.hypot(*start.T), np.hypot(*end.T)
     room = np.maximum(ABSOLUTE_MISFIT, RELATIVE_MISFIT * first)
-    wrong = (first < SAME_POINT) | (np.abs(last - first) > room)
+    wrong = (first < POINT_ROUNDING) | (np.abs(last - first) > room)
     if wrong.any():
         at = int(wrong.argmax())
         raise segment_error(
@@ -268,7 +268,7 @@ def _check_circles(
         )
     turned = np.arctan2(end[:, 1], end[:, 0]) - np.arctan2(start[:, 1], start[:, 0]) - sweep
     apart = np.abs(turned - 2.0 * np.pi * np.round(turned / (2.0 * np.pi))) * last
-    wrong = apart > SAME_POINT
+    wrong = apart > POINT_ROUNDING
     if wrong.any():
         at = int(wrong.argmax())
         raise segment_error(

@@ -19,7 +19,7 @@ from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, make_axis_controller
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.controllers import (
-    DEFAULT,
+    DEFAULT_CONTROLLER,
     FOR_USE,
     BallscrewController,
     make_controller,
@@ -63,9 +63,10 @@ class ServoControllerConfig(Config):
         (), '-', 'Axes that a positive duty drives to negative positions'
     )
     controller: str = param(
-        DEFAULT,
+        DEFAULT_CONTROLLER,
         '-',
-        f'Controller of every axis that is of no machine file; a ballscrew has {DEFAULT} only',
+        'Controller of every axis that is of no machine file; '
+        f'a ballscrew has {DEFAULT_CONTROLLER} only',
         choices=FOR_USE,
     )
     period: float = param(1e-3, 's', 'Control period, that of the axis states', low=1e-4, high=0.1)
@@ -164,9 +165,10 @@ class ServoControllerConfig(Config):
                 f'silence_max: expected at most command_validity = {self.command_validity} s, for '
                 f'which the drives hold a command, but found {self.silence_max} s'
             )
-        if self.controller != DEFAULT and 'ballscrew' in axes.values():
+        if self.controller != DEFAULT_CONTROLLER and 'ballscrew' in axes.values():
             raise ValueError(
-                f'controller: expected {DEFAULT} for a ballscrew axis but found {self.controller}'
+                f'controller: expected {DEFAULT_CONTROLLER} for a ballscrew axis but found '
+                f'{self.controller}'
             )
 
     @property

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.thermal.run import GAP_MAX, SETTLE_TIME
-from fuzzycnc_ros.core.thermal.sensor_watch import LIMIT, PERSISTENCE, TOLERANCE
+from fuzzycnc_ros.core.thermal.sensor_watch import PERSISTENCE, TOLERANCE, WATCH_LIMIT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,7 @@ class ThermalPredictorConfig(Config):
         live=True,
     )
     mate_limit: float = param(
-        LIMIT, 'K', 'Difference to its mates that is never a fault', low=0.0, high=100.0
+        WATCH_LIMIT, 'K', 'Difference to its mates that is never a fault', low=0.0, high=100.0
     )
     mate_tolerance: float = param(
         TOLERANCE,

@@ -194,7 +194,7 @@ def _sigmoid(values: Array) -> Array:
     return values
 
 
-TOLERANCE = 1e-6
+_TOLERANCE = 1e-6
 """What the box is widened by [deg, mm]: directions of a path are rounded."""
 
 SUPPORT_QUANTILE = 0.01
@@ -238,12 +238,12 @@ class Gate:
 
     def inside(self, x: Array) -> NDArray[np.bool_]:
         """Return whether rows of process values (k, 5) lie in the box; NaN does not."""
-        within = ((x >= self.low - TOLERANCE) & (x <= self.high + TOLERANCE)).all(axis=1)
+        within = ((x >= self.low - _TOLERANCE) & (x <= self.high + _TOLERANCE)).all(axis=1)
         depth, kind, thickness = x[:, 1], x[:, 2], x[:, 4]
         within &= (kind == 1.0) | (kind == 2.0)
         # Products, not ratios: a thickness of 0 is refused without a division.
-        within &= depth >= self.ratio_low * thickness - TOLERANCE
-        within &= depth <= self.ratio_high * thickness + TOLERANCE
+        within &= depth >= self.ratio_low * thickness - _TOLERANCE
+        within &= depth <= self.ratio_high * thickness + _TOLERANCE
         return np.asarray(within)
 
     def accepts(self, x: Array, support: Array) -> NDArray[np.bool_]:
@@ -322,7 +322,7 @@ class AxisGain:
         return AxisGain(np.clip(value, GAIN_MIN, GAIN_MAX), variance)
 
 
-CHUNK = 500
+_CHUNK = 500
 """Rows computed together; with 2000 a large network spent most time on fresh memory."""
 
 
@@ -449,16 +449,16 @@ class DeformationModel:
 
 
 def _chunks(count: int) -> Iterator[slice]:
-    return (slice(begin, begin + CHUNK) for begin in range(0, count, CHUNK))
+    return (slice(begin, begin + _CHUNK) for begin in range(0, count, _CHUNK))
 
 
-SCHEMA = 'fuzzycnc/deformation-model'
+_SCHEMA = 'fuzzycnc/deformation-model'
 """What a model file says it is."""
 
-SCHEMA_VERSION = 1
+_SCHEMA_VERSION = 1
 """Version of the layout."""
 
-SIZE_MAX = 4 * 1024 * 1024
+MODEL_SIZE_MAX = 4 * 1024 * 1024
 """Largest document that is read [characters]; a default model takes 0.03 million."""
 
 
@@ -468,8 +468,8 @@ def write_model(model: DeformationModel) -> str:
     rules = network.antecedent
     names = FEATURE_SETS[model.features].names
     document = {
-        'schema': SCHEMA,
-        'schema_version': SCHEMA_VERSION,
+        'schema': _SCHEMA,
+        'schema_version': _SCHEMA_VERSION,
         'units': {'direction': 'deg', 'length': 'mm', 'compensation': 'mm per 50 mm'},
         'features': model.features,
         'inputs': [names[at] for at in model.columns],
@@ -503,12 +503,12 @@ def read_model(text: str) -> DeformationModel:
         If the text is too large, no JSON, of another schema or version, or holds a value of
         another type, shape or range.
     """
-    root = parse_document(text, 'model file', SIZE_MAX)
-    if root.get('schema').text() != SCHEMA:
-        root.get('schema').refuse(f'the schema {SCHEMA!r}')
+    root = parse_document(text, 'model file', MODEL_SIZE_MAX)
+    if root.get('schema').text() != _SCHEMA:
+        root.get('schema').refuse(f'the schema {_SCHEMA!r}')
     version = root.get('schema_version')
-    if type(version.value) is not int or version.value != SCHEMA_VERSION:
-        version.refuse(f'schema version {SCHEMA_VERSION}; train the model anew')
+    if type(version.value) is not int or version.value != _SCHEMA_VERSION:
+        version.refuse(f'schema version {_SCHEMA_VERSION}; train the model anew')
     features = root.get('features').text()
     if features not in FEATURE_SETS:
         root.get('features').refuse(f'one of {", ".join(FEATURE_SETS)}')

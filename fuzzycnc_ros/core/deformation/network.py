@@ -34,7 +34,7 @@ from fuzzycnc_ros.core.deformation.training import (
     METHODS,
     HiddenWeights,
     Method,
-    Samples,
+    TrainingSamples,
     equal_rows,
     grouped_folds,
     initial_weights,
@@ -53,7 +53,7 @@ from fuzzycnc_ros.core.threads import single_threaded
 STARTS = 1
 """Random starts of the clustering: at 10 rules they end within 3 % of each other."""
 
-TOLERANCE = 1e-2
+_TOLERANCE = 1e-2
 """Change of a membership that ends the clustering.
 
 The clustering takes most of a training: with two starts and 1e-3 it is twice as long, and the
@@ -124,7 +124,7 @@ class _Clustered:
     """
 
     antecedent: Antecedent
-    samples: list[Samples]
+    samples: list[TrainingSamples]
     input_scale: tuple[Array, Array]
     output_scale: tuple[Array, Array]
     values: ClassValues
@@ -140,7 +140,7 @@ def cluster(rows: _Rows, recipe: _Recipe, rng: np.random.Generator) -> _Clustere
     compensation = rows.output * rows.load[:, np.newaxis]
     model = GustafsonKessel(
         recipe.n_rules,
-        tol=TOLERANCE,
+        tol=_TOLERANCE,
         regularisation=recipe.regularisation,
         n_init=recipe.starts,
         random_state=rng,
@@ -172,7 +172,7 @@ def cluster(rows: _Rows, recipe: _Recipe, rng: np.random.Generator) -> _Clustere
     fitness = antecedent.fitness(scaled)
     return _Clustered(
         antecedent,
-        [Samples(extended, fitness, target) for target in output.T],
+        [TrainingSamples(extended, fitness, target) for target in output.T],
         input_scale,
         output_scale,
         ClassValues(*(value[used] for value in values)),
@@ -287,7 +287,7 @@ def _joined(members: Sequence[HiddenWeights]) -> HiddenWeights:
     )
 
 
-RIDGES = (1e-3, 1e-2, 3e-2, 1e-1, 1.0)
+_RIDGES = (1e-3, 1e-2, 3e-2, 1e-1, 1.0)
 """Penalties that are compared; the search begins in the middle."""
 
 FOLDS = 3
@@ -545,4 +545,4 @@ class TSFuzzyNetwork(RegressionEstimator):
             )
         for part in held_out:
             self._check_enough(samples, ~part)
-        return _choose_ridge(samples, held_out, recipe, RIDGES, int(rng.integers(2**32)))
+        return _choose_ridge(samples, held_out, recipe, _RIDGES, int(rng.integers(2**32)))

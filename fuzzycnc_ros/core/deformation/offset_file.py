@@ -16,7 +16,7 @@ FORMAT = 'fuzzycnc stitch offsets'
 VERSION = 1
 """Version of the layout."""
 
-SIZE_MAX = 64 * 1024 * 1024
+OFFSETS_SIZE_MAX = 64 * 1024 * 1024
 """Largest document that is read [characters]; a stitch takes about 80."""
 
 SAME_POINT = 1e-6
@@ -92,7 +92,7 @@ def read_offsets(text: str) -> StitchOffsets:
         If the text is too large, no JSON, of another format or version, or holds points that are
         not finite or not parallel.
     """
-    root = parse_document(text, 'offsets file', SIZE_MAX)
+    root = parse_document(text, 'offsets file', OFFSETS_SIZE_MAX)
     if root.get('format').text() != FORMAT:
         root.get('format').refuse(f'the format {FORMAT!r}')
     version = root.get('version')

@@ -144,10 +144,10 @@ def _fit(drift: Array, way: Array, side: NDArray[np.intp], length: float) -> tup
     return solution, drift[1:] - drift[0] - columns @ solution
 
 
-SHORTEST = 0.9
+_SHORTEST = 0.9
 """Least length of a single primitive, as a share of the length that a sample is meant for."""
 
-SAME_POINT = 1e-6
+_SAME_POINT = 1e-6
 """Offsets below that are none [m]."""
 
 RESIDUAL_MAX = 0.1
@@ -325,14 +325,14 @@ def _unusable(path: RecordedPath, step: int) -> str:
 
 def _fresh(path: RecordedPath, first: int, last: int) -> tuple[tuple[Array, Array] | None, str]:
     """Return the sample of a primitive on a fresh sheet, or why it is none for good."""
-    compensated = np.abs(path.offset[first : last + 1]).max() > SAME_POINT
+    compensated = np.abs(path.offset[first : last + 1]).max() > _SAME_POINT
     if first > 0 or compensated:
         return None, ''
     points = path.nominal[first : last + 1]
     way = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
     wanted = SAMPLE_LENGTH[int(path.kind[first])]
-    if way[-1] < SHORTEST * wanted:
-        short = f'single primitives shorter than {1e3 * SHORTEST * wanted:g} mm'
+    if way[-1] < _SHORTEST * wanted:
+        short = f'single primitives shorter than {1e3 * _SHORTEST * wanted:g} mm'
         return None, '' if last < len(path.primitive) else short
     end = int(np.abs(way - wanted).argmin())
     drift = points[: end + 1] - path.stitched[first : first + end + 1]

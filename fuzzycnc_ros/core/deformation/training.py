@@ -18,7 +18,7 @@ from fuzzycnc_ros.core.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class TrainingSamples:
     """Training samples of one output.
 
     Parameters
@@ -35,9 +35,9 @@ class Samples:
     fitness: Array
     target: Array
 
-    def take(self, rows: slice | Array) -> 'Samples':
+    def take(self, rows: slice | Array) -> 'TrainingSamples':
         """Return some of the samples."""
-        return Samples(self.extended[rows], self.fitness[rows], self.target[rows])
+        return TrainingSamples(self.extended[rows], self.fitness[rows], self.target[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class HiddenWeights:
         )
 
 
-def _linear_regressor(samples: Samples) -> Array:
+def _linear_regressor(samples: TrainingSamples) -> Array:
     """Return the regressor of linear consequents, shape (k, c (n + 1)), rules first."""
     product = samples.fitness[:, :, np.newaxis] * samples.extended[:, np.newaxis]
     return product.reshape(len(product), -1)
@@ -92,14 +92,14 @@ def _ridge_solution(regressor: Array, target: Array, ridge: float) -> Array:
     return np.asarray(solution)
 
 
-def linear_weights(samples: Samples, ridge: float) -> Array:
+def linear_weights(samples: TrainingSamples, ridge: float) -> Array:
     """Return linear consequents p, shape (c, n + 1), by ridge regression."""
     solution = _ridge_solution(_linear_regressor(samples), samples.target, ridge)
     return solution.reshape(samples.fitness.shape[1], -1)
 
 
 def cost_and_gradient(
-    weights: HiddenWeights, samples: Samples, ridge: float = 0.0
+    weights: HiddenWeights, samples: TrainingSamples, ridge: float = 0.0
 ) -> tuple[float, HiddenWeights]:
     """Return E = 1/2 sum e^2 + ridge/2 |w|^2 and its gradient by all weights."""
     hidden = expit(samples.extended @ weights.inner.T)
@@ -112,7 +112,9 @@ def cost_and_gradient(
     return cost, HiddenWeights(inner + ridge * weights.inner, outer + ridge * weights.outer)
 
 
-def gradient(hidden: Array, pull: Array, error: Array, samples: Samples) -> tuple[Array, Array]:
+def gradient(
+    hidden: Array, pull: Array, error: Array, samples: TrainingSamples
+) -> tuple[Array, Array]:
     """Return the gradients of 1/2 sum e^2 by w_ij and w_jk, section 3.5.
 
     Parameters
@@ -130,7 +132,7 @@ def gradient(hidden: Array, pull: Array, error: Array, samples: Samples) -> tupl
     return slope.T @ samples.extended, outer
 
 
-def _jacobian(weights: HiddenWeights, samples: Samples) -> tuple[Array, Array]:
+def _jacobian(weights: HiddenWeights, samples: TrainingSamples) -> tuple[Array, Array]:
     """Return the errors (k,) and their derivatives by all weights, shape (k, m (n + 1) + m c)."""
     hidden = expit(samples.extended @ weights.inner.T)
     pull = samples.fitness @ weights.outer.T
@@ -171,7 +173,7 @@ def initial_weights(
 
 
 def train_hidden(
-    samples: Samples,
+    samples: TrainingSamples,
     start: HiddenWeights,
     *,
     method: Method,
@@ -207,7 +209,7 @@ def train_hidden(
 
 
 def project(
-    samples: Samples, start: HiddenWeights, ridge: float, iterations: int = ITERATIONS
+    samples: TrainingSamples, start: HiddenWeights, ridge: float, iterations: int = ITERATIONS
 ) -> HiddenWeights:
     """Return the weights of variable projection, w_ij by L-BFGS."""
     shape = start.inner.shape
@@ -240,7 +242,7 @@ def project(
 
 
 def descend(
-    samples: Samples,
+    samples: TrainingSamples,
     start: HiddenWeights,
     rng: np.random.Generator,
     *,
@@ -267,7 +269,7 @@ def descend(
 
 
 def levenberg_marquardt(
-    samples: Samples, start: HiddenWeights, ridge: float, iterations: int = ITERATIONS
+    samples: TrainingSamples, start: HiddenWeights, ridge: float, iterations: int = ITERATIONS
 ) -> HiddenWeights:
     """Return the weights of Levenberg-Marquardt on the penalised cost."""
     weights, damping = start, 1e-2

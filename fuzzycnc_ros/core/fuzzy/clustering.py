@@ -270,7 +270,7 @@ def _xie_beni(objective: float, centers: Array, samples: int) -> float:
     return objective / (samples * closest) if closest > 0.0 else float('nan')
 
 
-CONDITION_MAX = 1e8
+_CONDITION_MAX = 1e8
 """Largest ratio of the eigenvalues of a cluster's covariance, [4]_."""
 
 DISTANCE_MIN = 1e-12
@@ -471,7 +471,7 @@ def _round_covariance(points: Array, regularisation: float) -> Array:
     size = points.shape[1]
     total = points.T @ points / len(points)
     value = np.linalg.eigvalsh(total)
-    if value[0] > value[-1] / CONDITION_MAX:
+    if value[0] > value[-1] / _CONDITION_MAX:
         volume = float(np.exp(np.log(value).mean()))
     else:
         volume = float(value.sum()) / size
@@ -517,6 +517,6 @@ def _norm_factor(covariance: Array) -> Array:
     """Return factors A (..., p, p) of the norms M = A A^T of determinant 1."""
     value, vector = np.linalg.eigh(covariance)
     largest = np.maximum(value[..., -1:], DISTANCE_MIN)
-    value = np.maximum(value, largest / CONDITION_MAX)
+    value = np.maximum(value, largest / _CONDITION_MAX)
     volume = np.exp(0.5 * np.log(value).mean(axis=-1, keepdims=True))
     return np.asarray(vector * (volume / np.sqrt(value))[..., np.newaxis, :])

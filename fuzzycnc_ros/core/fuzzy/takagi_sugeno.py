@@ -145,7 +145,7 @@ def train_rules(
     TrainedRules
         The epoch of least cost.
     """
-    samples = Samples.of(inputs, target)
+    samples = RuleSamples.of(inputs, target)
     best = present = samples.fit(premises, ridge)
     history, judged = [best.cost], [best.cost]
     for _ in range(epochs):
@@ -204,7 +204,7 @@ class Epoch:
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class RuleSamples:
     """Training samples by columns: with few rules, sums over rules are then long and fast.
 
     Parameters
@@ -222,10 +222,10 @@ class Samples:
     target: Array
 
     @staticmethod
-    def of(inputs: Array, target: Array) -> 'Samples':
+    def of(inputs: Array, target: Array) -> 'RuleSamples':
         """Take inputs (n, p) and target (n,)."""
         extended = np.concatenate([np.ones((1, len(inputs))), inputs.T])
-        return Samples(extended, extended[1:] ** 2, target)
+        return RuleSamples(extended, extended[1:] ** 2, target)
 
     def firing(self, premises: Premises) -> Array:
         """Return the normalised firing strengths, shape (r, n).

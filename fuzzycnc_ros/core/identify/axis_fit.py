@@ -243,11 +243,11 @@ class AxisFit:
     residual: tuple[Array, ...]
 
 
-Progress = Callable[[str, int, int], None]
+_Progress = Callable[[str, int, int], None]
 """Told what is fitted, how many fits are done, and how many there are."""
 
 
-def fit_axis(recordings: Sequence[AxisRecording], progress: Progress | None = None) -> AxisFit:
+def fit_axis(recordings: Sequence[AxisRecording], progress: _Progress | None = None) -> AxisFit:
     """Identify an axis from recordings of its command and its position.
 
     Each structure is fitted on one half of the data and judged, open loop, on the other, both

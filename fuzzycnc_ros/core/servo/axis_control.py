@@ -169,7 +169,7 @@ def make_axis_controller(
     data : AxisData
         The axis, with a plant.
     name : str
-        Of `AXIS_CONTROLLERS`; by default the axis' own, else `DEFAULT`.
+        Of `AXIS_CONTROLLERS`; by default the axis' own, else `UNTUNED_CONTROLLER`.
     settings : mapping of str to float, optional
         Of `SETTINGS`; by default the axis' own.  What is left out is not tuned.
     rules : RuleTable, optional
@@ -181,7 +181,7 @@ def make_axis_controller(
         If the axis has no plant, a name or setting is unknown or out of its range, or there are
         rules for a controller that has none.
     """
-    chosen = name or data.controller or DEFAULT
+    chosen = name or data.controller or UNTUNED_CONTROLLER
     if chosen not in AXIS_CONTROLLERS:
         raise ValueError(
             f'controller: expected one of {", ".join(AXIS_CONTROLLERS)} but found {chosen!r}'
@@ -288,7 +288,7 @@ AXIS_CONTROLLERS: Mapping[str, Callable[[AxisData, Mapping[str, float]], AxisCon
 WITH_RULES = 'variable_universe'
 """The one among them that has rules."""
 
-DEFAULT = 'pid'
+UNTUNED_CONTROLLER = 'pid'
 """Controller of an axis that nothing is said about and that nothing was tuned on."""
 
 

@@ -151,7 +151,7 @@ recursion as printed.  `fixed_universe` is the default on universes that do not 
 `fixed_universe_paper` the published rules on the published ones.
 """
 
-DEFAULT = next(iter(CONTROLLERS))
+DEFAULT_CONTROLLER = next(iter(CONTROLLERS))
 """Controller that axes get if nothing else is asked for."""
 
 FOR_USE = tuple(name for name in CONTROLLERS if name != 'fixed_universe_paper')

@@ -28,7 +28,7 @@ _CUT = 0.999
 _PASSES = 50
 """Fits at most, until the cut duties that still pull are the same as before."""
 
-METHODS = ('wm', 'lsq')
+_METHODS = ('wm', 'lsq')
 """Wang-Mendel as published, and least squares."""
 
 DATA, MIRRORED, FILLED, EMPTY = 'data', 'mirrored', 'filled', ''
@@ -177,8 +177,8 @@ def learn_rules(
     (1.0, 0.404, 2)
     """
     check_centres('centres', centres)
-    if method not in METHODS:
-        raise ValueError(f'method: expected one of {", ".join(METHODS)} but found {method!r}')
+    if method not in _METHODS:
+        raise ValueError(f'method: expected one of {", ".join(_METHODS)} but found {method!r}')
     rows = np.asarray(records, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] not in (3, 4) or not np.isfinite(rows).all():
         raise ValueError(

@@ -21,7 +21,7 @@ from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.params import ultimate_gain
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 
-GAINS = (0.5, 0.75, 1.0, 1.25, 1.5, 1.75)
+_GAINS = (0.5, 0.75, 1.0, 1.25, 1.5, 1.75)
 """Gains of the axis, as multiples of the nominal one, that a report covers."""
 
 _PHASES = np.linspace(0.0, 2.0 * pi, 256, endpoint=False)
@@ -75,7 +75,7 @@ class StabilityReport:
 
 
 def stability_report(
-    controller: VariableUniverseController, gains: Sequence[float] = GAINS
+    controller: VariableUniverseController, gains: Sequence[float] = _GAINS
 ) -> StabilityReport:
     """Return how stable the loop of a controller around its own axis is.
 

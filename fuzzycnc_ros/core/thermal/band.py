@@ -40,7 +40,7 @@ SCATTER_WEIGHT = 3.0
 GAIN_MIN = 0.1
 """Least gain that is worth another model [-]: the natural logarithm of the residuals' ratio."""
 
-GAIN_MAX = float(np.log(2.0))
+_GAIN_MAX = float(np.log(2.0))
 """Most that one fold may say for or against a model at all [-]: it halves the error."""
 
 RESIDUAL_MIN = 1e-12
@@ -110,7 +110,7 @@ def worth_using(square: Array, none: Array, independent: int) -> bool:
         gain = 0.5 * np.log(
             np.maximum(none, RESIDUAL_MIN**2) / np.maximum(square, RESIDUAL_MIN**2)
         )
-    gain = np.clip(gain[~np.isnan(none)], -GAIN_MAX, GAIN_MAX)
+    gain = np.clip(gain[~np.isnan(none)], -_GAIN_MAX, _GAIN_MAX)
     if np.isnan(gain).any() or not len(gain):
         return False
     if not _gain(square[:, np.newaxis], none[:, np.newaxis]) > GAIN_MIN:

@@ -543,10 +543,10 @@ def load_model(source: str | os.PathLike[str]) -> ThermalModel:
         raise ModelFileError(f'{path}: {error}') from error
 
 
-SCHEMA = 'fuzzycnc/thermal-model'
+_SCHEMA = 'fuzzycnc/thermal-model'
 """What a model file says it is."""
 
-SCHEMA_VERSION = 3
+_SCHEMA_VERSION = 3
 """Version of the layout that is written."""
 
 READABLE_VERSIONS = (1, 2, 3)
@@ -568,8 +568,8 @@ SIZE_MAX = 16 * 1024 * 1024
 def _write_document(model: 'ThermalModel') -> str:
     """Return the model as a JSON document; equal models give equal text."""
     document = {
-        'schema': SCHEMA,
-        'schema_version': SCHEMA_VERSION,
+        'schema': _SCHEMA,
+        'schema_version': _SCHEMA_VERSION,
         'units': UNITS,
         'inputs': list(model.inputs),
         'drivers': list(model.drivers),
@@ -631,12 +631,12 @@ def _read_document(text: str) -> dict[str, Any]:
         another type or shape.
     """
     root = parse_document(text, 'model file', SIZE_MAX)
-    if root.get('schema').text() != SCHEMA:
-        root.get('schema').refuse(f'the schema {SCHEMA!r}')
+    if root.get('schema').text() != _SCHEMA:
+        root.get('schema').refuse(f'the schema {_SCHEMA!r}')
     version = root.get('schema_version').value
     if type(version) is not int or version not in READABLE_VERSIONS:
         raise ModelFileError(
-            f'model file: expected schema version {SCHEMA_VERSION}, but found '
+            f'model file: expected schema version {_SCHEMA_VERSION}, but found '
             f'{root.get("schema_version").value!r}; train the model anew with this version'
         )
     if root.get('units').value != UNITS:

@@ -316,9 +316,9 @@ ALLOWANCE = 1.5
 """Size of a normalised residual that is no sign of drift [-].
 
 Residuals of a healthy model are no white noise: between two probes of one warm-up they hardly
-change.  With 1.0 the sums of 6 % of 48 runs of mixed duty reached `LIMIT`, with 1.5 none."""
+change.  With 1.0 the sums of 6 % of 48 runs of mixed duty reached `CUSUM_LIMIT`, with 1.5 none."""
 
-LIMIT = 4.0
+CUSUM_LIMIT = 4.0
 """Sum of the excess at which the model no longer fits [-]."""
 
 
@@ -351,7 +351,7 @@ class DriftAlarm:
     [False, False, False, True]
     """
 
-    def __init__(self, channels: int, limit: float = LIMIT) -> None:
+    def __init__(self, channels: int, limit: float = CUSUM_LIMIT) -> None:
         if channels < 1 or not limit > 0.0:
             raise ValueError(
                 'expected 1 or more channels and a limit above 0, but found '

@@ -89,7 +89,7 @@ class SensorSelection:
         return tuple(cluster.chosen for cluster in self.clusters)
 
 
-RIDGE = 1e-4
+MATE_RIDGE = 1e-4
 """Penalty on the weights of mates that are scaled to a mean square of 1 [-].
 
 On duties that no figure is quoted for, 1e-3 missed the spindle's sensors by up to 1.2 K where
@@ -138,7 +138,7 @@ def mate_weights(moment: Array, target: int, mates: Indices) -> Array:
     scale = _scale_of(moment)[mates]
     alike = moment[np.ix_(mates, mates)] / np.outer(scale, scale)
     own = moment[target, mates] / scale
-    return np.asarray(np.linalg.solve(alike + RIDGE * np.eye(len(mates)), own) / scale)
+    return np.asarray(np.linalg.solve(alike + MATE_RIDGE * np.eye(len(mates)), own) / scale)
 
 
 def unexplained(moment: Array, target: int, mates: Indices, weights: Array) -> float:
@@ -237,7 +237,7 @@ class Leverage:
         return np.asarray(whole - self._share * pulled[..., self._targets] ** 2)
 
 
-LIMIT = 0.5
+WATCH_LIMIT = 0.5
 """Difference that is never a fault [K], five times the noise of one reading of the sheet."""
 
 TOLERANCE = 2.0
@@ -389,7 +389,7 @@ class SensorWatch:
         self,
         model: SensorWatchModel,
         *,
-        limit: float = LIMIT,
+        limit: float = WATCH_LIMIT,
         tolerance: float = TOLERANCE,
         persistence: float = PERSISTENCE,
     ) -> None:

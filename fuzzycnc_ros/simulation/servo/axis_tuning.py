@@ -44,7 +44,7 @@ _GIVEN_UP = 0.1
 _PER_FAULT = 100.0
 """Factor on the cost for each case that is given up [-]."""
 
-Progress = Callable[[int, int], None]
+_Progress = Callable[[int, int], None]
 """Told how many generations are done, and how many there are."""
 
 Plant = Callable[['_AxisCase'], AxisPlant]
@@ -291,7 +291,7 @@ def tune_controller(
     seed: int = 0,
     generations: int = 8,
     population: int = 6,
-    progress: Progress | None = None,
+    progress: _Progress | None = None,
 ) -> TunedController:
     """Tune one kind of controller for an axis by differential evolution.
 

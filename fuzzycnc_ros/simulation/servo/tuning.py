@@ -41,7 +41,7 @@ GAIN_SPREAD = (0.5, 0.75, 1.0, 1.25, 1.5)
 _PER_RADIUS = 100.0
 """Cost of what a spectral radius exceeds 1 by [-], which leads the search back."""
 
-Progress = Callable[[int, int, float], None]
+_Progress = Callable[[int, int, float], None]
 """Told after every generation: generation, their largest number, best cost so far."""
 
 Make = Callable[[LinearAxis, Mapping[str, float]], AxisController]
@@ -128,7 +128,7 @@ def tune(
     generations: int = 30,
     population: int = 6,
     duration: float = 1.5,
-    progress: Progress | None = None,
+    progress: _Progress | None = None,
 ) -> TuningResult:
     """Search for settings that settle fast, do not overshoot and stay on target.
 

@@ -15,7 +15,7 @@ from fuzzycnc_ros.core.arrays import Array
 FOOT_RADIUS = 5e-3
 """Radius of the presser foot [m]."""
 
-DEPTH_RATIO_MAX = 0.8
+_DEPTH_RATIO_MAX = 0.8
 """Feed depth over thickness at which the foot goes through the sheet [-]."""
 
 ELASTIC_MEMORY = 2e-3
@@ -181,7 +181,7 @@ class FoamSheet:
     def _strain(self, depth: float) -> float:
         if not (isfinite(depth) and depth > 0.0):
             raise ValueError(f'depth: expected more than 0 mm but found {1e3 * depth} mm')
-        return min(depth / self.thickness, DEPTH_RATIO_MAX)
+        return min(depth / self.thickness, _DEPTH_RATIO_MAX)
 
 
 class FoamStitching:

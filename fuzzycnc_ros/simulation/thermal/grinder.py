@@ -15,7 +15,7 @@ import numpy as np
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.simulation.thermal.thermal_network import ThermalNetwork
 
-STEP_SECONDS = 10
+GRINDER_STEP = 10
 """Internal step [s]; the check values of the sheet belong to it."""
 
 _COLUMN = ('c0', 'c1', 'c2', 'c3')
@@ -67,19 +67,19 @@ _LINKS: dict[tuple[str, str], float] = {
 _NETWORK = ThermalNetwork.of(_NODES, _LINKS)
 _mean_row = _NETWORK.mean_row
 
-NODES = _NETWORK.node
+GRINDER_NODES = _NETWORK.node
 """Names of the nodes, in the order of every array."""
 
-NODE_CAPACITY = _NETWORK.capacity
+GRINDER_CAPACITY = _NETWORK.capacity
 """Heat capacity of each node, shape (nodes,) [J/K]."""
 
-NODE_LOSS = _NETWORK.loss
+GRINDER_LOSS = _NETWORK.loss
 """Loss of each node to the surroundings, shape (nodes,) [W/K]."""
 
-_SOLVED, _STORAGE = _NETWORK.implicit_euler(STEP_SECONDS)
+_SOLVED, _STORAGE = _NETWORK.implicit_euler(GRINDER_STEP)
 
 
-def thermal_step(temperatures: Array, ambient: float, heat: Array) -> Array:
+def grinder_step(temperatures: Array, ambient: float, heat: Array) -> Array:
     """Return the node temperatures one implicit Euler step later, shape (nodes,) [degC].
 
     Parameters
@@ -91,17 +91,17 @@ def thermal_step(temperatures: Array, ambient: float, heat: Array) -> Array:
     heat : ndarray, shape (nodes,)
         Heat that flows into each node during the step [W].
     """
-    return np.asarray(_SOLVED @ (_STORAGE * temperatures + NODE_LOSS * ambient + heat))
+    return np.asarray(_SOLVED @ (_STORAGE * temperatures + GRINDER_LOSS * ambient + heat))
 
 
 Heat = Callable[[float, Array], Array]
 """Heat into each node, shape (nodes,) [W], from the time [s] and the temperatures [degC]."""
 
-_SPINDLE = NODES.index('sp')
+_SPINDLE = GRINDER_NODES.index('sp')
 
 
 def _row(**values: float) -> Array:
-    return np.array([values.get(name, 0.0) for name in NODES])
+    return np.array([values.get(name, 0.0) for name in GRINDER_NODES])
 
 
 _OIL_IDLE = _row(oil=15.0)
@@ -178,7 +178,7 @@ _ERROR_WEIGHTS = _EXPANSION * (
 )
 
 
-def thermal_displacement(rise: Array) -> Array:
+def grinder_displacement(rise: Array) -> Array:
     """Displacement of the wheel in Y and Z that the rises of the nodes cause.
 
     Parameters
@@ -259,13 +259,13 @@ def _draw_sensors() -> _GrinderSensors:
     """Draw the sensors as the sheet does; the order of the draws is part of it."""
     rng = np.random.default_rng(28)
     machine, count = len(MACHINE_SENSORS), len(GRINDER_SENSORS)
-    weights = np.zeros((count, len(NODES)))
+    weights = np.zeros((count, len(GRINDER_NODES)))
     for row, node in zip(weights, _PLACES.values(), strict=False):
         neighbours = [b if a == node else a for a, b in _LINKS if node in (a, b)]
         rng.integers(21)  # of no consequence but for the stream
         other = neighbours[rng.integers(len(neighbours))]
-        row[NODES.index(node)] += 0.9
-        row[NODES.index(other)] += 0.1
+        row[GRINDER_NODES.index(node)] += 0.9
+        row[GRINDER_NODES.index(other)] += 0.1
     lag = rng.uniform(60.0, 200.0, count)  # the last ten are replaced by those of the air
     air = np.ones(count)
     air[:machine] = rng.uniform(0.0, 0.3, machine)
@@ -277,7 +277,7 @@ def _draw_sensors() -> _GrinderSensors:
         weights=(1.0 - air)[:, np.newaxis] * weights,
         air=air,
         shift=shift,
-        memory=np.exp(-STEP_SECONDS / lag),
+        memory=np.exp(-GRINDER_STEP / lag),
         offset=offset,
     )
 
@@ -289,7 +289,7 @@ SENSORS = _draw_sensors()
 GRINDER_AXES = ('Y', 'Z')
 """Axes whose displacement the grinder gives; X is hydraulic and not compensated."""
 
-_STEP_NS = STEP_SECONDS * 1_000_000_000
+_STEP_NS = GRINDER_STEP * 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -371,7 +371,7 @@ class Grinder:
         self._time_ns = 0
         self._steps = 0
         self._start = ambient.at(0.0)
-        self._nodes = np.full(len(NODES), self._start)
+        self._nodes = np.full(len(GRINDER_NODES), self._start)
         self._lagged = SENSORS.target(self._nodes, self._start)
 
     @property
@@ -381,7 +381,7 @@ class Grinder:
 
     @property
     def node_temperatures(self) -> Array:
-        """Temperatures of the lumped nodes, shape (nodes,) [degC], in the order of `NODES`."""
+        """Temperatures of the lumped nodes, shape (nodes,) [degC], as in `GRINDER_NODES`."""
         return self._nodes.copy()
 
     def advance(self, duration: float) -> None:
@@ -404,9 +404,9 @@ class Grinder:
         steps = time_ns // _STEP_NS
         nodes, lagged = self._nodes, self._lagged
         for index in range(self._steps, steps):
-            ambient = self._ambient.at(float((index + 1) * STEP_SECONDS))
-            heat = self._heat(float(index * STEP_SECONDS), nodes)
-            nodes = thermal_step(nodes, ambient, heat)
+            ambient = self._ambient.at(float((index + 1) * GRINDER_STEP))
+            heat = self._heat(float(index * GRINDER_STEP), nodes)
+            nodes = grinder_step(nodes, ambient, heat)
             target = SENSORS.target(nodes, ambient)
             lagged = target + SENSORS.memory * (lagged - target)
         self._time_ns, self._steps = time_ns, steps
@@ -427,4 +427,4 @@ class Grinder:
 
         Actual minus nominal position of the wheel relative to the workpiece.
         """
-        return thermal_displacement(self._nodes - self._start)
+        return grinder_displacement(self._nodes - self._start)

@@ -26,10 +26,10 @@ from fuzzycnc_ros.simulation.thermal.grinder import (
 SAMPLE_INTERVAL = 60.0
 """Time between two rows of a recording [s]."""
 
-TEMPERATURE_NOISE = 0.1 / sqrt(5.0)
+_TEMPERATURE_NOISE = 0.1 / sqrt(5.0)
 """Standard deviation of a recorded temperature, the mean of five readings [K]."""
 
-DISPLACEMENT_NOISE = 0.1e-6
+_DISPLACEMENT_NOISE = 0.1e-6
 """Standard deviation of a recorded displacement [m]."""
 
 _HOUR = 3600.0
@@ -199,9 +199,9 @@ def record_grinder(
     for name, case in GRINDER_EXPERIMENTS.items():
         truth = simulate_grinder(case)
         temperature = truth.temperature + rng.normal(
-            0.0, TEMPERATURE_NOISE, truth.temperature.shape
+            0.0, _TEMPERATURE_NOISE, truth.temperature.shape
         )
-        noise = [rng.normal(0.0, DISPLACEMENT_NOISE, len(truth.time)) for _ in GRINDER_AXES]
+        noise = [rng.normal(0.0, _DISPLACEMENT_NOISE, len(truth.time)) for _ in GRINDER_AXES]
         recorded[name] = _run(
             name,
             sets[sensors],

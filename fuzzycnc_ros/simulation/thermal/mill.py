@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.simulation.thermal.sensor_faults import FaultInjector, SensorFault
 from fuzzycnc_ros.simulation.thermal.thermal_network import ThermalNetwork
 
-STEP_SECONDS = 5
+MILL_STEP = 5
 """Internal step [s]; the check values of the sheet belong to it."""
 
 RPM = 2.0 * pi / 60.0
@@ -89,15 +89,15 @@ _LINKS: dict[tuple[str, str], float] = {
 _NETWORK = ThermalNetwork.of(_NODES, _LINKS)
 _mean_row = _NETWORK.mean_row
 
-NODES = _NETWORK.node
+MILL_NODES = _NETWORK.node
 """Names of the nodes, in the order of every array."""
 
-_INDEX = {name: i for i, name in enumerate(NODES)}
+_INDEX = {name: i for i, name in enumerate(MILL_NODES)}
 
-NODE_CAPACITY = _NETWORK.capacity
+MILL_CAPACITY = _NETWORK.capacity
 """Heat capacity of each node, shape (nodes,) [J/K]."""
 
-NODE_LOSS = _NETWORK.loss
+MILL_LOSS = _NETWORK.loss
 """Loss of each node to the surroundings at standstill, shape (nodes,) [W/K]."""
 
 _FRONT, _REAR = _INDEX['fb'], _INDEX['rb']
@@ -120,8 +120,8 @@ class _ThermalStep:
     def advance(self, temperatures: NDArray[np.float64], ambient: float) -> NDArray[np.float64]:
         """Return the node temperatures one step later, shape (nodes,) [degC]."""
         front, rear = self.bearing_heat
-        source = np.empty(len(NODES) + 4)
-        source[: len(NODES)] = temperatures
+        source = np.empty(len(MILL_NODES) + 4)
+        source[: len(MILL_NODES)] = temperatures
         source[-4] = ambient
         source[-3] = front * exp(-0.012 * (temperatures[_FRONT] - 20.0))
         source[-2] = rear * exp(-0.012 * (temperatures[_REAR] - 20.0))
@@ -130,8 +130,8 @@ class _ThermalStep:
 
 
 @lru_cache(maxsize=64)
-def thermal_step(spindle_speed: float) -> _ThermalStep:
-    """Solve the implicit step of `STEP_SECONDS` at a spindle speed.
+def mill_step(spindle_speed: float) -> _ThermalStep:
+    """Solve the implicit step of `MILL_STEP` at a spindle speed.
 
     Parameters
     ----------
@@ -154,16 +154,16 @@ def thermal_step(spindle_speed: float) -> _ThermalStep:
             f'but found {spindle_speed / RPM:.6g} rpm ({spindle_speed:.6g} rad/s)'
         )
     u = abs(spindle_speed) / RPM / 1000.0
-    loss = NODE_LOSS.copy()
+    loss = MILL_LOSS.copy()
     loss[_INDEX['tn']] *= 1.0 + 1.2 * u
     loss[_INDEX['sh']] *= 1.0 + 0.3 * u
     loss[_INDEX['mo']] *= 1.0 + 0.5 * u
-    heat = np.zeros(len(NODES))
+    heat = np.zeros(len(MILL_NODES))
     heat[_INDEX['mo']] = 40.0 * u + 25.0 * u**2
     if u > 0.0:  # the screws warm up while a program moves the axes
         heat[_INDEX['zs']] = 12.0
         heat[_INDEX['ys']] = 15.0
-    solved, storage = _NETWORK.implicit_euler(STEP_SECONDS, loss)
+    solved, storage = _NETWORK.implicit_euler(MILL_STEP, loss)
     matrix = np.column_stack(
         [solved * storage, solved @ loss, solved[:, _FRONT], solved[:, _REAR], solved @ heat]
     )
@@ -172,7 +172,7 @@ def thermal_step(spindle_speed: float) -> _ThermalStep:
 
 def _along(names: tuple[str, ...], count: int) -> list[NDArray[np.float64]]:
     """Weights of `count` sensors spread evenly over a chain of nodes."""
-    nodes = np.eye(len(NODES))[[_INDEX[name] for name in names]]
+    nodes = np.eye(len(MILL_NODES))[[_INDEX[name] for name in names]]
     place = np.linspace(0.0, len(names) - 1.0, count)
     left = np.minimum(place.astype(int), len(names) - 2)
     share = (place - left)[:, None]
@@ -233,7 +233,7 @@ _ERROR_WEIGHTS = _error_weights()
 _ERROR_SCALE = np.array([0.71607, 0.32550])
 
 
-def thermal_displacement(rise: NDArray[np.float64]) -> NDArray[np.float64]:
+def mill_displacement(rise: NDArray[np.float64]) -> NDArray[np.float64]:
     """Displacement of the tool in Y and Z that the rises of the nodes cause.
 
     Parameters
@@ -262,7 +262,7 @@ TEMPERATURE_NOISE = 0.1
 DISPLACEMENT_NOISE = 0.3e-6
 """Standard deviation of one displacement reading [m]."""
 
-_STEP_NS = STEP_SECONDS * 1_000_000_000
+_STEP_NS = MILL_STEP * 1_000_000_000
 _DAY = 86_400.0
 
 
@@ -285,7 +285,7 @@ def _draw_sensors() -> _Sensors:
     return _Sensors(
         weights=contact[:, None] * sensor_weights(),
         contact=contact,
-        memory=np.exp(-STEP_SECONDS / lag),
+        memory=np.exp(-MILL_STEP / lag),
         offset=offset,
     )
 
@@ -369,7 +369,7 @@ class ThermalMill:
 
     @property
     def node_temperatures(self) -> NDArray[np.float64]:
-        """Temperatures of the lumped nodes, shape (nodes,) [degC], in the order of `NODES`."""
+        """Temperatures of the lumped nodes, shape (nodes,) [degC], as in `MILL_NODES`."""
         return self._nodes.copy()
 
     def ambient(self, time: float) -> float:
@@ -396,11 +396,11 @@ class ThermalMill:
         """
         if not (isfinite(duration) and duration >= 0.0):
             raise ValueError(f'duration: expected 0 s or more but found {duration} s')
-        step = thermal_step(float(spindle_speed))
+        step = mill_step(float(spindle_speed))
         self._time_ns += round(duration * 1e9)
         sensors, nodes, lagged = _SENSORS, self._nodes, self._lagged
         for index in range(self._steps + 1, self._time_ns // _STEP_NS + 1):
-            ambient = self.ambient(float(index * STEP_SECONDS))
+            ambient = self.ambient(float(index * MILL_STEP))
             nodes = step.advance(nodes, ambient)
             target = sensors.weights @ nodes + (1.0 - sensors.contact) * ambient
             lagged = target + sensors.memory * (lagged - target)
@@ -439,7 +439,7 @@ class ThermalMill:
 
         Actual minus nominal position relative to the workpiece, without any compensation.
         """
-        return thermal_displacement(self._nodes - self._start)
+        return mill_displacement(self._nodes - self._start)
 
     def measure_displacement(self, rng: np.random.Generator | None = None) -> NDArray[np.float64]:
         """Measure the displacement once, shape (2,): Y, Z [m], with 0.3 um of noise.

@@ -16,7 +16,7 @@ from fuzzycnc_ros.core.feedrate.schedule.controller_program import (
     program_moves,
     with_mode,
 )
-from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXES, ProgramSettings
+from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXIS_COUNT, ProgramSettings
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
 
@@ -61,7 +61,7 @@ def drive_words(
     feeds = np.array(
         [np.nan if feed is None else feed for block, feed in blocks if block.segment is not None]
     )
-    velocity, rise, _ = settings.limits.table(AXES)
+    velocity, rise, _ = settings.limits.table(AXIS_COUNT)
     path, speed, gain = velocity[0], velocity[1:], rise[1:]
     limits = ControllerLimits(
         velocity=tuple(np.minimum(speed, path).tolist()),

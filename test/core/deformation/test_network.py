@@ -18,7 +18,7 @@ from fuzzycnc_ros.core.deformation.network import (
 )
 from fuzzycnc_ros.core.deformation.training import (
     DivergedError,
-    Samples,
+    TrainingSamples,
     cost_and_gradient,
     descend,
     equal_rows,
@@ -53,7 +53,7 @@ def problem(seed=0, count=60, inputs=3, rules=4):
     fitness = rng.dirichlet(np.ones(rules), count)
     extended = np.concatenate([np.ones((count, 1)), scaled], axis=1)
     target = np.tanh(scaled[:, 0]) * fitness[:, 0] + 0.3 * scaled[:, 1]
-    return Samples(extended, fitness, target), initial_weights(5, inputs, rules, rng)
+    return TrainingSamples(extended, fitness, target), initial_weights(5, inputs, rules, rng)
 
 
 def cost_of(weights, samples, ridge=1e-2):

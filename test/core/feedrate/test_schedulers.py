@@ -12,7 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.fuzzy import RATIO_SETS, FuzzyScheduler, published_rules
+from fuzzycnc_ros.core.feedrate.schedule.fuzzy import (
+    RATIO_SETS,
+    FuzzyScheduler,
+    published_feed_rules,
+)
 from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedule.plain import (
     ChordErrorFeed,
@@ -188,7 +192,7 @@ def test_look_ahead_keeps_both_accelerations():
 
 
 def test_rules_name_their_sets_and_only_two_depend_on_the_misprint():
-    low, high = published_rules('VLF'), published_rules('TF')
+    low, high = published_feed_rules('VLF'), published_feed_rules('TF')
     assert {name for row in low for name in row} == set(RATIO_SETS)
     changed = [(i, j) for i in range(6) for j in range(5) if low[i][j] != high[i][j]]
     assert changed == [(0, 4), (1, 4)]

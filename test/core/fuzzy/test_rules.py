@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.fuzzy.takagi_sugeno import (
     Premises,
-    Samples,
+    RuleSamples,
     log_firing,
     normalised_firing,
     step_factor,
@@ -40,7 +40,7 @@ def test_premise_gradient_is_the_numerical_one(make, seed):
     """Also where rules share their sets, as in a grid."""
     rng = np.random.default_rng(seed)
     inputs = rng.normal(size=(80, 3))
-    samples = Samples.of(inputs, np.sin(inputs.sum(axis=1)))
+    samples = RuleSamples.of(inputs, np.sin(inputs.sum(axis=1)))
     premises = make(inputs)
     epoch = samples.fit(premises, 1e-3)
     consequent = epoch.consequent
@@ -87,7 +87,7 @@ def test_training_and_inference_fire_alike(make):
     premises = make(inputs)
     center, width = premises.of_rules()
     inferred = normalised_firing(log_firing(inputs, center, 1.0 / width))
-    trained = Samples.of(inputs, np.zeros(100)).firing(premises)
+    trained = RuleSamples.of(inputs, np.zeros(100)).firing(premises)
     assert np.abs(trained - inferred.T).max() <= 1e-12
 
 
@@ -95,7 +95,7 @@ def test_consequents_are_the_ridge_solution():
     rng = np.random.default_rng(0)
     inputs, target = rng.normal(size=(60, 2)), rng.normal(size=60)
     premises = cluster_premises(inputs, 3, 0)
-    samples = Samples.of(inputs, target)
+    samples = RuleSamples.of(inputs, target)
     firing = samples.firing(premises)
     features = np.hstack([strength[:, np.newaxis] * samples.extended.T for strength in firing])
     expected = ridge_solution(features, target, 1e-2).reshape(3, 3)
@@ -111,7 +111,7 @@ def test_the_best_epoch_is_kept(make):
     trained = train_rules(
         inputs, target, make(inputs), ridge=1e-4, epochs=60, step=0.3, width_min=0.2
     )
-    samples = Samples.of(inputs, target)
+    samples = RuleSamples.of(inputs, target)
     consequent = np.column_stack([trained.offset, trained.slope])
     kept = cost_of(samples, trained.premises, consequent) + 1e-4 * float((consequent**2).sum())
     assert len(trained.cost) == 61
@@ -126,7 +126,7 @@ def test_learning_finds_the_rules_that_made_the_data():
     inputs = rng.uniform(-2.0, 2.0, (400, 1))
     index = np.array([[0], [1]])
     truth = Premises(np.array([[-1.0], [1.0]]), np.array([[0.6], [0.6]]), index)
-    firing = Samples.of(inputs, np.zeros(400)).firing(truth)
+    firing = RuleSamples.of(inputs, np.zeros(400)).firing(truth)
     target = (firing * np.array([[1.0], [-2.0]])).sum(axis=0) + firing[1] * inputs[:, 0]
     start = replace(truth, center=np.array([[-0.6], [1.5]]), width=np.array([[0.9], [0.4]]))
     trained = train_rules(inputs, target, start, ridge=1e-9, epochs=300, step=0.01, width_min=0.05)

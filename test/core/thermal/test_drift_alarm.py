@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.thermal.probing import ALLOWANCE, LIMIT, DriftAlarm, drift_deviation
+from fuzzycnc_ros.core.thermal.probing import ALLOWANCE, CUSUM_LIMIT, DriftAlarm, drift_deviation
 
 
 def test_refusals():
@@ -69,7 +69,7 @@ def test_state_resumes():
         alarm.update([3.5, -1.0])
     other.state = alarm.state
     assert other.update([3.0, 0.0]).tolist() == alarm.update([3.0, 0.0]).tolist() == [True, False]
-    assert other.sums[0, 0] > LIMIT
+    assert other.sums[0, 0] > CUSUM_LIMIT
 
 
 def test_far_from_the_training_a_probe_may_miss_by_more():

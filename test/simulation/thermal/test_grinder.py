@@ -7,17 +7,17 @@ from hypothesis import strategies as st
 
 from fuzzycnc_ros.simulation.thermal.grinder import (
     FLUX_PLACES,
+    GRINDER_CAPACITY,
+    GRINDER_LOSS,
+    GRINDER_NODES,
     GRINDER_SENSORS,
-    NODE_CAPACITY,
-    NODE_LOSS,
-    NODES,
-    STEP_SECONDS,
+    GRINDER_STEP,
     AmbientCourse,
     Grinder,
+    grinder_displacement,
+    grinder_step,
     running_heat,
     surface_heat,
-    thermal_displacement,
-    thermal_step,
 )
 from fuzzycnc_ros.simulation.thermal.grinder_runs import (
     FLUX_CASES,
@@ -110,20 +110,20 @@ def test_states_hold_between_the_internal_steps():
 )
 def test_step_conserves_energy(heat):
     """Heat stored in one step = sources - losses, summed over all nodes."""
-    temperatures = 20.0 + np.linspace(0.0, 12.0, len(NODES))
+    temperatures = 20.0 + np.linspace(0.0, 12.0, len(GRINDER_NODES))
     watts, ambient = heat(0.0, temperatures), 23.0
-    after = thermal_step(temperatures, ambient, watts)
-    stored = NODE_CAPACITY @ (after - temperatures) / STEP_SECONDS
-    assert stored == pytest.approx(watts.sum() - NODE_LOSS @ (after - ambient), rel=1e-9)
+    after = grinder_step(temperatures, ambient, watts)
+    stored = GRINDER_CAPACITY @ (after - temperatures) / GRINDER_STEP
+    assert stored == pytest.approx(watts.sum() - GRINDER_LOSS @ (after - ambient), rel=1e-9)
 
 
 def test_heat_of_the_grinder_at_work():
-    temperatures = np.full(len(NODES), 22.0)
+    temperatures = np.full(len(GRINDER_NODES), 22.0)
     on = running_heat(lambda time: True)(0.0, temperatures)
     assert on.sum() == pytest.approx(230 + 60 + 45 + 20 + 20 + 60 + 15 + 10 + 160 + 15)
     off = running_heat(lambda time: False)(0.0, temperatures)
-    assert {NODES[i]: off[i] for i in np.flatnonzero(off)} == {'oil': 15.0}
-    temperatures[NODES.index('sp')] = 122.0
+    assert {GRINDER_NODES[i]: off[i] for i in np.flatnonzero(off)} == {'oil': 15.0}
+    temperatures[GRINDER_NODES.index('sp')] = 122.0
     warm = running_heat(lambda time: True)(0.0, temperatures)
     assert on.sum() - warm.sum() == pytest.approx(230.0 * (1.0 - np.exp(-1.0)))
 
@@ -132,20 +132,20 @@ def test_flux_enters_through_its_area():
     """The spread over nodes adds up to one: a flux brings area times flux."""
     for place, area in zip(FLUX_PLACES, (0.28, 0.14, 0.21, 0.084), strict=True):
         flux = np.array([1000.0 * (name == place) for name in FLUX_PLACES])
-        watts = surface_heat(lambda time, flux=flux: flux)(0.0, np.zeros(len(NODES)))
+        watts = surface_heat(lambda time, flux=flux: flux)(0.0, np.zeros(len(GRINDER_NODES)))
         assert watts.sum() == pytest.approx(1000.0 * area)
 
 
 def test_random_flux_holds_its_level_for_twenty_minutes():
     heat = FLUX_CASES['random'].heat
-    nodes = np.zeros(len(NODES))
+    nodes = np.zeros(len(GRINDER_NODES))
     np.testing.assert_array_equal(heat(0.0, nodes), heat(1199.0, nodes))
     assert np.any(heat(1200.0, nodes) != heat(1199.0, nodes))
 
 
 def test_intermittent_work_begins_with_half_an_hour_on():
     heat = GRINDER_EXPERIMENTS['E3'].heat
-    nodes = np.full(len(NODES), 22.0)
+    nodes = np.full(len(GRINDER_NODES), 22.0)
     watts = [heat(60.0 * minute, nodes).sum() for minute in (0, 29, 30, 59, 60, 299)]
     assert [value > 100.0 for value in watts] == [True, True, False, False, True, False]
 
@@ -160,10 +160,10 @@ def test_a_cold_grinder_in_a_constant_room_stays_as_it_is():
 
 
 def test_displacement_bends_away_from_zero_alike_on_both_sides():
-    rise = np.linspace(0.0, 8.0, len(NODES))
-    np.testing.assert_array_equal(thermal_displacement(np.zeros(len(NODES))), [0.0, 0.0])
-    np.testing.assert_array_equal(thermal_displacement(-rise), -thermal_displacement(rise))
-    once, twice = thermal_displacement(rise), thermal_displacement(2.0 * rise)
+    rise = np.linspace(0.0, 8.0, len(GRINDER_NODES))
+    np.testing.assert_array_equal(grinder_displacement(np.zeros(len(GRINDER_NODES))), [0.0, 0.0])
+    np.testing.assert_array_equal(grinder_displacement(-rise), -grinder_displacement(rise))
+    once, twice = grinder_displacement(rise), grinder_displacement(2.0 * rise)
     assert np.all(np.abs(twice) > 2.0 * np.abs(once))
 
 

@@ -14,15 +14,15 @@ from fuzzycnc_ros.simulation.thermal.duties import (
     simulate_duty,
 )
 from fuzzycnc_ros.simulation.thermal.mill import (
+    MILL_CAPACITY,
+    MILL_LOSS,
+    MILL_NODES,
     MILL_SENSORS,
-    NODE_CAPACITY,
-    NODE_LOSS,
-    NODES,
+    MILL_STEP,
     RPM,
-    STEP_SECONDS,
     ThermalMill,
-    thermal_displacement,
-    thermal_step,
+    mill_displacement,
+    mill_step,
 )
 from fuzzycnc_ros.simulation.thermal.sensor_faults import SensorFault
 
@@ -107,17 +107,17 @@ def test_a_step_runs_at_the_speed_at_its_end():
 
 def test_step_conserves_energy():
     """Heat stored in one step = sources - losses, summed over all nodes."""
-    temperatures = 20.0 + np.linspace(0.0, 12.0, len(NODES))
+    temperatures = 20.0 + np.linspace(0.0, 12.0, len(MILL_NODES))
     u, ambient = 1.5, 23.0
-    after = thermal_step(SPEED).advance(temperatures, ambient)
-    stored = NODE_CAPACITY @ (after - temperatures) / STEP_SECONDS
-    loss = dict(zip(NODES, NODE_LOSS, strict=True))
+    after = mill_step(SPEED).advance(temperatures, ambient)
+    stored = MILL_CAPACITY @ (after - temperatures) / MILL_STEP
+    loss = dict(zip(MILL_NODES, MILL_LOSS, strict=True))
     loss['tn'] *= 1 + 1.2 * u
     loss['sh'] *= 1 + 0.3 * u
     loss['mo'] *= 1 + 0.5 * u
-    lost = sum(loss[n] * (t - ambient) for n, t in zip(NODES, after, strict=True))
+    lost = sum(loss[n] * (t - ambient) for n, t in zip(MILL_NODES, after, strict=True))
     friction = sum(
-        watt * u**1.5 * np.exp(-0.012 * (temperatures[NODES.index(name)] - 20.0))
+        watt * u**1.5 * np.exp(-0.012 * (temperatures[MILL_NODES.index(name)] - 20.0))
         for name, watt in (('fb', 55.0), ('rb', 35.0))
     )
     source = friction + 40 * u + 25 * u**2 + 12 + 15
@@ -137,13 +137,13 @@ def test_faster_means_warmer_and_direction_does_not_matter(rpm):
     slow, fast, reverse = mill(), mill(), mill()
     for machine, factor in ((slow, 1.0), (fast, 1.1), (reverse, -1.0)):
         machine.advance(600.0, factor * rpm * RPM)
-    front = NODES.index('fb')
+    front = MILL_NODES.index('fb')
     assert fast.node_temperatures[front] > slow.node_temperatures[front] > 20.0
     np.testing.assert_array_equal(states(reverse), states(slow))
 
 
 def test_displacement_of_no_rise_is_zero():
-    np.testing.assert_array_equal(thermal_displacement(np.zeros(len(NODES))), [0.0, 0.0])
+    np.testing.assert_array_equal(mill_displacement(np.zeros(len(MILL_NODES))), [0.0, 0.0])
 
 
 def test_readings_are_seeded_and_independent_of_the_displacement():

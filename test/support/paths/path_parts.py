@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.feedrate.path.path_geometry import (
-    CORNER_ANGLE,
+    SMOOTH_TURN,
     PathGeometry,
     hermite,
     turn_angles,
@@ -24,7 +24,7 @@ def straight_lines(points: ArrayLike) -> PathGeometry:
     coefficient = point[:-1, np.newaxis] + share * edge[:, np.newaxis]
     coefficient[:, -1] = point[1:]  # exactly, not by a sum
     stop = np.zeros(len(point), bool)
-    stop[1:-1] = turn_angles(edge[:-1], edge[1:]) > CORNER_ANGLE
+    stop[1:-1] = turn_angles(edge[:-1], edge[1:]) > SMOOTH_TURN
     node = np.append(0.0, np.cumsum(np.linalg.norm(edge, axis=1)))
     return PathGeometry(coefficient, node, stop)
 
@@ -38,7 +38,7 @@ def joined_path(parts: Sequence[PathGeometry], easing: float = 1e-6) -> PathGeom
     along, bend = (
         np.array([part.evaluate([0.0, part.length], order) for part in parts]) for order in (1, 2)
     )
-    corner = turn_angles(along[:-1, 1], along[1:, 0]) > CORNER_ANGLE
+    corner = turn_angles(along[:-1, 1], along[1:, 0]) > SMOOTH_TURN
     jump = np.linalg.norm(bend[1:, 0] - bend[:-1, 1], axis=1)
     eased = ~corner & (jump > 1e-9)
     mean = 0.5 * (bend[:-1, 1] + bend[1:, 0])[eased]

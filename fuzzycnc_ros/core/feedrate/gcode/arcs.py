@@ -20,7 +20,7 @@ RELATIVE_MISFIT = 1e-3
 """Difference of both radii that is let pass, as a share of the radius [-]."""
 
 
-SAME_POINT = 1e-9
+POINT_ROUNDING = 1e-9
 """Points closer than this are one [m]: sums of relative moves are off by the last digits."""
 
 
@@ -65,7 +65,7 @@ def centred(
             f'{1e3 * first:.6g} mm and {1e3 * last:.6g} mm: the radius does not fit; '
             'check I, J, K and whether they are relative (G91.1) or absolute (G90.1)',
         )
-    if math.dist(start, end) < SAME_POINT:
+    if math.dist(start, end) < POINT_ROUNDING:
         sweep = FULL
     else:
         turn = math.atan2(end[1] - centre[1], end[0] - centre[0]) - math.atan2(
@@ -110,7 +110,7 @@ def by_radius(
     """
     across = (end[0] - start[0], end[1] - start[1])
     half = 0.5 * math.hypot(*across)
-    if 2.0 * half < SAME_POINT:
+    if 2.0 * half < POINT_ROUNDING:
         raise ProgramError(
             line,
             'expected an end other than the start of an arc with a radius but found the same '

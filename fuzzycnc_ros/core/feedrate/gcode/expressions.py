@@ -39,7 +39,7 @@ _PI = np.longdouble('3.14159265358979323846264338327950288')
 LENGTH = 512
 """Longest line with an expression; LinuxCNC takes 255."""
 
-DEPTH = 40
+_DEPTH = 40
 """Brackets that lie in each other at most."""
 
 _BLANK = re.compile(r'[ \t]*')
@@ -91,8 +91,8 @@ def read_value(text: str, at: int, depth: int = 0) -> tuple[Expression, int]:
     match = _NUMBER.match(text, at)
     if match and math.isfinite(value := float(match[0])):
         return (lambda _: value), match.end()
-    if depth > DEPTH:
-        raise ExpressionError(f'expected at most {DEPTH} brackets in each other but found more')
+    if depth > _DEPTH:
+        raise ExpressionError(f'expected at most {_DEPTH} brackets in each other but found more')
     sign = text[at : at + 1]
     if sign == '[':
         return _bracket(text, at, depth + 1)

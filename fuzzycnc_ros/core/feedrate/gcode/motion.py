@@ -26,9 +26,9 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import (
 )
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve, check_machinable
 
-AXES = 'XYZ'
+_XYZ = 'XYZ'
 OTHER_AXES = frozenset('ABCUVW')
-CENTRES = 'IJK'
+_CENTRES = 'IJK'
 _ARC_NAMES = frozenset({'CR', 'TURN'})
 
 
@@ -39,7 +39,7 @@ class UnreadableError(Exception):
 def named_axes(line: Line) -> str:
     """Return which of X, Y and Z a line names."""
     named = {word.letter for word in line.words}
-    return ''.join(axis for axis in AXES if axis in named)
+    return ''.join(axis for axis in _XYZ if axis in named)
 
 
 def move(line: Line, number: int, state: State) -> Segment | None:
@@ -71,15 +71,15 @@ def move(line: Line, number: int, state: State) -> Segment | None:
     turning = arc_words = named = False
     assumed = state.assumed if state.absolute else None
     for letter, value, _, _ in line.words:
-        if letter in AXES:
+        if letter in _XYZ:
             named = True
             if assumed:
                 assumed.discard(letter)
-            axis = AXES.index(letter)
+            axis = _XYZ.index(letter)
             target[axis] = _coordinate(value, start[axis], state)
         elif letter in OTHER_AXES:
             turning = _turn(letter, value, state) or turning
-        elif letter in CENTRES or letter == 'R':
+        elif letter in _CENTRES or letter == 'R':
             arc_words = True
     motion = state.motion
     is_arc = motion in (20, 30)
@@ -167,7 +167,7 @@ def _arc(
     axes = PLANES[state.plane]
     words = {word.letter: word.value for word in line.words}
     words |= {name: line.assigned[name] for name in _ARC_NAMES & set(line.assigned)}
-    computed = [name for name in ('R', *CENTRES, *_ARC_NAMES) if words.get(name, 0.0) is None]
+    computed = [name for name in ('R', *_CENTRES, *_ARC_NAMES) if words.get(name, 0.0) is None]
     if computed:
         raise UnreadableError(
             f'an arc whose {", ".join(sorted(computed))} the controller computes'
@@ -176,15 +176,15 @@ def _arc(
     end2 = (end[axes[0]], end[axes[1]])
     clockwise = state.motion == 20
     radius = words.get('CR', words.get('R'))
-    plane = f'{AXES[axes[0]]} or {AXES[axes[1]]}'
+    plane = f'{_XYZ[axes[0]]} or {_XYZ[axes[1]]}'
     if radius is not None:
-        if not {AXES[axes[0]], AXES[axes[1]]} & set(words):
+        if not {_XYZ[axes[0]], _XYZ[axes[1]]} & set(words):
             raise ProgramError(
                 number, f'expected an end ({plane}) of an arc with a radius but found none'
             )
         centre, sweep = by_radius(number, start2, end2, radius * state.length_unit, clockwise)
     else:
-        letters = [CENTRES[axes[0]], CENTRES[axes[1]]]
+        letters = [_CENTRES[axes[0]], _CENTRES[axes[1]]]
         if not set(letters) & set(words):
             raise ProgramError(
                 number,
@@ -256,8 +256,8 @@ def run_cycle(line: Line, state: State) -> bool:
     state.position[across] = _height(cycle, state)
     known = all(map(isfinite, state.position))
     if state.absolute:
-        named = {AXES[axis] for axis in (first, second) if AXES[axis] in value}
-        state.assumed -= named | ({AXES[across]} if state.retracts else set())
+        named = {_XYZ[axis] for axis in (first, second) if _XYZ[axis] in value}
+        state.assumed -= named | ({_XYZ[across]} if state.retracts else set())
     return known
 
 
@@ -273,9 +273,9 @@ def _length(
 def _above(state: State, axis: int, value: dict[str, float | None]) -> float:
     """Return where the last hole lies; L repeats relative ones (Fanuc's K is not followed)."""
     before = state.position[axis]
-    if AXES[axis] not in value:
+    if _XYZ[axis] not in value:
         return before
-    number = value[AXES[axis]]
+    number = value[_XYZ[axis]]
     if number is None:
         return nan
     length = number * state.length_unit

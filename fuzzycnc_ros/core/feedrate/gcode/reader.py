@@ -225,7 +225,7 @@ class Subroutines:
 PASSES = 200_000
 """Lines that are run at most."""
 
-DEPTH = 9
+_DEPTH = 9
 """Subroutines that call each other at most, as in LinuxCNC."""
 
 
@@ -603,8 +603,8 @@ class _Run:
                 self._main.first + (self._frames[0].index if self._frames else self._index) - 1,
                 f'{listing.label}: subroutine in a file of its own, keeps its feeds',
             )
-        if len(self._frames) >= DEPTH:
-            raise _AstrayError(f'more than {DEPTH} subroutines call each other')
+        if len(self._frames) >= _DEPTH:
+            raise _AstrayError(f'more than {_DEPTH} subroutines call each other')
         frame = _Frame(self._listing, self._index, name, arguments is None, start, again)
         self._frames.append(frame)
         self._interpreter.enter(arguments)

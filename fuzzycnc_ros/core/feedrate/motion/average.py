@@ -19,7 +19,7 @@ from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 _CHUNK = 8192
 """Pieces whose bounds are held at a time."""
-WINDOW_EDGE = 1.0 + 1e-9
+AVERAGE_EDGE = 1.0 + 1e-9
 """Pieces at the very edge of a window count, which rounding may move: factor."""
 
 
@@ -95,7 +95,7 @@ def windows(
     low, high : array of int, shape (end - begin,)
         Pieces from `low` up to, without, `high`.
     """
-    reach = window * WINDOW_EDGE
+    reach = window * AVERAGE_EDGE
     low = np.searchsorted(time, time[begin:end] - reach, 'right') - 1
     high = np.searchsorted(time, time[begin + 1 : end + 1] + reach, 'left')
     inner = np.flatnonzero(stop[1:-1]) + 1

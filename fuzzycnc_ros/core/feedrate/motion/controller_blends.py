@@ -31,7 +31,7 @@ GAP = 4
 """Periods below which the rest of a line before a blend is run at the blend's speed."""
 REVERSED = np.pi * 2.0 / 180.0
 """Turn short of a reversal below which a corner is always a stop [rad]."""
-SHORTEST = 1e-9
+_SHORTEST = 1e-9
 """Shortest blend [m]."""
 
 STOP, TANGENT, ARC, OVERLAP = range(4)
@@ -244,7 +244,7 @@ class _Blends:
             span = np.minimum(np.sqrt(2.0 * gentle * away), plan) / gentle * plan
             radius = np.maximum(plan**2 / across, np.minimum(span / turn, largest))
             trim = radius / np.tan(half)
-        useful = np.isfinite(plan) & np.isfinite(trim) & (radius * turn > SHORTEST) & (trim > 0.0)
+        useful = np.isfinite(plan) & np.isfinite(trim) & (radius * turn > _SHORTEST) & (trim > 0.0)
         self.speed = np.where(useful, plan, 0.0)
         self.trim = np.where(useful, trim, 0.0)
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.motion.average import (
-    WINDOW_EDGE,
+    AVERAGE_EDGE,
     range_minimum,
     share_limits,
     windows,
@@ -158,14 +158,14 @@ class _AverageProfile:
     def _windows_known(self) -> int:
         """Return how many pieces have all that their windows reach ahead."""
         known = len(self._time) - 1
-        reach = self._window * WINDOW_EDGE
+        reach = self._window * AVERAGE_EDGE
         by_time = int(np.searchsorted(self._time[1:], self._time[-1] - reach, 'right'))
         stops = np.flatnonzero(self._stop[: known + 1])
         return min(max(by_time, int(stops[-1]) if len(stops) else 0), known)
 
     def _forget(self) -> None:
         """Drop what no window reaches any more."""
-        reach = self._window * WINDOW_EDGE
+        reach = self._window * AVERAGE_EDGE
         by_time = int(np.searchsorted(self._time, self._time[self._done] - reach, 'right')) - 1
         stops = np.flatnonzero(self._stop[: self._done + 1])
         # One more, for the sum that a window's edge was found with may round the other way.

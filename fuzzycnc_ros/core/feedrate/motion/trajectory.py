@@ -33,7 +33,7 @@ _WINDOWS = 2.0 ** np.arange(-6, 1)
 
 
 @dataclass(frozen=True)
-class Samples:
+class _Samples:
     """Trajectory at a fixed period: time (k,) [s]; derivatives of position, each (k, d) [SI].
 
     `arc_length` (k,) [m] and `speed` (k,) [m/s] are those along the path.
@@ -88,7 +88,7 @@ class Trajectory:
             (speed_here - speed_there) / self.window,
         )
 
-    def sample(self, period: float) -> Samples:
+    def sample(self, period: float) -> _Samples:
         """Return the trajectory every `period` [s]; the last sample is at or after the end.
 
         Raises
@@ -102,7 +102,7 @@ class Trajectory:
         place, speed, rise = self.along(time)
         tangent, bend = (self.geometry.evaluate(place, order) for order in (1, 2))
         velocity = tangent * speed[:, np.newaxis]
-        return Samples(
+        return _Samples(
             np.asarray(time, dtype=float),
             self.geometry.evaluate(place),
             velocity,

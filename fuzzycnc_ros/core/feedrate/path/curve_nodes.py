@@ -12,7 +12,7 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.segments import NurbsSegment
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.path_geometry import (
-    CORNER_ANGLE,
+    SMOOTH_TURN,
     bernstein,
     hermite,
     turn_angles,
@@ -156,7 +156,7 @@ def _edges(curve: NurbsCurve) -> Array:
     ahead, behind = before, np.concatenate([one[1] for one in left])
     jump = np.linalg.norm(bend - np.concatenate([one[2] for one in left]), axis=1)
     size = np.linalg.norm(bend, axis=1)
-    rough = (turn_angles(behind, ahead) > CORNER_ANGLE) | (jump > _JUMP * size + 1e-9)
+    rough = (turn_angles(behind, ahead) > SMOOTH_TURN) | (jump > _JUMP * size + 1e-9)
     return np.concatenate([[first], inner[rough], [last]])
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 
-CORNER_ANGLE = 1e-6
+SMOOTH_TURN = 1e-6
 """Turns above this are corners [rad]; rounding of doubles stays far below."""
 
 _DEGREE = 5

@@ -31,7 +31,7 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.segments import DwellSegment, Segment
 from fuzzycnc_ros.core.feedrate.path.curve_nodes import TURN
 from fuzzycnc_ros.core.feedrate.path.path_geometry import (
-    CORNER_ANGLE,
+    SMOOTH_TURN,
     PathGeometry,
     bernstein,
     hermite,
@@ -403,7 +403,7 @@ def _assemble(shapes: Shapes, head: float, blend: float, easing: float, *, last:
     after = shapes.frame(joint + 1, np.zeros(len(joint)))
     turn = turn_angles(before.tangent, after.tangent)
     halt = shapes.halt[1:] | (shapes.rapid[1:] != shapes.rapid[:-1])
-    corner = turn > CORNER_ANGLE
+    corner = turn > SMOOTH_TURN
     blended = corner & ~halt & (blend > 0.0) & (turn <= REVERSAL_ANGLE)
     jump = np.linalg.norm(after.bend - before.bend, axis=1)
     eased = ~corner & ~halt & (jump > _JUMP)

@@ -38,7 +38,7 @@ _RULES = (
 )
 
 
-def published_rules(vvlf: str = 'MF') -> tuple[tuple[str, ...], ...]:
+def published_feed_rules(vvlf: str = 'MF') -> tuple[tuple[str, ...], ...]:
     """Return the 30 rules of method sheet 002 section 3, by name.
 
     Parameters
@@ -125,7 +125,7 @@ class FuzzyScheduler(Scheduler):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        published_rules(self.vvlf)
+        published_feed_rules(self.vvlf)
         for name, sets in (
             ('curvature_centres', CURVATURE_SETS),
             ('variation_centres', VARIATION_SETS),
@@ -153,7 +153,7 @@ class FuzzyScheduler(Scheduler):
     @property
     def system(self) -> Mamdani:
         """Rules from curvature [1/m] and normalised curvature ahead to the ratio."""
-        rules = published_rules(self.vvlf)
+        rules = published_feed_rules(self.vvlf)
         return Mamdani(
             self.curvature_centres,
             self.variation_centres,

@@ -240,7 +240,7 @@ def _joined(path: SampledPath, part: SampledPath) -> SampledPath:
     )
 
 
-CHUNK = 2048
+_CHUNK = 2048
 """Blocks that are taken at a time."""
 
 QUIET = 1000
@@ -358,7 +358,7 @@ class ProgramRun:
                 self._moves += 1
                 chunk.append(segment)
             taken += 1
-            if taken == CHUNK:
+            if taken == _CHUNK:
                 yield chunk, True
                 chunk, taken = [], 0
         yield chunk, False

@@ -27,7 +27,7 @@ from fuzzycnc_ros.core.feedrate.schedule.program_run import (
     ScheduledPath,
     Source,
 )
-from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXES, ProgramSettings
+from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXIS_COUNT, ProgramSettings
 
 __all__ = [
     'Observer',
@@ -68,7 +68,7 @@ class _ProgramMotion:
 
     def __init__(self, settings: ProgramSettings) -> None:
         self._settings = settings
-        velocity, rise, _ = settings.limits.table(AXES)
+        velocity, rise, _ = settings.limits.table(AXIS_COUNT)
         self._speed_max = min(float(velocity[0]), float(np.linalg.norm(velocity[1:])))
         self._ramp = float(rise.min())
         self._stream: MotionStream | None = None
@@ -137,7 +137,7 @@ class _ProgramMotion:
         if self._stream is None:
             self._stream = MotionStream(
                 self._settings.limits,
-                AXES,
+                AXIS_COUNT,
                 feed_max=self._speed_max,
                 window=self._settings.window,
             )

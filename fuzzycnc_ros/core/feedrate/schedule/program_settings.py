@@ -15,7 +15,7 @@ from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.schedule.feeds import desired_feed
 from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
 
-AXES = 3
+AXIS_COUNT = 3
 """Axes of a part program: X, Y and Z."""
 
 

@@ -151,7 +151,7 @@ def _run_all(recursion: Recursion, samples: Array, rows: Sequence[slice]) -> Arr
     return np.concatenate([recursion.run(samples[run]) for run in rows])
 
 
-RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
+_RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
 """Penalties that the ridge candidates try, around the 1e-3 that served the simulated mill."""
 
 LAG_SETS = ((1200.0,), (1200.0, 3600.0), (300.0, 1200.0))
@@ -223,7 +223,7 @@ def _judge_least_squares(data: TrainingSet) -> tuple[list[Settings], list[Array]
 
 def _judge_static_ridge(data: TrainingSet) -> tuple[list[Settings], list[Array]]:
     bank = _Bank(data, _rises, intercept=True)
-    return _judged_options(data, [({'ridge': ridge}, ridge, bank) for ridge in RIDGES])
+    return _judged_options(data, [({'ridge': ridge}, ridge, bank) for ridge in _RIDGES])
 
 
 def _judge_lag_ridge(data: TrainingSet, *, driven: bool) -> tuple[list[Settings], list[Array]]:
@@ -238,7 +238,7 @@ def _judge_lag_ridge(data: TrainingSet, *, driven: bool) -> tuple[list[Settings]
             return driven_features(samples, seen.rows, rises, pole, driver_pole)
 
         bank = _Bank(data, features, intercept=False)
-        options += [({'lags': lags, 'ridge': ridge}, ridge, bank) for ridge in RIDGES]
+        options += [({'lags': lags, 'ridge': ridge}, ridge, bank) for ridge in _RIDGES]
     return _judged_options(data, options)
 
 

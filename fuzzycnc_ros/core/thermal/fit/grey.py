@@ -153,7 +153,7 @@ def regression(
 POLES_PER_MINUTE = (0.0, 0.2, 0.4, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.985, 0.99)
 """Poles that the stable form tries at 1 min; other intervals use the same time constants."""
 
-CONDITION_MAX = 1e6
+_CONDITION_MAX = 1e6
 """Condition number of the scaled regression matrix above which a classical fit is refused."""
 
 KINDS = (*CONSTANTS, 'stable')
@@ -353,9 +353,9 @@ class GreyModel(ThermalRegressor):
                 f'the pole {self.phi_:.6g} lies beyond {slowest:.6g}, the slowest that is '
                 'trusted: the prediction sums up its errors'
             )
-        if not self.condition_ <= CONDITION_MAX:
+        if not self.condition_ <= _CONDITION_MAX:
             problems.append(
-                f'the condition number {self.condition_:.3g} exceeds {CONDITION_MAX:g}: the '
+                f'the condition number {self.condition_:.3g} exceeds {_CONDITION_MAX:g}: the '
                 'drivers are collinear, the coefficients arbitrary'
             )
         return tuple(problems)

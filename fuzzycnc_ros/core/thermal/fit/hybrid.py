@@ -137,7 +137,7 @@ RIDGES = (1e-4, 1e-3, 1e-2)
 RIDGE = 1e-3
 """Penalty of method sheet 003 section 5; of 'auto' too, when there is one run only."""
 
-GAIN_MAX = 0.97
+_GAIN_MAX = 0.97
 """Loop gain that the guard keeps the recursion below [-], method sheet 003 section 5."""
 
 GUARD_ROUNDS = 4
@@ -351,14 +351,14 @@ class HybridFilterNetwork(ThermalRegressor):
         problems = []
         if bound is not None:
             for _ in range(GUARD_ROUNDS):
-                if fit.loop_gain < GAIN_MAX:
+                if fit.loop_gain < _GAIN_MAX:
                     break
                 # A bound above what was fitted would change nothing.
                 bound = GUARD_STEP * min(bound, float(fit.feedback.sum()))
                 fit = self._trained(data, front, ridge, bound, start)
-            if fit.loop_gain >= GAIN_MAX:
+            if fit.loop_gain >= _GAIN_MAX:
                 fit = self._trained(data, front, ridge, 0.0, start)
-        elif fit.loop_gain >= GAIN_MAX or fit.feedback.sum() >= 1.0:
+        elif fit.loop_gain >= _GAIN_MAX or fit.feedback.sum() >= 1.0:
             problems.append(
                 f'the loop gain {fit.loop_gain:.3g} and the sum {fit.feedback.sum():.3g} of the '
                 'feedback let the recursion run away: use the guard'

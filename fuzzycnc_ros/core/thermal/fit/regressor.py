@@ -17,7 +17,7 @@ from fuzzycnc_ros.core.estimator import (
 )
 from fuzzycnc_ros.core.thermal.recursions.base import Recursion, Stream, check_interval, run_slices
 
-Self = TypeVar('Self', bound='ThermalRegressor')
+_Self = TypeVar('_Self', bound='ThermalRegressor')
 
 
 class ThermalRegressor(RegressionEstimator):
@@ -50,7 +50,7 @@ class ThermalRegressor(RegressionEstimator):
             [self.recursion_.run(rise[rows])[:, 0] for rows in run_slices(runs, len(rise))]
         )
 
-    def start(self: Self) -> Self:
+    def start(self: _Self) -> _Self:
         """Begin a new run for `step` and return the estimator."""
         check_fitted(self, 'recursion_')
         self._stream = Stream(self.recursion_)
@@ -68,7 +68,7 @@ class ThermalRegressor(RegressionEstimator):
         """Resume from a state that `get_state` returned."""
         self._running().state = np.asarray(state, dtype=np.float64)
 
-    def with_interval(self: Self, interval: float) -> Self:
+    def with_interval(self: _Self, interval: float) -> _Self:
         """Return a copy for another sampling interval [s], method sheet 001 section 3.1.
 
         Raises

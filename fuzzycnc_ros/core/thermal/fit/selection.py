@@ -29,7 +29,7 @@ from fuzzycnc_ros.core.thermal.run import (
 )
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorCluster, SensorSelection
 
-METHODS = ('correlation', 'grey_grade')
+_METHODS = ('correlation', 'grey_grade')
 """How members of a cluster are ranked."""
 
 SUBSTITUTES_MAX = 4
@@ -107,8 +107,8 @@ def select_sensors(
     one would first try, makes the distances concentrate and fuzzy c-means with m = 2 collapse
     on a single run: partition coefficient 0.20 instead of 0.76 for five clusters.
     """
-    if method not in METHODS:
-        raise ValueError(f'method: expected one of {", ".join(METHODS)}, but found {method!r}')
+    if method not in _METHODS:
+        raise ValueError(f'method: expected one of {", ".join(_METHODS)}, but found {method!r}')
     field = _usable(runs)
     if not 1 <= n_clusters <= len(field.sensor):
         raise ThermalDataError(

@@ -18,7 +18,7 @@ from fuzzycnc_ros.core.thermal.run import (
     ThermalRun,
 )
 
-SENSORS_MAX = 500
+_SENSORS_MAX = 500
 """Most sensors that are clustered: every pair of them is compared, and no machine has so many."""
 
 
@@ -44,9 +44,9 @@ def check_training_runs(runs: Sequence[ThermalRun]) -> None:
     if not runs:
         raise ThermalDataError('runs: expected at least one run, but found none')
     first = runs[0]
-    if len(first.sensor) > SENSORS_MAX:
+    if len(first.sensor) > _SENSORS_MAX:
         raise ThermalDataError(
-            f'run {first.name!r}: expected at most {SENSORS_MAX} sensors, but found '
+            f'run {first.name!r}: expected at most {_SENSORS_MAX} sensors, but found '
             f'{len(first.sensor)}; record those of one machine'
         )
     names = [run.name for run in runs]

@@ -25,7 +25,7 @@ from scipy.linalg import block_diag
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.document import Node
 
-Self = TypeVar('Self', bound='Recursion')
+_Self = TypeVar('_Self', bound='Recursion')
 
 
 class Recursion(ABC):
@@ -79,7 +79,7 @@ class Recursion(ABC):
         """
         return np.full((*rise.shape[:-1], self.channels), np.nan)
 
-    def with_interval(self: Self, ratio: float) -> Self:
+    def with_interval(self: _Self, ratio: float) -> _Self:
         """Return the recursion for an interval `ratio` times as long.
 
         Raises
@@ -93,11 +93,11 @@ class Recursion(ABC):
         )
 
     @abstractmethod
-    def channel(self: Self, channel: int) -> Self:
+    def channel(self: _Self, channel: int) -> _Self:
         """Return the recursion of one channel out of several."""
 
     @classmethod
-    def merge(cls: type[Self], items: Sequence[Self]) -> Self | None:
+    def merge(cls: type[_Self], items: Sequence[_Self]) -> _Self | None:
         """Return one recursion for the channels of several of this form, None if it cannot be.
 
         The inputs are the same.  What cannot be merged runs side by side.
@@ -110,7 +110,7 @@ class Recursion(ABC):
 
     @classmethod
     @abstractmethod
-    def read(cls: type[Self], node: Node, inputs: int) -> Self:
+    def read(cls: type[_Self], node: Node, inputs: int) -> _Self:
         """Return the recursion of a document, believing nothing in it.
 
         Raises

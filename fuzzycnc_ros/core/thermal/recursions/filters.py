@@ -16,7 +16,7 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.document import Node
 from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_shapes, clipped
 
-Self = TypeVar('Self', bound='_DelayedRecursion')
+_Self = TypeVar('_Self', bound='_DelayedRecursion')
 
 DELAY_MAX = 1440
 """Longest delay [samples], a day of minutes; all rises since then are part of the state."""
@@ -107,7 +107,7 @@ class _DelayedRecursion(Recursion):
             past = np.concatenate((values[k], past[: -self.channels]))
         return values
 
-    def with_interval(self: Self, ratio: float) -> Self:
+    def with_interval(self: _Self, ratio: float) -> _Self:
         """Return the recursion for another interval: only a static one has a meaning there."""
         if self.history or self.delay[-1] > 0:
             return super().with_interval(ratio)
