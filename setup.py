@@ -26,6 +26,7 @@ bags = ['mcap', 'rosbags', 'zstandard']
 command_line = ['typer', 'rich', 'pyyaml', *bags]
 report = ['jinja2', 'matplotlib']
 ml = ['scikit-learn', 'threadpoolctl']
+tables = ['pandas']
 device_files = ['pydantic>=2.7', 'pyyaml']
 modbus = ['pymodbus>=3.10', *device_files]
 opcua = ['asyncua>=1.1.5', 'cryptography', *device_files]
@@ -74,8 +75,9 @@ setup(
         'modbus': modbus,
         'opcua': opcua,
         'report': report,
-        'all': command_line + report + ml + modbus + opcua,
-        'test': [*command_line, *report, *ml, *modbus, *opcua, 'hypothesis', 'pytest'],
+        'tables': tables,
+        'all': command_line + report + ml + tables + modbus + opcua,
+        'test': [*command_line, *report, *ml, *tables, *modbus, *opcua, 'hypothesis', 'pytest'],
     },
     zip_safe=False,
     author='The fuzzycnc authors',

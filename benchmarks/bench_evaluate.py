@@ -25,8 +25,9 @@ import numpy as np
 
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
+from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.runtime.component import Component
 from fuzzycnc_ros.runtime.merge import Merger
 from fuzzycnc_ros.runtime.records import (

@@ -16,9 +16,9 @@ os.environ |= dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM
 from statistics import median
 from time import perf_counter
 
-from fuzzycnc_ros.core.thermal import CANDIDATES, ThermalModel
-from fuzzycnc_ros.core.thermal.candidate import STANDARD
+from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, STANDARD
 from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 PASSES = 20

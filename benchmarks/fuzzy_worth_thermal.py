@@ -37,9 +37,9 @@ from thermal_machines import (
 
 from fuzzycnc_ros.cli.console import write_json
 from fuzzycnc_ros.cli.workers import Progress
-from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalRun
 from fuzzycnc_ros.core.thermal.fit import evaluate
 from fuzzycnc_ros.core.thermal.fit.training import SENSORS_MAX, at_interval, train_model
+from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 
 CHOSEN = 5
 """Sensors that are chosen."""

@@ -37,12 +37,12 @@ from thermal_recordings import Machine, machines
 from fuzzycnc_ros.cli.console import progress_bar, write_json, write_text
 from fuzzycnc_ros.cli.models.many_bags import cores
 from fuzzycnc_ros.cli.workers import Progress, in_workers
-from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun
 from fuzzycnc_ros.core.thermal.candidate import BASELINES, UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fit import evaluate
 from fuzzycnc_ros.core.thermal.fit.comparison import Split
 from fuzzycnc_ros.core.thermal.fit.training import at_interval, train_model
-from fuzzycnc_ros.core.thermal.run import SAMPLES_MIN, drivers_of
+from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.run import SAMPLES_MIN, ThermalDataError, ThermalRun, drivers_of
 
 SEEDS = 3
 CONFIDENCE = 0.95

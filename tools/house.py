@@ -215,10 +215,7 @@ def measured(tree: Path) -> dict[str, int]:
             answer(tree, LOADED, component(tree, 'compensator'))
         ),
         'core modules loaded for ThermalModel': int(
-            answer(
-                tree,
-                LOADED.replace('sys.argv[1])', f"'{PACKAGE}.core.thermal').ThermalModel"),
-            )
+            answer(tree, LOADED, f'{PACKAGE}.core.thermal.model')
         ),
         'modules on a circle of imports': circles(tree),
         'private methods of the host overridden in nodes': host_privates,

@@ -27,8 +27,7 @@ from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.document import text_hash
-from fuzzycnc_ros.core.thermal import ThermalModel
-from fuzzycnc_ros.core.thermal.model import SIZE_MAX
+from fuzzycnc_ros.core.thermal.model import SIZE_MAX, ThermalModel
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.host import ComponentNode

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from rules import for_each
 
-from fuzzycnc_ros.core.thermal import ThermalRun
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
+from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.registry import COMPONENTS, MACHINES
 from fuzzycnc_ros.ros.bring_up import LAUNCH_ARGUMENTS
 from fuzzycnc_ros.runtime.component import LATCHED

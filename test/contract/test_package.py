@@ -63,7 +63,7 @@ KEY_OF_MODULE = {
 }
 DISTRIBUTION_OF_MODULE = {'pydantic_core': 'pydantic', 'sklearn': 'scikit-learn', 'yaml': 'pyyaml'}
 # The documented pip extras `bags`, `modbus` and `opcua`
-WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard', 'pymodbus', 'asyncua', 'pydantic'}
+WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard', 'pymodbus', 'asyncua', 'pydantic', 'pandas'}
 
 
 @pytest.fixture(scope='module')

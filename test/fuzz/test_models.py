@@ -16,8 +16,8 @@ from kept import kept
 from fuzzycnc_ros.core.deformation.model import read_model, write_model
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.document import ModelFileError
-from fuzzycnc_ros.core.thermal import load_model
 from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.core.thermal.model import load_model
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')

@@ -9,10 +9,10 @@ own detector raises false alarms in 4 % (T2) and 28 % (T3) of the runs.  Times i
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal import ThermalRun
 from fuzzycnc_ros.core.thermal.fit import LagRidge, select_sensors
 from fuzzycnc_ros.core.thermal.fit.selection import all_sensors
 from fuzzycnc_ros.core.thermal.fit.training import learn_watch
+from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.core.thermal.sensor_watch import MateEstimate, SensorWatch
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 

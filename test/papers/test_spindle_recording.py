@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
-from fuzzycnc_ros.core.thermal import ThermalRun
 from fuzzycnc_ros.core.thermal.candidate import STANDARD
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, judge, splits
+from fuzzycnc_ros.core.thermal.run import ThermalRun
 
 TRAINING_ROWS = 5791
 CYCLES = (0, 991, 1951, 2911, 3871, 4831, 5791)

@@ -36,8 +36,8 @@ from stepped_shift import (
     with_fault,
 )
 
-from fuzzycnc_ros.core.thermal import load_model
 from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.core.thermal.model import load_model
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.enums import CompensationState, Reason
 from fuzzycnc_ros.runtime.records import Displacement, MachineState

@@ -21,8 +21,8 @@ from fuzzycnc_ros.components.thermal.thermal_predictor import (
     ThermalPredictor,
     ThermalPredictorConfig,
 )
-from fuzzycnc_ros.core.thermal import load_model
 from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.core.thermal.model import load_model
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.runtime.records import Record

@@ -99,7 +99,7 @@ def shift_demo(console: Console, out: Path, seed: int, program: str = '') -> Non
 def _run(
     out: Path, seed: int, program: str, progress: Steps
 ) -> tuple[ShiftResult, tuple[Any, ...]]:
-    from fuzzycnc_ros.core.thermal import load_model
+    from fuzzycnc_ros.core.thermal.model import load_model
     from fuzzycnc_ros.studies.page.sections import render_page
     from fuzzycnc_ros.studies.shift.whole_shift import ShiftSettings, judged_shift
     from fuzzycnc_ros.studies.shift.whole_shift_log import ShiftLogs

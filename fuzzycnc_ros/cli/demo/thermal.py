@@ -61,7 +61,7 @@ def _run(out: Path, seed: int, progress: Steps, started: float) -> tuple[Thermal
     from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.cli.live.latency import measure_latency
     from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
-    from fuzzycnc_ros.core.thermal import load_model
+    from fuzzycnc_ros.core.thermal.model import load_model
     from fuzzycnc_ros.studies.shift.shift_log import ShiftLog, compensation_runs
     from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
     from fuzzycnc_ros.studies.thermal.summary import summary_document, summary_table

@@ -54,8 +54,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from fuzzycnc_ros.cli.workers import Progress
-    from fuzzycnc_ros.core.thermal import ThermalRun
     from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut, Split
+    from fuzzycnc_ros.core.thermal.run import ThermalRun
     from fuzzycnc_ros.studies.grinder.grinder_comparison import GrinderComparison, Trial
 
 MACHINES = ('grinder',)
@@ -280,8 +280,8 @@ def speed_missing(runs: 'Sequence[ThermalRun]', interval: float) -> str:
 
 def judge_split(split: 'Split', progress: 'Progress', **options: Any) -> 'HeldOut | BadBag':
     """Judge one held-out run; what is wrong names it."""
-    from fuzzycnc_ros.core.thermal import ThermalDataError
     from fuzzycnc_ros.core.thermal.fit.comparison import judge
+    from fuzzycnc_ros.core.thermal.run import ThermalDataError
 
     try:
         return judge(split, progress=progress, **options)

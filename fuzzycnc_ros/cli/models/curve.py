@@ -32,8 +32,8 @@ from fuzzycnc_ros.cli.options import Bags, DropSensor, End, Interval, Report, Se
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from fuzzycnc_ros.core.thermal import ThermalRun
     from fuzzycnc_ros.core.thermal.fit.comparison import Split
+    from fuzzycnc_ros.core.thermal.run import ThermalRun
     from fuzzycnc_ros.studies.thermal.sensor_curve import HeldOutCurve
 
 STEPS = 1000
@@ -122,8 +122,8 @@ def _curves(
     held_out: 'Sequence[Split]', counts: tuple[int, ...], seed: int
 ) -> 'tuple[HeldOutCurve, ...]':
     """Judge every number of sensors on everything that is held out."""
-    from fuzzycnc_ros.core.thermal import ThermalDataError
     from fuzzycnc_ros.core.thermal.fit import sensor_count_curve
+    from fuzzycnc_ros.core.thermal.run import ThermalDataError
     from fuzzycnc_ros.studies.thermal.sensor_curve import HeldOutCurve
 
     curves = []

@@ -41,8 +41,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from fuzzycnc_ros.cli.workers import Progress
-    from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun
     from fuzzycnc_ros.core.thermal.fit import Evaluation
+    from fuzzycnc_ros.core.thermal.model import ThermalModel
+    from fuzzycnc_ros.core.thermal.run import ThermalRun
     from fuzzycnc_ros.studies.page.remark import Remark
     from fuzzycnc_ros.studies.thermal.probed_evaluation import ProbedEvaluation
     from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
@@ -100,7 +101,7 @@ def evaluate(
         fuzzycnc evaluate spindle --model spindle.json --probe-every 60min --report spindle.html
     """
     from fuzzycnc_ros.cli.models.train import default_text, problem_lines
-    from fuzzycnc_ros.core.thermal import load_model
+    from fuzzycnc_ros.core.thermal.model import load_model
 
     processes = jobs_of(jobs)
     every = None
@@ -159,8 +160,8 @@ def judge_bag(
         If the bag or its run cannot be used.
     """
     from fuzzycnc_ros.bags.runs import read_run
-    from fuzzycnc_ros.core.thermal import load_model
     from fuzzycnc_ros.core.thermal.fit import evaluate as judge
+    from fuzzycnc_ros.core.thermal.model import load_model
 
     progress('evaluating', bag.name, 0, 1)
     trained = load_model(model_text)

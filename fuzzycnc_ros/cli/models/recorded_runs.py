@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun
+    from fuzzycnc_ros.core.thermal.model import ThermalModel
+    from fuzzycnc_ros.core.thermal.run import ThermalRun
 
 LINE, MATES = 'line', 'mates'
 """What stands where readings are missing: a straight line, or what other sensors say."""
@@ -107,8 +108,8 @@ def as_predicted(
     ThermalDataError
         If an input is missing for longer than that, or the run is too slow for the model.
     """
-    from fuzzycnc_ros.core.thermal import ThermalDataError
     from fuzzycnc_ros.core.thermal.fit.training import at_interval
+    from fuzzycnc_ros.core.thermal.run import ThermalDataError
 
     at_interval(run, model.interval)  # refuses what is too slow
     even = run.averaged(model.interval)
@@ -137,7 +138,7 @@ def _with_mates(model: 'ThermalModel', run: 'ThermalRun') -> 'NDArray[Any]':
     import numpy as np
 
     from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
-    from fuzzycnc_ros.core.thermal import ModelMismatchError
+    from fuzzycnc_ros.core.thermal.model import ModelMismatchError
     from fuzzycnc_ros.core.thermal.run import REFERENCE_SAMPLES
     from fuzzycnc_ros.runtime.records import ThermalReference
 

@@ -165,8 +165,8 @@ class _Shift:
 
     def run(self, out: Path | None) -> None:
         """Carry it out; record it if `out` is given."""
-        from fuzzycnc_ros.core.thermal import load_model
         from fuzzycnc_ros.core.thermal.fit import train_model
+        from fuzzycnc_ros.core.thermal.model import load_model
         from fuzzycnc_ros.studies.published_bag import PublishedBag
         from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
@@ -211,7 +211,7 @@ class _Shift:
     def lines(self) -> list[str]:
         """Return what was trained and what is wrong with it."""
         from fuzzycnc_ros.cli.models.train import default_text, problem_lines
-        from fuzzycnc_ros.core.thermal import load_model
+        from fuzzycnc_ros.core.thermal.model import load_model
 
         model = load_model(self._text)
         return [
@@ -222,7 +222,7 @@ class _Shift:
 
     def write_report(self, path: Path) -> None:
         """Write the page with plots."""
-        from fuzzycnc_ros.core.thermal import load_model
+        from fuzzycnc_ros.core.thermal.model import load_model
         from fuzzycnc_ros.studies.shift.shift_report import shift_report
         from fuzzycnc_ros.studies.thermal.report_page import render_html
 

@@ -43,7 +43,8 @@ from fuzzycnc_ros.cli.options import (
 from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, STANDARD
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun
+    from fuzzycnc_ros.core.thermal.model import ThermalModel
+    from fuzzycnc_ros.core.thermal.run import ThermalRun
     from fuzzycnc_ros.studies.page.table import Table
 
 

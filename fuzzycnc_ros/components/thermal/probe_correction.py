@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.components.thermal.predictor_stream import Probe
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
-from fuzzycnc_ros.core.thermal import ThermalModel
 from fuzzycnc_ros.core.thermal.fade import Fade
+from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.probing import (
     DriftAlarm,
     GainAdaptation,

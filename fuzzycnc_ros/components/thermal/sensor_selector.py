@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.core.config import Config, param
-from fuzzycnc_ros.core.thermal import SensorSelection as Selection
-from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalRun
+from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
+from fuzzycnc_ros.core.thermal.sensor_watch import SensorSelection as Selection
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,

@@ -10,7 +10,7 @@ zero costs up to 42 um.
 
 import numpy as np
 
-from fuzzycnc_ros.core.thermal import ModelMismatchError, ThermalModel
+from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel
 from fuzzycnc_ros.core.thermal.sensor_watch import Estimate, MateEstimate, SensorWatch
 from fuzzycnc_ros.runtime.records import (
     Bools,

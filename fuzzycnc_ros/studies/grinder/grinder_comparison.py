@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal import ThermalRun
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fit.refinement import Progress
+from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.simulation.thermal.grinder import GRINDER_AXES
 from fuzzycnc_ros.simulation.thermal.grinder_runs import record_flux_case, record_grinder
 from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS, Rival

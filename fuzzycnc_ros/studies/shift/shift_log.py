@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.components.thermal.predictor_stream import TOPICS as SPEED_TOPICS
 from fuzzycnc_ros.components.thermal.predictor_stream import speed_told, speeds_at
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
-from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 from fuzzycnc_ros.runtime.enums import Status
 from fuzzycnc_ros.runtime.records import (
     SECOND,

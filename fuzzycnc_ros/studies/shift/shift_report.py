@@ -8,10 +8,11 @@ import numpy as np
 
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.core.document import text_hash
-from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fingerprint import recognised_in
 from fuzzycnc_ros.core.thermal.fit import sensor_count_curve
+from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.studies.page.remark import Remark
 from fuzzycnc_ros.studies.page.sections import Section
 from fuzzycnc_ros.studies.thermal.comparison import by_channel

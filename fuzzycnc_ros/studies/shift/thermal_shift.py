@@ -26,7 +26,8 @@ from fuzzycnc_ros.components.thermal.temperature_acquisition import (
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.config import Config
-from fuzzycnc_ros.core.thermal import ThermalRun, load_model
+from fuzzycnc_ros.core.thermal.model import load_model
+from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.runtime.component import Answer
 from fuzzycnc_ros.runtime.graph import Sink

@@ -27,7 +27,7 @@ from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureA
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.segments import LineSegment
-from fuzzycnc_ros.core.thermal import ThermalModel, load_model
+from fuzzycnc_ros.core.thermal.model import ThermalModel, load_model
 from fuzzycnc_ros.runtime.component import Component
 from fuzzycnc_ros.runtime.graph import Sink
 from fuzzycnc_ros.studies.evaluated_graph import judged_graph

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.components.machine.job_programme import MOVE, timed_jobs
 from fuzzycnc_ros.components.machine.simulated_machine_config import WHOLE_SHIFT
 from fuzzycnc_ros.components.motion.tool_paths import tool_path_segments
-from fuzzycnc_ros.core.thermal import ThermalModel
+from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.runtime.records import Record, ToolPath
 from fuzzycnc_ros.studies.contour.contouring_log import ContouringLog, FollowedPath
 from fuzzycnc_ros.studies.record_log import RecordLog

@@ -13,8 +13,8 @@ from fuzzycnc_ros.studies.page.remark import Remark
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.thermal import ThermalModel
     from fuzzycnc_ros.core.thermal.fit import Evaluation
+    from fuzzycnc_ros.core.thermal.model import ThermalModel
 
     Figures = Mapping[str, NDArray[np.float64]]
 

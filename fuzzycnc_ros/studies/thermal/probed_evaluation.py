@@ -16,11 +16,16 @@ from fuzzycnc_ros.components.thermal.predictor_stream import Probe, ProbeSource
 from fuzzycnc_ros.components.thermal.probe_correction import FILTERS, ProbeCorrection
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fit import Evaluation
 from fuzzycnc_ros.core.thermal.fit.training import at_interval
-from fuzzycnc_ros.core.thermal.run import JITTER_MAX, REFERENCE_SAMPLES, ThermalDataError
+from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.run import (
+    JITTER_MAX,
+    REFERENCE_SAMPLES,
+    ThermalDataError,
+    ThermalRun,
+)
 from fuzzycnc_ros.runtime.records import Displacement, Stamp, nanoseconds
 from fuzzycnc_ros.studies.thermal.report_data import Score
 

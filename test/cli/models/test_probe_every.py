@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.core.thermal import load_model
 from fuzzycnc_ros.core.thermal.fit import evaluate
+from fuzzycnc_ros.core.thermal.model import load_model
 from fuzzycnc_ros.studies.thermal.probed_evaluation import evaluate_probed
 
 

@@ -15,7 +15,8 @@ from small_recordings import IMPORT, warm_up
 from fuzzycnc_ros.cli.models.evaluate import judge_bag
 from fuzzycnc_ros.cli.models.many_bags import NamedBag
 from fuzzycnc_ros.cli.models.recorded_runs import LINE, MATES, as_predicted
-from fuzzycnc_ros.core.thermal import ThermalDataError, load_model
+from fuzzycnc_ros.core.thermal.model import load_model
+from fuzzycnc_ros.core.thermal.run import ThermalDataError
 
 QUICK = ('--models', 'static_ridge,lag_ridge')
 

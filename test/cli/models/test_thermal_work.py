@@ -20,9 +20,9 @@ from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.cli.models.simulate import median_figures
 from fuzzycnc_ros.cli.models.train import candidate_table, problem_lines
 from fuzzycnc_ros.core.document import text_hash
-from fuzzycnc_ros.core.thermal import load_model
 from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, STANDARD
 from fuzzycnc_ros.core.thermal.fit import evaluate
+from fuzzycnc_ros.core.thermal.model import load_model
 
 SHORT = ('--duties', 'T2', '--train', 'D0,T1')
 

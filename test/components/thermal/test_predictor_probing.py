@@ -23,8 +23,8 @@ from benches.predictor_bench import (
     trained,
 )
 
-from fuzzycnc_ros.core.thermal import ThermalRun
 from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 KINDS = pytest.mark.parametrize('kind', ['offset', 'kalman'])

@@ -17,8 +17,8 @@ from benches.predictor_bench import (
     state_of,
 )
 
-from fuzzycnc_ros.core.thermal import ThermalRun
 from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.runtime.enums import Reason, SpeedStatus
 from fuzzycnc_ros.runtime.records import SpindleSpeed, ThermalError
 from fuzzycnc_ros.simulation.thermal.duties import DUTIES

@@ -27,8 +27,8 @@ from fuzzycnc_ros.components.thermal.thermal_predictor import (
     ThermalPredictor,
     ThermalPredictorConfig,
 )
-from fuzzycnc_ros.core.thermal import ThermalRun
 from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.runtime.enums import Reason
 from fuzzycnc_ros.runtime.records import nanoseconds
 

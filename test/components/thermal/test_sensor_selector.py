@@ -9,8 +9,8 @@ import pytest
 from benches.component_bench import Bench
 
 from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector, SensorSelectorConfig
-from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalRun
 from fuzzycnc_ros.core.thermal.fit import select_sensors
+from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 from fuzzycnc_ros.runtime.records import (
     Displacement,
     Temperatures,

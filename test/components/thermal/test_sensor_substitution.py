@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
-from fuzzycnc_ros.core.thermal import ModelMismatchError, ThermalModel
 from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatch
 from fuzzycnc_ros.runtime.records import (
     SensorCluster,

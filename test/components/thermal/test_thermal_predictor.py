@@ -22,8 +22,8 @@ from benches.predictor_bench import (
 )
 
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.core.thermal import ThermalRun
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.runtime.enums import Reason
 from fuzzycnc_ros.runtime.records import (
     SensorCluster,

@@ -125,8 +125,8 @@ def campaign(
     from campaign.scenarios import chosen
     from campaign.stage import run_stage
     from fuzzycnc_ros.cli.workers import in_workers
-    from fuzzycnc_ros.core.thermal import load_model
     from fuzzycnc_ros.core.thermal.fit import train_model
+    from fuzzycnc_ros.core.thermal.model import load_model
     from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
     stages = chosen(names)

@@ -126,8 +126,8 @@ def _soak_here(text: str, ticks: int, seed: int, repeat: int, tell: Tell) -> 'li
 
 def _model_text(model: Path | None, seed: int, tell: Tell) -> str:
     """Return the model of a file, or train one as `fuzzycnc simulate` does."""
-    from fuzzycnc_ros.core.thermal import load_model
     from fuzzycnc_ros.core.thermal.fit import train_model
+    from fuzzycnc_ros.core.thermal.model import load_model
     from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
     if model is not None:

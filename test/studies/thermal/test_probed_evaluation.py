@@ -17,8 +17,8 @@ from benches.predictor_bench import (
     trained,
 )
 
-from fuzzycnc_ros.core.thermal import ThermalDataError
 from fuzzycnc_ros.core.thermal.fit import evaluate
+from fuzzycnc_ros.core.thermal.run import ThermalDataError
 from fuzzycnc_ros.studies.thermal.probed_evaluation import evaluate_probed
 
 HOUR = 3600.0

@@ -15,9 +15,10 @@ from fuzzycnc_ros.components.thermal.thermal_predictor import (
     ThermalPredictor,
     ThermalPredictorConfig,
 )
-from fuzzycnc_ros.core.thermal import ThermalModel, ThermalRun, load_model
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.core.thermal.model import ThermalModel, load_model
+from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
     Displacement,

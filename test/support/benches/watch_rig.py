@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from fuzzycnc_ros.core.thermal import ThermalRun
+from fuzzycnc_ros.core.thermal.run import ThermalRun
 
 SENSORS = tuple(f's{number}' for number in range(8))
 STEP = 60.0

@@ -13,9 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from math import comb, perm
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
 
 from fuzzycnc_ros.core.arrays import Array
 
@@ -52,8 +54,8 @@ class PathGeometry:
     def from_samples(
         cls,
         points: ArrayLike,
-        tangent: ArrayLike,
-        curvature: ArrayLike,
+        tangent: ArrayLike | None = None,
+        curvature: ArrayLike | None = None,
         arc_length: ArrayLike | None = None,
     ) -> PathGeometry:
         """Return the smooth path through samples of a curve; it has no corners.
@@ -62,10 +64,12 @@ class PathGeometry:
         ----------
         points : array, shape (n, 2) or (n, 3)
             Samples [m], no two neighbours equal.
-        tangent : array, same shape
+        tangent : array, same shape, optional
             Directions of travel; their lengths do not matter.
-        curvature : array, same shape
-            Curvature vectors, second derivatives with respect to arc length [1/m].
+        curvature : array, same shape, optional
+            Curvature vectors, second derivatives with respect to arc length [1/m].  Without it,
+            or without `tangent`, both are those of the cubic spline through the points over the
+            lengths of their chords, a periodic one where the last point is the first.
         arc_length : array, shape (n,), optional
             Increasing [m]; by default that of the circle through neighbours.
 
@@ -73,7 +77,16 @@ class PathGeometry:
         ------
         ValueError
             If shapes differ, a value is not finite, points repeat, or arc length falls.
+
+        Examples
+        --------
+        >>> turn = np.linspace(0.0, np.pi, 50)
+        >>> arc = PathGeometry.from_samples(0.01 * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+        >>> f'{1e3 * arc.length:.3f} mm'
+        '31.416 mm'
         """
+        if tangent is None or curvature is None:
+            tangent, curvature = _spline_shape(_checked(points, 'points'))
         point, along, bend = (
             _checked(values, name)
             for values, name in (
@@ -272,6 +285,26 @@ def _checked(values: ArrayLike, name: str) -> Array:
         row = int(np.flatnonzero(~np.isfinite(found).all(axis=1))[0])
         raise ValueError(f'{name}: expected finite numbers, but found {found[row]} in row {row}')
     return found
+
+
+def _spline_shape(point: Array) -> tuple[Array, Array]:
+    """Return directions and curvature vectors of the cubic spline through points, (n, d) each."""
+    chord = np.linalg.norm(np.diff(point, axis=0), axis=1)
+    if not (chord > 0.0).all():
+        raise ValueError(
+            f'points: expected neighbours that differ, but found {int((chord <= 0.0).sum())} '
+            'repeated points; drop repeated points first'
+        )
+    closed = len(point) > 3 and bool((point[0] == point[-1]).all())
+    ends: Literal['periodic', 'not-a-knot', 'natural'] = (
+        'periodic' if closed else 'not-a-knot' if len(point) > 3 else 'natural'
+    )
+    spline = CubicSpline(np.append(0.0, np.cumsum(chord)), point, bc_type=ends)
+    first, second = spline(spline.x, 1), spline(spline.x, 2)
+    size = np.linalg.norm(first, axis=1, keepdims=True)
+    along = first / size
+    across = second - (second * along).sum(axis=1, keepdims=True) * along
+    return along, np.asarray(across / size**2)
 
 
 def _size(vector: Array) -> Array:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal import ThermalDataError
 from fuzzycnc_ros.core.thermal.band import better, worth_using
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED, Candidate
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
@@ -16,6 +15,7 @@ from fuzzycnc_ros.core.thermal.fit.comparison import judge, splits
 from fuzzycnc_ros.core.thermal.fit.training_set import TrainingSet
 from fuzzycnc_ros.core.thermal.moments import Fold
 from fuzzycnc_ros.core.thermal.recursions.base import LinearRecursion
+from fuzzycnc_ros.core.thermal.run import ThermalDataError
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 PLAIN = ('static_ridge', 'lag_ridge', 'stable_grey')

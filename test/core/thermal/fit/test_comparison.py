@@ -5,12 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal import ThermalDataError, ThermalModel, ThermalRun
 from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut, judge, splits
 from fuzzycnc_ros.core.thermal.fit.folds import thermal_cycles, training_folds
+from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.recursions.base import Stream, first_order_lags
-from fuzzycnc_ros.core.thermal.run import SPINDLE_SPEED, drivers_of, speed_drive
+from fuzzycnc_ros.core.thermal.run import (
+    SPINDLE_SPEED,
+    ThermalDataError,
+    ThermalRun,
+    drivers_of,
+    speed_drive,
+)
 
 RPM = 2.0 * np.pi / 60.0
 PLAIN = ('static_ridge', 'lag_ridge', 'lag_ridge_speed')

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal import ModelMismatchError, ThermalDataError, ThermalRun
 from fuzzycnc_ros.core.thermal.candidate import STANDARD
 from fuzzycnc_ros.core.thermal.fit import (
     GreyModel,
@@ -24,8 +23,10 @@ from fuzzycnc_ros.core.thermal.fit.folds import (
     training_folds,
 )
 from fuzzycnc_ros.core.thermal.fit.refinement import REFINE_SWEEPS
+from fuzzycnc_ros.core.thermal.model import ModelMismatchError
 from fuzzycnc_ros.core.thermal.ranking import grey_relational_grade
 from fuzzycnc_ros.core.thermal.recursions.base import first_order_lags
+from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 
 PARTS = (300.0, 1800.0, 14400.0)
 SENSORS = (*(f'{part}{number}' for part in 'ABC' for number in range(4)), 'cold')

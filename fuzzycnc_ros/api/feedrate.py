@@ -1,0 +1,107 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Feedrate: the fastest motion along a curve that keeps a contour tolerance.
+
+Examples
+--------
+>>> from fuzzycnc_ros import feedrate
+>>> limits = feedrate.MotionLimits(path_velocity=0.2, path_acceleration=1.5)
+>>> points = [(0.0, 0.0), (0.01, 0.004), (0.02, 0.0), (0.03, -0.004), (0.04, 0.0)]
+>>> motion = feedrate.schedule(points, tolerance=20e-6, machine_constant=2e-4, limits=limits)
+>>> f'{motion.duration:.3f} s'
+'1.091 s'
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.motion.trajectory import Trajectory, limit_motion
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
+from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
+from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (
+    ProgramSettings,
+    schedule_program,
+)
+
+__all__ = [
+    'MotionLimits',
+    'NurbsCurve',
+    'PathGeometry',
+    'ProgramSettings',
+    'Trajectory',
+    'read_program',
+    'schedule',
+    'schedule_program',
+]
+
+
+def schedule(
+    path: NurbsCurve | PathGeometry | ArrayLike,
+    *,
+    tolerance: float,
+    machine_constant: float,
+    limits: MotionLimits,
+    samples: int = 2000,
+) -> Trajectory:
+    """Return the fastest motion along a path that keeps a contour tolerance.
+
+    The feed of a place is v = sqrt(tolerance / (C curvature)) with a guard and an approach to
+    places of more curvature; the motion follows it within the limits.
+
+    Parameters
+    ----------
+    path : NurbsCurve, PathGeometry or array_like, shape (n, 2) or (n, 3)
+        Points [m] are joined by a smooth curve through all of them.
+    tolerance : float
+        Contour error that the feed is chosen for [m].
+    machine_constant : float
+        Contour error over normal acceleration of the machine, C [s^2]; a machine file has it,
+        and `fuzzycnc machine identify` measures it.
+    limits : MotionLimits
+        Limits of path and axes.
+    samples : int
+        Places at which the feed is chosen; at least one for each point.
+
+    Returns
+    -------
+    Trajectory
+        `duration` [s]; `sample(period)` gives positions, velocities and accelerations.
+
+    Raises
+    ------
+    ValueError
+        If the path, the tolerance or the constant cannot be used, or no velocity is limited.
+    """
+    geometry = _geometry(path, samples)
+    node = geometry.node
+    if len(node) < samples:
+        pieces = -(-samples // (len(node) - 1))
+        geometry = geometry.split(np.full(len(node) - 1, pieces))
+        node = geometry.node
+    feed_max = limits.path_velocity
+    if not np.isfinite(feed_max):
+        feed_max = float(np.linalg.norm(limits.velocity or (np.inf,)))
+    scheduler = LogFuzzyScheduler(
+        feed_max=feed_max, tolerance=tolerance, machine_constant=machine_constant
+    )
+    bend = np.linalg.norm(geometry.evaluate(node, 2), axis=1)
+    return limit_motion(geometry, scheduler.feed(SampledPath(node, bend)), limits)
+
+
+def _geometry(path: NurbsCurve | PathGeometry | ArrayLike, samples: int) -> PathGeometry:
+    if isinstance(path, PathGeometry):
+        return path
+    if not isinstance(path, NurbsCurve):
+        return PathGeometry.from_samples(path)
+    u = path.parameter(np.linspace(0.0, path.length, samples))
+    first, second = path.derivative(u), path.derivative(u, 2)
+    size = np.linalg.norm(first, axis=1, keepdims=True)
+    along = first / size
+    across = second - (second * along).sum(axis=1, keepdims=True) * along
+    return PathGeometry.from_samples(path.point(u), first, across / size**2)

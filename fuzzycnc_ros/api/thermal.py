@@ -1,0 +1,212 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Thermal error: read recordings, train, predict, compare and plot.
+
+Examples
+--------
+>>> from fuzzycnc_ros import thermal
+>>> from fuzzycnc_ros.simulation.thermal.duties import record_runs
+>>> first, second = record_runs(['T1', 'T2']).values()
+>>> model = thermal.train([first], candidates=['lag_ridge'])
+>>> judged = thermal.evaluate(model, second)
+>>> residual = thermal.residual(model, second)
+>>> residual.shape == second.displacement.shape
+True
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fuzzycnc_ros.bags.runs import read_run as read_bag
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
+from fuzzycnc_ros.core.thermal.fit.comparison import HeldOut, judge, splits
+from fuzzycnc_ros.core.thermal.model import ThermalModel, load_model
+from fuzzycnc_ros.core.thermal.run import ThermalRun
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+
+__all__ = [
+    'compare',
+    'evaluate',
+    'load_model',
+    'plot_residual',
+    'plot_run',
+    'read_run',
+    'residual',
+    'to_dataframe',
+    'train',
+]
+
+train = train_model
+
+
+def read_run(path: str | os.PathLike[str], **options: Any) -> ThermalRun:
+    """Read a recording: a bag, or a CSV file with one row per sample.
+
+    Parameters
+    ----------
+    path : path
+        A bag (folder or file), or a file that ends in `.csv`.
+    **options
+        Of a bag those of `fuzzycnc_ros.bags.runs.read_run`, such as `start`, `stop` and
+        `namespace`; of a CSV file those of `fuzzycnc_ros.bags.csv_mapping.CsvMapping`, such as
+        `time`, `temperatures` and `displacements`.
+
+    Returns
+    -------
+    ThermalRun
+        Time [s], temperatures [degC] and displacements [m].
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read or used.
+    CsvError
+        If the file cannot be used; the message names line and column.
+    """
+    source = Path(path)
+    if source.suffix.lower() != '.csv':
+        return read_bag(source, **options)
+    from fuzzycnc_ros.bags.csv_import import import_csv
+    from fuzzycnc_ros.bags.csv_mapping import CsvMapping
+
+    with TemporaryDirectory() as folder:
+        bag = Path(folder) / 'run'
+        import_csv(source, bag, CsvMapping(**options))
+        return read_bag(bag, name=source.stem)
+
+
+def to_dataframe(run: ThermalRun) -> DataFrame:
+    """Return a run as a pandas table, indexed by time [s].
+
+    Columns are (quantity, name): `temperature` [degC] by sensor, `displacement` [m] by channel
+    and, where it was recorded, `spindle_speed` [rad/s].
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If pandas is not installed.
+    """
+    import pandas
+
+    columns = [('temperature', name) for name in run.sensor]
+    columns += [('displacement', name) for name in run.channel]
+    values = [run.temperature, run.displacement]
+    if run.spindle_speed is not None:
+        columns.append(('spindle_speed', ''))
+        values.append(run.spindle_speed[:, np.newaxis])
+    return pandas.DataFrame(
+        np.hstack(values),
+        index=pandas.Index(run.time, name='time'),
+        columns=pandas.MultiIndex.from_tuples(columns, names=['quantity', 'name']),
+    )
+
+
+def compare(
+    runs: Sequence[ThermalRun], candidates: Iterable[str] = ('static_ridge', 'lag_ridge')
+) -> list[HeldOut]:
+    """Train every candidate on all runs but one, and judge it on that one, for each run.
+
+    Parameters
+    ----------
+    runs : sequence of ThermalRun
+        Runs of one machine; a single one is cut into stretches.
+    candidates : iterable of str
+        Names, as `fuzzycnc_ros.core.thermal.candidate.CANDIDATES` lists them.
+
+    Returns
+    -------
+    list of HeldOut
+        What was held out, and the residuals of each candidate and of no compensation there.
+    """
+    return [judge(split, candidates=tuple(candidates)) for split in splits(runs)]
+
+
+def residual(model: ThermalModel, run: ThermalRun, candidate: str | None = None) -> Array:
+    """Return what a model leaves of the thermal error, shape (n, c) [m]; NaN without a probe.
+
+    Parameters
+    ----------
+    model : ThermalModel
+        Has the channels of the run.
+    run : ThermalRun
+        Sampled at the interval of the model.
+    candidate : str, optional
+        Another model in the file than the chosen one.
+    """
+    at = [run.channel.index(name) for name in model.channel]
+    return np.asarray(run.displacement[:, at] - model.predict(run, candidate))
+
+
+def plot_run(run: ThermalRun, axes: Axes, sensors: Sequence[str] = ()) -> Axes:
+    """Draw the displacements of a run [um] over time [min], and temperatures on a second scale.
+
+    Parameters
+    ----------
+    run : ThermalRun
+        The run.
+    axes : matplotlib.axes.Axes
+        What is drawn on.
+    sensors : sequence of str
+        Sensors whose temperatures [degC] are drawn, dashed; none by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The same.
+    """
+    _lines(axes, run.time, dict(zip(run.channel, 1e6 * run.displacement.T, strict=True)))
+    axes.set_ylabel('displacement [µm]')
+    if sensors:
+        other = axes.twinx()
+        for name in sensors:
+            other.plot(
+                run.time / 60.0, run.temperature[:, run.sensor.index(name)], '--', label=name
+            )
+        other.set_ylabel('temperature [°C]')
+        other.legend(loc='lower right')
+    axes.set_title(run.name)
+    return axes
+
+
+def plot_residual(model: ThermalModel, run: ThermalRun, axes: Axes) -> Axes:
+    """Draw what a model leaves of the thermal error [um] over time [min], and the error in grey.
+
+    Parameters
+    ----------
+    model : ThermalModel
+        Has the channels of the run.
+    run : ThermalRun
+        Sampled at the interval of the model; it should be none of its training.
+    axes : matplotlib.axes.Axes
+        What is drawn on.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The same.
+    """
+    at = [run.channel.index(name) for name in model.channel]
+    axes.plot(run.time / 60.0, 1e6 * run.displacement[:, at], color='0.7', linewidth=1.0)
+    left = residual(model, run)
+    _lines(axes, run.time, dict(zip(model.channel, 1e6 * left.T, strict=True)))
+    axes.set_ylabel('residual [µm], without compensation in grey')
+    axes.set_title(run.name)
+    return axes
+
+
+def _lines(axes: Axes, time: Array, lines: Mapping[str, Array]) -> None:
+    for name, values in lines.items():
+        axes.plot(time / 60.0, values, label=name)
+    axes.set_xlabel('time [min]')
+    axes.legend(loc='upper left')
