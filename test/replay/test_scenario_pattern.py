@@ -7,7 +7,7 @@ import pytest
 
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.replay import replay
-from fuzzycnc_ros.components.machine.pattern_programme import parse_patterns
+from fuzzycnc_ros.components.machine.machine_patterns import parse_patterns
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.soft.deformation_compensator import (

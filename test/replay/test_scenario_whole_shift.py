@@ -7,7 +7,7 @@ import pytest
 from kept import kept
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
-from fuzzycnc_ros.components.machine.machine_programme import PART_PROGRAM
+from fuzzycnc_ros.components.machine.machine_operator import PART_PROGRAM
 from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.core.thermal.model import load_model
 from fuzzycnc_ros.studies.published_bag import PublishedBag

@@ -90,8 +90,10 @@ def _of_machine_file(file: str) -> SchedulingMachine:
 
 def _of_parameter_file(path: Path | None) -> SchedulingMachine:
     """Read a ROS parameter file, as the nodes do."""
-    from fuzzycnc_ros.components.machine.contouring_motion import contouring_config
-    from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
+    from fuzzycnc_ros.components.machine.simulated_machine_config import (
+        SimulatedMachineConfig,
+        contouring_config,
+    )
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
     from fuzzycnc_ros.runtime.host import HostConfig
 

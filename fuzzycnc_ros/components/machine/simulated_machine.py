@@ -10,20 +10,17 @@ follow a trajectory there are short ones in between, one per interpolation perio
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from fuzzycnc_ros.components.machine.contouring_motion import (
-    ContouringMotion,
-    contouring_config,
-)
-from fuzzycnc_ros.components.machine.job_programme import JobProgramme
-from fuzzycnc_ros.components.machine.machine_programme import (
+from fuzzycnc_ros.components.machine.machine_axes import Axes, ContouringMotion
+from fuzzycnc_ros.components.machine.machine_operator import (
     duty_length,
-    machine_programme,
+    machine_operator,
     machine_sheet,
 )
-from fuzzycnc_ros.components.machine.servo_motion import ServoMotion, servo_motion
+from fuzzycnc_ros.components.machine.servo_motion import servo_motion
 from fuzzycnc_ros.components.machine.simulated_machine_config import (
     MACHINE_DUTIES,
     SimulatedMachineConfig,
+    contouring_config,
 )
 from fuzzycnc_ros.components.machine.simulated_machine_warmth import Warmth
 from fuzzycnc_ros.components.machine.stitching import Stitching
@@ -118,17 +115,14 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
             )
         self._warmth = Warmth(self._config)
         self._stitching = Stitching(machine_sheet(self._config), self._config.sheet_seed)
-        self._paths = machine_programme(self._config, self._go)
-        self._motion: ContouringMotion | ServoMotion = (
+        self._operator = machine_operator(self._config)
+        self._motion: Axes = (
             servo_motion(self._config, self._axes_needed)
             if self._config.servo_axes or self._config.moves
             else ContouringMotion(contouring_config(self._config))
         )
-        self._jobs: JobProgramme | None = None
-        if isinstance(self._paths, JobProgramme) and self._paths.timed:
-            self._jobs = self._paths
-            for move in self._paths.moves:
-                self._motion.check(move)
+        for move in self._operator.moves:
+            self._motion.check(move)
         self._tick_period = nanoseconds(self._config.tick_period)
         self._run = 0
         self._ticks = 0
@@ -152,7 +146,7 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
         duties = sum(self._duty_ticks(name) for name in self._config.duties)
         period = self._config.axis_interpolation_period
         moves = round(len(self._config.moves) * self._config.move_time / period)
-        return duties + moves + self._paths.ticks(period)
+        return duties + moves + self._operator.ticks(period)
 
     @property
     def ticks_done(self) -> int:
@@ -160,16 +154,16 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
         done = sum(self._duty_ticks(name) for name in self._config.duties[: self._run])
         if not self._duties_done:
             done += self._ticks
-            if self._jobs is None:
+            if not self._operator.timed:
                 return done
-        place = self._motion.place(self._paths.path_id)
+        place = self._motion.place(self._operator.path_id)
         done += self._motion.periods
-        return done + self._paths.ticks_done(self._config.axis_interpolation_period, place)
+        return done + self._operator.ticks_done(self._config.axis_interpolation_period, place)
 
     @property
     def failure(self) -> str:
         """Why the programme was given up; empty if it was not."""
-        return self._paths.failure or self._motion.failure or self._stitching.failure
+        return self._operator.failure or self._motion.failure or self._stitching.failure
 
     def on_compensation(self, command: Compensation) -> None:
         """Take an offset command; the offset input decides whether it is followed."""
@@ -181,8 +175,7 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
 
     def on_axis_command(self, command: AxisCommand) -> None:
         """Take a command of the drives; where the machine has its own loops it means nothing."""
-        if isinstance(self._motion, ServoMotion):
-            self._motion.drive(command)
+        self._motion.drive(command)
 
     def on_compensated_path(self, path: CompensatedPath) -> None:
         """Take the stitches of a pattern; they are made when the axes follow its tool path."""
@@ -217,8 +210,8 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
         slow, fast = stamp == self._slow_tick(), stamp == self._fast_tick()
         begins = stamp == self._job_tick()
         self._time = stamp
-        if begins and self._jobs is not None:
-            self._jobs.begin(stamp)
+        if begins:
+            self._operator.begin(stamp)
         if slow:
             self._warm(stamp)
         workpiece = self.frame('workpiece')
@@ -257,7 +250,7 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
         if self.failure:
             found.append(Health('path', Level.ERROR, self.failure))
         elif self._has_paths:
-            found.append(Health('path', Level.OK, self._paths.path_id or 'none'))
+            found.append(Health('path', Level.OK, self._operator.path_id or 'none'))
         return found
 
     @property
@@ -266,14 +259,14 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
 
     def _slow_tick(self) -> int | None:
         """Return when warmth is next moved on [ns]; None where nothing warms up any more."""
-        if self._duty_over or (self._duties_done and (self._paths.over or not self._has_paths)):
+        if self._duty_over or (self._duties_done and (self._operator.over or not self._has_paths)):
             return None
         return self._start + (self._ticks + 1) * self._tick_period
 
     def _fast_tick(self) -> int | None:
         """Return when the axes are next moved on, or a trajectory is waited for [ns]."""
         due = self._motion.next_time(self._time)
-        if self._paths.waiting and not self._motion.busy:
+        if self._operator.waiting and not self._motion.busy:
             wait = self._time + nanoseconds(WAIT)
             return wait if due is None else min(due, wait)
         if due is None and self._told_mode not in (None, self._present_mode()):
@@ -282,7 +275,7 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
 
     def _job_tick(self) -> int | None:
         """Return when the next job of the duty begins [ns]; None if one is under way."""
-        due = None if self._jobs is None else self._jobs.due
+        due = self._operator.due
         if due is None:
             return None
         soon = self._time + nanoseconds(self._config.axis_interpolation_period)
@@ -290,14 +283,9 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
 
     def _axes_needed(self) -> bool:
         """Whether driven axes are to be controlled."""
-        if self._jobs is not None:
-            return self._jobs.begun
-        return self._has_paths and not self._paths.over
-
-    def _go(self, move: str) -> None:
-        """Have driven axes make a move."""
-        if isinstance(self._motion, ServoMotion):
-            self._motion.go(move)
+        if self._operator.timed:
+            return self._operator.begun
+        return self._has_paths and not self._operator.over
 
     def _warm(self, stamp: int) -> None:
         """Move temperatures and offsets on by a tick period."""
@@ -312,42 +300,43 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
         if slow and not self._duties_done:
             following = (self._ticks + 1) * self._tick_period
             self._duty_over = following > nanoseconds(duty_length(self._config, self._duty.name))
-        if self._motion.busy and not self._paths.failure:
+        if self._motion.busy and not self._operator.failure:
             what = 'the axes do not arrive'
-            self._paths.wait(stamp, what, busy=self._motion.following)
-        elif self._jobs is not None and self._jobs.begun:
-            yield from self._work(self._jobs, stamp)
+            self._operator.wait(stamp, what, busy=self._motion.following)
+        elif self._operator.begun:
+            yield from self._work(stamp)
         elif self._duty_over:
             self._enter(self._run + 1)
-        elif self._duties_done and self._has_paths and self._jobs is None:
-            done = self._motion.finished(self._paths.path_id)
-            if done or (slow and not self._paths.path_id):
-                loaded = self._paths.load_next(stamp, self.frame('workpiece'))
-                for item in loaded:
+        elif self._duties_done and self._has_paths and not self._operator.timed:
+            done = self._motion.finished(self._operator.path_id)
+            if done or (slow and not self._operator.path_id):
+                for item in self._operator.load(stamp, self.frame('workpiece')):
                     if isinstance(item.record, Material):
                         self._stitching.clamp(item.record)
-                yield from loaded
+                    yield item
             else:
-                self._paths.wait(stamp, self._motion.health().message, busy=False)
+                self._operator.wait(stamp, self._motion.health().message, busy=False)
 
-    def _work(self, jobs: JobProgramme, stamp: int) -> Iterator[Emission]:
+    def _work(self, stamp: int) -> Iterator[Emission]:
         """Load the job that was begun, or clamp the axes when it is done and they have settled."""
-        if not jobs.loaded:
-            yield from jobs.load_begun(stamp, self.frame('workpiece'))
+        operator = self._operator
+        if not operator.loaded:
+            yield from operator.load(stamp, self.frame('workpiece'))
+            if operator.move:
+                self._motion.go(operator.move)
             return
-        done = jobs.moving or self._motion.finished(jobs.path_id)
+        done = bool(operator.move) or self._motion.finished(operator.path_id)
         if not done:
-            jobs.wait(stamp, self._motion.health().message, busy=False)
-        if jobs.settled(stamp, done=done):
-            jobs.end()
+            operator.wait(stamp, self._motion.health().message, busy=False)
+        if operator.settled(stamp, done=done):
+            operator.end()
             self._motion.clamp()
 
     def _present_mode(self) -> MachineMode:
         """Return the operating state; a program runs where the spindle or the axes do."""
         if self._mode is not MachineMode.ON:
             return self._mode
-        tripped = isinstance(self._motion, ServoMotion) and self._motion.tripped
-        if tripped or self.sources.refusal('axis_command'):
+        if self._motion.tripped or self.sources.refusal('axis_command'):
             return MachineMode.FAULT
         running = self._warmth.spindle_speed or self._motion.moving
         return MachineMode.RUNNING if running else MachineMode.ON

@@ -3,11 +3,12 @@
 """Parameters of `simulated_machine`."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
+from typing import Any
 
-from fuzzycnc_ros.components.machine.contouring_motion import axis_param
 from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.thermal.duties import DUTIES, Duty, DutyBlock
 from fuzzycnc_ros.simulation.thermal.mill import RPM
 
@@ -34,6 +35,15 @@ WHOLE_SHIFT = Duty(
 
 MACHINE_DUTIES: Mapping[str, Duty] = MappingProxyType({**DUTIES, WHOLE_SHIFT.name: WHOLE_SHIFT})
 """All duties by name."""
+
+
+_PREFIX = 'axis_'
+
+
+def _axis_param(name: str) -> Any:
+    """Make a field `axis_<name>` with default, unit, bounds and text of the contouring machine."""
+    item = {item.name: item for item in fields(ContouringConfig)}[name]
+    return field(default=item.default, metadata=item.metadata)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,14 +134,14 @@ class SimulatedMachineConfig(Config):
         low=0.01,
         high=7200.0,
     )
-    axis_interpolation_period: float = axis_param('interpolation_period')
-    axis_control_steps: int = axis_param('control_steps')
-    axis_filter_samples: int = axis_param('filter_samples')
-    axis_position_gain: float = axis_param('position_gain')
-    axis_velocity_bandwidth: float = axis_param('velocity_bandwidth')
-    axis_velocity_max: float = axis_param('velocity_max')
-    axis_acceleration_max: float = axis_param('acceleration_max')
-    axis_run_out: float = axis_param('run_out')
+    axis_interpolation_period: float = _axis_param('interpolation_period')
+    axis_control_steps: int = _axis_param('control_steps')
+    axis_filter_samples: int = _axis_param('filter_samples')
+    axis_position_gain: float = _axis_param('position_gain')
+    axis_velocity_bandwidth: float = _axis_param('velocity_bandwidth')
+    axis_velocity_max: float = _axis_param('velocity_max')
+    axis_acceleration_max: float = _axis_param('acceleration_max')
+    axis_run_out: float = _axis_param('run_out')
     servo_axes: tuple[str, ...] = param(
         (),
         '-',
@@ -195,3 +205,20 @@ class SimulatedMachineConfig(Config):
         low=0.05,
         high=60.0,
     )
+
+
+def contouring_config(config: SimulatedMachineConfig) -> ContouringConfig:
+    """Return the axes that the fields `axis_<name>` of a configuration describe.
+
+    Raises
+    ------
+    ValueError
+        If their loops would not settle.
+    """
+    names = {item.name for item in fields(config)}
+    given = {
+        item.name: getattr(config, _PREFIX + item.name)
+        for item in fields(ContouringConfig)
+        if _PREFIX + item.name in names
+    }
+    return ContouringConfig(**given)

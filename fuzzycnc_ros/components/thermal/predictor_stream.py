@@ -32,10 +32,13 @@ from fuzzycnc_ros.runtime.records import (
     Floats,
     MachineState,
     Names,
+    PredictorState,
     Record,
+    SensorSelection,
     SpindleSpeed,
     Stamp,
     Temperatures,
+    ThermalReference,
     nanoseconds,
 )
 
@@ -350,19 +353,57 @@ class Heard:
     probes: tuple[Probe, ...] = ()
 
 
-class SampleMemory:
-    """The newest samples, as long as they matter to a model that is to begin now."""
+class PredictorStream:
+    """All that the models of a predictor rest on, held once: zero, checkpoint, samples, probes.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    config : ThermalPredictorConfig
+        Parameters of the predictor.
+
+    Attributes
+    ----------
+    reference : ThermalReference or None
+        What rises are meant against.
+    checkpoint : PredictorState or None
+        State of an earlier life.
+    selection : SensorSelection or None
+        Newest selection; it names substitutes.
+    speeds : SpeedSources
+        What was told of the spindle.
+    probes : ProbeSource or None
+        Probes that wait for a sample; None where they have no effect.
+    """
+
+    def __init__(self, config: ThermalPredictorConfig) -> None:
+        self.reference: ThermalReference | None = None
+        self.checkpoint: PredictorState | None = None
+        self.selection: SensorSelection | None = None
+        self.speeds = SpeedSources()
+        probing = config.probing != 'none' or config.adaptation > 0.0
+        self.probes = ProbeSource(config) if probing else None
         self._heard: deque[Heard] = deque(maxlen=SAMPLES_MAX)
 
-    def add(self, heard: Heard, settle_time: float) -> None:
-        """Keep a sample, and with it all that are not older than `settle_time` [s]."""
+    def hear(self, sample: Temperatures, config: ThermalPredictorConfig) -> Heard:
+        """Return a sample with what else is known of its time; keep it as long as it matters.
+
+        That is `settle_time`, for a model that is to begin then.  A speed that has been unknown
+        for longer than `gap_max` is none.
+        """
+        stamp, told = sample.stamp, self.speeds.newest
+        known = told is not None and stamp - told.stamp <= nanoseconds(config.gap_max)
+        since = self.reference.stamp if self.reference is not None else stamp
+        heard = Heard(
+            sample,
+            abs(told.speed) if told is not None and known else np.nan,
+            self.probes.take(stamp, since) if self.probes is not None else (),
+        )
         self._heard.append(heard)
-        oldest = heard.sample.stamp - nanoseconds(settle_time)
+        oldest = stamp - nanoseconds(config.settle_time)
         # One sample from before that time proves that the history is long enough.
         while len(self._heard) > 1 and self._heard[1].sample.stamp <= oldest:
             self._heard.popleft()
+        return heard
 
     def since(self, stamp: Stamp) -> Iterator[Heard]:
         """Yield the samples after a stamp [ns], oldest first."""

@@ -6,12 +6,12 @@
 take over.  Both see the same samples, so that either can be published at any time.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fuzzycnc_ros.components.thermal.predictor_stream import Heard
+from fuzzycnc_ros.components.thermal.predictor_stream import Heard, PredictorStream
 from fuzzycnc_ros.components.thermal.probe_correction import ProbeCorrection
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
@@ -26,10 +26,8 @@ from fuzzycnc_ros.runtime.records import (
     Floats,
     Names,
     PredictorState,
-    SensorSelection,
     Stamp,
     Temperatures,
-    ThermalReference,
     nanoseconds,
 )
 
@@ -80,11 +78,14 @@ def read_blocks(state: Floats, size: int) -> tuple[Floats, dict[str, Floats]]:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a model says of one sample, probes considered; arrays of shape (c,).
+    """What a model, or a fade of two, says of one sample, probes considered; arrays of shape (c,).
 
     `outside` says why the sample is out of domain; it is empty if it is not.
     """
 
+    axis: Names
+    channel: Names
+    label: str
     error: Floats
     deviation: Floats
     outside: str
@@ -101,6 +102,8 @@ class ModelHistory:
         Text of a model file.
     config : ThermalPredictorConfig
         Parameters of the predictor; `config` may be set anew at any time.
+    stream : PredictorStream
+        What it rests on; the model begins if there is a thermal reference.
 
     Raises
     ------
@@ -108,15 +111,14 @@ class ModelHistory:
         If it is no model file or damaged.
     """
 
-    def __init__(self, text: str, config: ThermalPredictorConfig) -> None:
+    def __init__(self, text: str, config: ThermalPredictorConfig, stream: PredictorStream) -> None:
         self.text, self.config = text, config
         self.model = ThermalModel.from_json(text)
         self.hash = text_hash(text)
         self.label = f'{"/".join(dict.fromkeys(self.model.default))} {self.hash[:12]}'
         self.correction = ProbeCorrection(self.model, config)
-        self._reference: ThermalReference | None = None
-        self._checkpoint: PredictorState | None = None
-        self._selection: SensorSelection | None = None
+        self._stream = stream
+        self._begun = False
         self._warm: dict[str, float] = {}
         """Inputs that were warm when the reference was taken, by how much [K]."""
         self._forget()
@@ -127,7 +129,7 @@ class ModelHistory:
         self.prediction: Prediction | None = None
         self.remainder = Fade(np.zeros(len(self.model.channel)))
         """What is left of a model from which this one has taken over [m]; fades to zero."""
-        self._stream = self.model.start()
+        self._recursion = self.model.start()
         self._stepped_at: Stamp | None = None
         self._predicted_at: Stamp | None = None
         self._unknown_since: Stamp | None = None
@@ -135,39 +137,29 @@ class ModelHistory:
         self._source: RiseSource | None = None
         self._watch = sensor_watch(self.model, self.config)
 
-    def begin(
-        self,
-        reference: ThermalReference,
-        heard: Iterable[Heard],
-        checkpoint: PredictorState | None,
-    ) -> None:
-        """Start the history at a reference, from the samples since the cold start.
+    def begin(self) -> None:
+        """Start the history at the reference, from the samples since its cold start.
 
-        Parameters
-        ----------
-        reference : ThermalReference
-            What rises are meant against.
-        heard : iterable of Heard
-            Samples at hand, oldest first; a reference set long ago says nothing about those from
-            before its own cold start.
-        checkpoint : PredictorState, optional
-            State of an earlier life, used if it belongs to this model; what belongs to a run,
-            only if the reference is the same.
+        A reference set long ago says nothing about samples from before.  The checkpoint is used
+        if it belongs to this model; what belongs to a run, only if the reference is the same.
         """
+        reference = self._stream.reference
+        if reference is None:
+            return
         self._forget()
-        if self._reference is None:
-            self._remember(checkpoint)
-        self._reference, self._checkpoint = reference, checkpoint
+        if not self._begun:
+            self._remember()
+        self._begun = True
         known = dict(zip(reference.sensor, reference.temperature.tolist(), strict=True))
         start = [known.get(name, np.nan) for name in self.model.inputs]
         self._warm = self.model.warmth(start)
         self.correction.begin()
-        for item in heard:
+        for item in self._stream.since(reference.cold_since):
             self.take(item)
 
-    def select(self, selection: SensorSelection | None) -> None:
+    def select(self) -> None:
         """Take the substitutes of another selection."""
-        self._selection, self._source = selection, None
+        self._source = None
 
     def take(self, heard: Heard) -> None:
         """Step the model to a sample; sets `prediction`, or None with `reason` and `detail`."""
@@ -191,6 +183,9 @@ class ModelHistory:
         self._predicted_at = stamp
         assert self._source is not None
         self.prediction = Prediction(
+            axis=self.model.axis,
+            channel=self.model.channel,
+            label=self.label,
             error=error,
             deviation=deviation,
             outside=self._outside(heard.spindle_speed),
@@ -247,7 +242,7 @@ class ModelHistory:
         remainder : Fade, optional
             What the published error is apart from this model's, if not its own `remainder`.
         """
-        assert self._reference is not None
+        assert self._stream.reference is not None
         assert self._vector is not None
         blocks = dict(self.correction.blocks)
         left = self.remainder if remainder is None else remainder
@@ -256,12 +251,12 @@ class ModelHistory:
         if self._watch is not None and self._watch.faulty.any():
             blocks['watch'] = self._watch.state
         sensors = len(self.model.inputs)
-        recursion = np.concatenate([self._stream.state, self._vector[sensors:]])
+        recursion = np.concatenate([self._recursion.state, self._vector[sensors:]])
         return PredictorState(
             stamp=stamp,
             frame_id=frame_id,
             model_hash=self.hash,
-            reference_stamp=self._reference.stamp,
+            reference_stamp=self._stream.reference.stamp,
             input=self.model.inputs,
             last_rise=self._vector[:sensors],
             state=write_blocks(recursion, blocks),
@@ -307,8 +302,8 @@ class ModelHistory:
         """Step the model, along a straight line over missing samples."""
         if steps > 1 and self._vector is not None:
             for number in range(1, steps):
-                self._stream.step(self._vector + (vector - self._vector) * (number / steps))
-        return self._stream.step(vector)
+                self._recursion.step(self._vector + (vector - self._vector) * (number / steps))
+        return self._recursion.step(vector)
 
     def _history_is_known(self, stamp: Stamp) -> bool:
         """Say whether the history that the model rests on is known."""
@@ -329,13 +324,14 @@ class ModelHistory:
         """Decide at the first sample, without a checkpoint, whether its history is known."""
         if self._stepped_at is not None or self._unknown_since is not None:
             return
-        assert self._reference is not None
-        if stamp - self._reference.stamp > nanoseconds(2.0 * self.model.interval):
+        assert self._stream.reference is not None
+        if stamp - self._stream.reference.stamp > nanoseconds(2.0 * self.model.interval):
             # The machine has been warming up unseen since its reference.
             self._unknown_since = stamp
 
-    def _remember(self, checkpoint: PredictorState | None) -> None:
+    def _remember(self) -> None:
         """Take back what an earlier life has learnt of the machine, whatever its reference."""
+        checkpoint = self._stream.checkpoint
         if checkpoint is None or not self._owns(checkpoint):
             return
         try:
@@ -345,7 +341,7 @@ class ModelHistory:
 
     def _take_checkpoint(self, stamp: Stamp) -> None:
         """Go on from the state of an earlier life if it was one of this history."""
-        saved, reference = self._checkpoint, self._reference
+        saved, reference = self._stream.checkpoint, self._stream.reference
         if saved is None or reference is None or saved.reference_stamp != reference.stamp:
             return
         if not self._owns(saved) or saved.stamp >= stamp:
@@ -360,7 +356,7 @@ class ModelHistory:
             newest = np.concatenate([saved.last_rise, drive])
             if len(saved.last_rise) != len(self.model.inputs) or not np.isfinite(newest).all():
                 raise ValueError(f'last_rise: expected finite rises, but found {newest}')
-            self._stream.state = recursion
+            self._recursion.state = recursion
         except ValueError:
             # A damaged checkpoint is as good as none: the history is lost, which is said aloud.
             self.correction = ProbeCorrection(self.model, self.config)
@@ -377,7 +373,7 @@ class ModelHistory:
 
     def _parts(self, checkpoint: PredictorState) -> tuple[Floats, Floats, dict[str, Floats]]:
         """Return the state of the recursion, the newest drivers and the blocks."""
-        size = len(self._stream.state)
+        size = len(self._recursion.state)
         numbers, blocks = read_blocks(checkpoint.state, size + len(self.model.drivers))
         return numbers[:size], numbers[size:], blocks
 
@@ -426,13 +422,14 @@ class ModelHistory:
 
     def _rise_of(self, sample: Temperatures) -> Floats | None:
         """Return the rises of the model's inputs, or None and set the reason."""
-        if self._reference is None:
+        stream = self._stream
+        if stream.reference is None:
             self.refuse(Reason.NO_REFERENCE, 'no thermal reference (topic thermal_reference)')
             return None
         if self._source is None or self._source.sensor != sample.sensor:
             try:
                 self._source = RiseSource(
-                    self.model, sample.sensor, self._reference, self._selection, self._watch
+                    self.model, sample.sensor, stream.reference, stream.selection, self._watch
                 )
             except ValueError as error:
                 self._source = None

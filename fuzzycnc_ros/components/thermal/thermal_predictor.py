@@ -8,7 +8,7 @@ invalid error.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,7 @@ from fuzzycnc_ros.components.thermal.predictor_stream import (
     OWN,
     STATE,
     Heard,
-    ProbeSource,
-    SampleMemory,
-    SpeedSources,
+    PredictorStream,
     speed_told,
 )
 from fuzzycnc_ros.components.thermal.thermal_history import ModelHistory, Prediction, losses_of
@@ -43,7 +41,6 @@ from fuzzycnc_ros.runtime.records import (
     Displacement,
     Floats,
     MachineState,
-    Names,
     PredictorState,
     Record,
     SensorSelection,
@@ -52,18 +49,7 @@ from fuzzycnc_ros.runtime.records import (
     Temperatures,
     ThermalError,
     ThermalReference,
-    nanoseconds,
 )
-
-
-@dataclass(frozen=True, eq=False)
-class Published:
-    """What is published for a sample; arrays of shape (c,)."""
-
-    axis: Names
-    channel: Names
-    label: str
-    prediction: Prediction
 
 
 class ModelSwap:
@@ -127,16 +113,14 @@ class ModelSwap:
                 return f'{self._models[number].label} is {state} already'
         return ''
 
-    def begin(
-        self, reference: ThermalReference, memory: SampleMemory, saved: PredictorState | None
-    ) -> None:
+    def begin(self) -> None:
         """Begin at a new thermal reference, where the error of every model is zero."""
         if self._weight is not None:
             self._promote()
         for model in self._models:
-            model.begin(reference, memory.since(reference.cold_since), saved)
+            model.begin()
 
-    def take(self, heard: Heard) -> Published | None:
+    def take(self, heard: Heard) -> Prediction | None:
         """Step all models to a sample; return what to publish, None if nothing is valid."""
         stamp = heard.sample.stamp
         for model in self._models:
@@ -150,7 +134,7 @@ class ModelSwap:
             return None
         if self._weight is not None:
             return self._blend(first.prediction, float(self._weight.value[0]))
-        return Published(first.model.axis, first.model.channel, first.label, first.prediction)
+        return first.prediction
 
     def state(self, stamp: Stamp, frame_id: str) -> PredictorState:
         """Return a checkpoint; that of a fade goes on to the new model."""
@@ -219,7 +203,7 @@ class ModelSwap:
         left.to(np.zeros(len(own)), weight.remaining or self._models[1].config.swap_time)
         return left
 
-    def _blend(self, before: Prediction, share: float) -> Published:
+    def _blend(self, before: Prediction, share: float) -> Prediction:
         """Return the first model's prediction, `share` of the way to the second's."""
         first, second = self._models[:2]
         error = _as_channels(second, first, before.error) + share * self._difference
@@ -229,17 +213,15 @@ class ModelSwap:
             after = replace(before, error=error, deviation=deviation)
         mates = dict(zip(before.substituted, before.substitute, strict=True))
         mates |= dict(zip(after.substituted, after.substitute, strict=True))
-        return Published(
+        return Prediction(
             axis=second.model.axis,
             channel=second.model.channel,
             label=f'{first.label} to {second.label} {100.0 * share:.0f} %',
-            prediction=Prediction(
-                error=error,
-                deviation=(1.0 - share) * deviation + share * after.deviation,
-                outside=before.outside or after.outside,
-                substituted=tuple(mates),
-                substitute=tuple(mates.values()),
-            ),
+            error=error,
+            deviation=(1.0 - share) * deviation + share * after.deviation,
+            outside=before.outside or after.outside,
+            substituted=tuple(mates),
+            substitute=tuple(mates.values()),
         )
 
 
@@ -286,12 +268,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
     def __init__(self, config: ThermalPredictorConfig | None = None) -> None:
         super().__init__(config)
         self._swap = ModelSwap()
-        self._memory = SampleMemory()
-        self._probes = ProbeSource(self._config)
-        self._probing = self._config.probing != 'none' or self._config.adaptation > 0.0
-        self._reference: ThermalReference | None = None
-        self._checkpoint: PredictorState | None = None
-        self._speeds = SpeedSources()
+        self._stream = PredictorStream(self._config)
         self._told: PredictorState | None = None
         self._former: ThermalReference | None = None
         """What the checkpoint of before a step of the clock was meant against."""
@@ -329,16 +306,13 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         kept = self._swap.keep(text)
         if kept:
             return kept
-        history = ModelHistory(text, self._config)
+        history = ModelHistory(text, self._config, self._stream)
         if history.model.losing and not self._config.force:
             raise ModelMismatchError(refusal_of(history.model))
-        in_use, newest = self._swap.in_use, self._memory.newest
+        in_use, newest = self._swap.in_use, self._stream.newest
         if newest is not None and in_use is not None and in_use.reason is Reason.NONE:
             history.model.check_stream(newest.sample.sensor, in_use.model.interval)
-        history.select(self._selection)
-        if self._reference is not None:
-            since = self._memory.since(self._reference.cold_since)
-            history.begin(self._reference, since, self._checkpoint)
+        history.begin()
         return self._swap.add(history)
 
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
@@ -352,13 +326,11 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
 
     def renewed(self, step: int) -> 'tuple[ThermalPredictor, list[Emission]]':
         """Begin with the same model; the history goes on once the same reference comes anew."""
-        fresh = self._afresh()
-        if self._selection is not None:
-            fresh._newest['sensor_selection'] = self._selection
-        fresh._checkpoint = self._checkpoint
-        if self._told is not None and self._reference is not None:
-            fresh._former = self._reference
-            fresh._checkpoint = replace(self._told, stamp=max(0, self._told.stamp + step))
+        fresh, stream = self._afresh(), self._stream
+        fresh._stream.selection, fresh._stream.checkpoint = stream.selection, stream.checkpoint
+        if self._told is not None and stream.reference is not None:
+            fresh._former = stream.reference
+            fresh._stream.checkpoint = replace(self._told, stamp=max(0, self._told.stamp + step))
         if self.model_text:
             fresh.use_model(self.model_text)
         return fresh, []
@@ -366,52 +338,49 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
     def restore(self, output: str, record: Record) -> None:
         """Take back the checkpoint of an earlier life."""
         if isinstance(record, PredictorState):
-            self._checkpoint = record
+            self._stream.checkpoint = record
 
     def on_sensor_selection(self, selection: SensorSelection) -> None:
         """Take the substitutes of a new selection."""
+        self._stream.selection = selection
         for history in self._swap.models:
-            history.select(selection)
+            history.select()
 
     def on_thermal_reference(self, reference: ThermalReference) -> None:
         """Start a new history at a new reference."""
-        known = self._reference
+        stream, former = self._stream, self._former
+        known, checkpoint = stream.reference, stream.checkpoint
         if known is not None and known.stamp == reference.stamp:
             return
-        former, checkpoint = self._former, self._checkpoint
         if former is not None and checkpoint is not None and _same(former, reference):
-            self._checkpoint = replace(checkpoint, reference_stamp=reference.stamp)
-        self._reference, self._former = reference, None
-        self._swap.begin(reference, self._memory, self._checkpoint)
+            stream.checkpoint = replace(checkpoint, reference_stamp=reference.stamp)
+        stream.reference, self._former = reference, None
+        self._swap.begin()
 
     def on_machine_state(self, state: MachineState) -> None:
         """Note the spindle speed that the controller reports."""
-        self._speeds.note(STATE, state.stamp, speed_told(STATE, state))
+        self._stream.speeds.note(STATE, state.stamp, speed_told(STATE, state))
 
     def on_spindle_speed(self, speed: SpindleSpeed) -> None:
         """Note the spindle speed that a source of its own tells."""
-        self._speeds.note(OWN, speed.stamp, speed_told(OWN, speed))
+        self._stream.speeds.note(OWN, speed.stamp, speed_told(OWN, speed))
 
     def on_compensation_applied(self, applied: CompensationApplied) -> None:
         """Note what probes of this time include."""
-        if self._probing:
-            self._probes.add_read_back(applied)
+        if self._stream.probes is not None:
+            self._stream.probes.add_read_back(applied)
 
     def on_displacement(self, probe: Displacement) -> None:
         """Note a probe; without probing a displacement is for training only."""
-        if self._probing:
-            self._probes.add(probe)
+        if self._stream.probes is not None:
+            self._stream.probes.add(probe)
 
     def on_temperatures(self, sample: Temperatures) -> Iterator[Emission]:
         """Predict from one sample."""
-        since = self._reference.stamp if self._reference is not None else sample.stamp
-        heard = Heard(sample, self._speed_at(sample.stamp), self._probes.take(sample.stamp, since))
-        self._memory.add(heard, self._config.settle_time)
-        published = self._swap.take(heard)
-        if published is None:
-            yield Emission('thermal_error', self._invalid(sample))
+        found = self._swap.take(self._stream.hear(sample, self._config))
+        yield Emission('thermal_error', self._error(sample.stamp, found))
+        if found is None:
             return
-        yield Emission('thermal_error', self._valid(sample, published))
         self._told = self._swap.state(sample.stamp, self.frame('machine'))
         yield Emission('predictor_state', self._told)
 
@@ -429,61 +398,37 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
             items.append(Health('domain', Level.WARN, history.prediction.outside))
         items += self._swap.health()
         if history.model.needs_speed:
-            items.append(self._speeds.health())
+            items.append(self._stream.speeds.health())
         if history.substitutions:
             items.append(Health('substitution', Level.WARN, history.substitutions))
         items += history.correction.health()
-        if self._probing and self._probes.trouble:
-            items.append(Health('probe', Level.WARN, self._probes.trouble))
+        if self._stream.probes is not None and self._stream.probes.trouble:
+            items.append(Health('probe', Level.WARN, self._stream.probes.trouble))
         return items
 
-    @property
-    def _selection(self) -> SensorSelection | None:
-        selection = self._newest.get('sensor_selection')
-        return selection if isinstance(selection, SensorSelection) else None
-
-    def _speed_at(self, stamp: Stamp) -> float:
-        """Return the size of the spindle speed [rad/s], NaN if it has been unknown too long."""
-        told = self._speeds.newest
-        if told is None or stamp - told.stamp > nanoseconds(self._config.gap_max):
-            return np.nan
-        return abs(told.speed)
-
-    def _valid(self, sample: Temperatures, published: Published) -> ThermalError:
-        prediction = published.prediction
+    def _error(self, stamp: Stamp, found: Prediction | None) -> ThermalError:
+        """Return what is published for a sample; without a prediction, that it is of no use."""
+        valid, reason = found is not None, Reason.NONE
+        if found is None:
+            history = self._swap.in_use
+            axis, channel = (history.model.axis, history.model.channel) if history else ((), ())
+            nothing = np.full(len(axis), np.nan)
+            reason = history.reason if history else Reason.NO_MODEL
+            label = history.label if history else ''
+            found = Prediction(axis, channel, label, nothing, nothing.copy(), 'unknown', (), ())
         return ThermalError(
-            stamp=sample.stamp,
+            stamp=stamp,
             frame_id=self.frame('workpiece'),
-            axis=published.axis,
-            channel=published.channel,
-            error=prediction.error,
-            standard_deviation=prediction.deviation,
-            valid=True,
-            reason=int(Reason.NONE),
-            in_domain=not prediction.outside,
-            model=published.label,
-            substituted=prediction.substituted,
-            substitute=prediction.substitute,
-        )
-
-    def _invalid(self, sample: Temperatures) -> ThermalError:
-        """Return an error that says it must not be used."""
-        history = self._swap.in_use
-        axis, channel = (history.model.axis, history.model.channel) if history else ((), ())
-        nothing = np.full(len(axis), np.nan)
-        return ThermalError(
-            stamp=sample.stamp,
-            frame_id=self.frame('workpiece'),
-            axis=axis,
-            channel=channel,
-            error=nothing,
-            standard_deviation=nothing.copy(),
-            valid=False,
-            reason=int(history.reason if history else Reason.NO_MODEL),
-            in_domain=False,
-            model=history.label if history else '',
-            substituted=(),
-            substitute=(),
+            axis=found.axis,
+            channel=found.channel,
+            error=found.error,
+            standard_deviation=found.deviation,
+            valid=valid,
+            reason=int(reason),
+            in_domain=not found.outside,
+            model=found.label,
+            substituted=found.substituted,
+            substitute=found.substitute,
         )
 
 

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.machine.job_programme import MOVE, timed_jobs
+from fuzzycnc_ros.components.machine.machine_operator import MOVE, timed_jobs
 from fuzzycnc_ros.components.machine.simulated_machine_config import WHOLE_SHIFT
 from fuzzycnc_ros.components.motion.tool_paths import tool_path_segments
 from fuzzycnc_ros.core.thermal.model import ThermalModel

@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.machine.pattern_programme import track_of
+from fuzzycnc_ros.components.machine.machine_patterns import track_of
 from fuzzycnc_ros.runtime.records import CompensatedPath, Material, StitchedPath
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import TrackQuality

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benches.component_bench import Bench
 
-from fuzzycnc_ros.components.machine.job_programme import ENGAGE, timed_jobs
+from fuzzycnc_ros.components.machine.machine_operator import ENGAGE, timed_jobs
 from fuzzycnc_ros.components.machine.simulated_machine import (
     DAY_START,
     SimulatedMachine,

@@ -9,12 +9,8 @@ import pytest
 from benches.component_bench import Bench
 from benches.trajectory_bench import line, parts, record, trapezoid
 
-from fuzzycnc_ros.components.machine.pattern_programme import (
-    PatternProgramme,
-    material_record,
-    parse_patterns,
-    sample_primitive,
-)
+from fuzzycnc_ros.components.machine.machine_operator import machine_operator, material_record
+from fuzzycnc_ros.components.machine.machine_patterns import parse_patterns, sample_primitive
 from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
@@ -330,15 +326,15 @@ def test_a_machine_that_cannot_stitch_is_refused(changes, text):
         machine_with('parallelogram:45', **changes)
 
 
-def test_the_programme_clamps_a_sheet_before_its_patterns():
-    names = ['parallelogram:45', 'parallelogram:45', 'parallelogram:30:thickness=0.02']
-    programme = PatternProgramme(names, sheet=SHEET, feed=0.02, timeout=1.0)
+def test_the_operator_clamps_a_sheet_before_its_patterns():
+    names = ('parallelogram:45', 'parallelogram:45', 'parallelogram:30:thickness=0.02')
+    operator = machine_operator(SimulatedMachineConfig(patterns=names))
     told, stamp = [], 0
-    while not programme.over:
+    while not operator.over:
         stamp += nanoseconds(0.1)
         told += [
             (item.output, round(stamp / SECOND, 1), getattr(item.record, 'path_id', ''))
-            for item in programme.load_next(stamp, 'mill/workpiece')
+            for item in operator.load(stamp, 'mill/workpiece')
         ]
     assert told == [
         ('material', 0.1, ''),

@@ -184,8 +184,8 @@ def test_predictor_keeps_its_selection_but_no_history():
     )
     bench.give('sensor_selection', chosen)
     bench.clock_step(-0.5, 0.5)
-    assert bench.component._selection is chosen
-    assert bench.component._reference is None
+    assert bench.component._stream.selection is chosen
+    assert bench.component._stream.reference is None
 
 
 def test_servo_keeps_the_epoch_that_the_drives_know():

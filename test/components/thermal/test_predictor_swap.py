@@ -22,7 +22,7 @@ from benches.predictor_bench import (
     sample_of,
 )
 
-from fuzzycnc_ros.components.thermal.predictor_stream import Heard, SampleMemory
+from fuzzycnc_ros.components.thermal.predictor_stream import PredictorStream
 from fuzzycnc_ros.components.thermal.thermal_predictor import (
     ThermalPredictor,
     ThermalPredictorConfig,
@@ -136,13 +136,14 @@ def test_model_in_use_stays_until_the_history_of_the_new_one_is_known():
 
 
 def test_samples_are_kept_for_as_long_as_they_matter_and_not_without_end():
-    run, memory = recordings()['T2'], SampleMemory()
+    config = ThermalPredictorConfig(settle_time=1800.0)
+    run, stream = recordings()['T2'], PredictorStream(config)
     for row in range(len(run.time)):
-        memory.add(Heard(sample_of(run, row)), settle_time=1800.0)
-    kept = [item.sample.stamp for item in memory.since(0)]
+        stream.hear(sample_of(run, row), config)
+    kept = [item.sample.stamp for item in stream.since(0)]
     newest = nanoseconds(START + run.time[-1])
     assert kept == [newest - nanoseconds(60.0 * age) for age in range(30, -1, -1)]
-    assert len(list(memory.since(newest - 1))) == 1
+    assert len(list(stream.since(newest - 1))) == 1
 
 
 def test_model_that_begins_after_a_long_run_is_valid_at_once():

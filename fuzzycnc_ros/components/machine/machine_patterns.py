@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The patterns that a simulated machine loads by itself: it clamps the sheet, then loads them."""
+"""The patterns that the operator of a simulated machine has it stitch, by name."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,11 +9,7 @@ from math import cos, radians, sin
 
 import numpy as np
 
-from fuzzycnc_ros.components.machine.path_programme import Programme
-from fuzzycnc_ros.components.soft.stitch_patterns import stitch_pattern
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, Primitive
-from fuzzycnc_ros.runtime.component import Emission
-from fuzzycnc_ros.runtime.records import Material, nanoseconds
 from fuzzycnc_ros.simulation.soft.foam_samples import (
     ARC_LENGTH,
     ARC_RADIUS,
@@ -24,8 +20,6 @@ from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 
 TRACK, CALIBRATION = 'parallelogram', 'calibration'
-CLAMPING = 0.5
-"""Time between a sheet and the first pattern on it [s]: every node has heard of the sheet."""
 _SYNTAX = (
     'parallelogram:ANGLE or calibration[:COUNT], as parallelogram:45, '
     'parallelogram:30:thickness=0.02:depth=0.008 or calibration:40'
@@ -47,65 +41,6 @@ class PatternOnSheet:
     def length(self) -> float:
         """Nominal length [m]."""
         return sum(item.length for item in self.primitives)
-
-
-class PatternProgramme(Programme):
-    """Patterns on soft sheets, stitched one after the other.
-
-    Where a pattern asks for another sheet than the one before, that is clamped first.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Patterns as `parse_patterns` takes them.
-    sheet : FoamSheet
-        Sheet for those that say nothing of it.
-    feed : float
-        Programmed feed [m/s].
-    timeout : float
-        Time to wait for a trajectory before the programme is given up [s].
-
-    Raises
-    ------
-    ValueError
-        If one is unknown or malformed.
-    """
-
-    def __init__(
-        self, names: Sequence[str], *, sheet: FoamSheet, feed: float, timeout: float
-    ) -> None:
-        self._patterns = parse_patterns(names, sheet)
-        self._feed = feed
-        self._clamped: FoamSheet | None = None
-        self._ready = 0  # when a sheet that was clamped is known everywhere
-        super().__init__(
-            [item.name for item in self._patterns],
-            [item.length for item in self._patterns],
-            timeout=timeout,
-            nodes='are deformation_compensator and feedrate_scheduler',
-        )
-
-    def load_next(self, stamp: int, frame_id: str) -> tuple[Emission, ...]:
-        """Clamp the sheet of the next pattern, or if it is there load the pattern."""
-        following = self._number + 1
-        if following < len(self._patterns):
-            wanted = self._patterns[following].sheet
-            if wanted != self._clamped:
-                self._clamped, self._ready = wanted, stamp + nanoseconds(CLAMPING)
-                return (Emission('material', material_record(wanted, stamp, frame_id)),)
-            if stamp < self._ready:
-                return ()
-        return super().load_next(stamp, frame_id)
-
-    def _load(self, stamp: int, frame_id: str) -> tuple[Emission, ...]:
-        pattern = stitch_pattern(
-            self._patterns[self._number].primitives,
-            path_id=self.path_id,
-            feed=self._feed,
-            stamp=stamp,
-            frame_id=frame_id,
-        )
-        return (Emission('stitch_pattern', pattern),)
 
 
 def parse_patterns(names: Sequence[str], sheet: FoamSheet) -> list[PatternOnSheet]:
@@ -141,19 +76,6 @@ def parse_patterns(names: Sequence[str], sheet: FoamSheet) -> list[PatternOnShee
         except ValueError as error:
             raise ValueError(f'patterns: {name!r}: {error}') from error
     return found
-
-
-def material_record(sheet: FoamSheet, stamp: int, frame_id: str) -> Material:
-    """Return what an operator knows of a sheet."""
-    return Material(
-        stamp=stamp,
-        frame_id=frame_id,
-        name=f'foam {1e3 * sheet.thickness:g} mm',
-        thickness=sheet.thickness,
-        size=np.array(sheet.size),
-        young_modulus=sheet.young_modulus,
-        poisson_ratio=sheet.poisson_ratio,
-    )
 
 
 def track_of(name: str, sheet: FoamSheet) -> FoamTrack:
