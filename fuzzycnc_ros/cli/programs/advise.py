@@ -137,6 +137,7 @@ def advise(
         raise ValueError(f'{program}: {error}') from error
     measured = _measured(given, advice, adviser.path, known, units) if linuxcnc else None
     figures = _figures(str(program), advice, measured)
+    known.say_constant()
     show(advice_table(figures))
     notes = _notes(given, adviser.path)
     for line in notes:

@@ -95,6 +95,7 @@ def pareto(
             progress=tell,
         )
     table, lines = pareto_table(found, KNOBS), pareto_lines(found)
+    known.say_constant()
     show(table)
     for line in lines:
         say(line)

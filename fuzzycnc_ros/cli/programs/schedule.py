@@ -190,6 +190,7 @@ def schedule(
             _name(words.begun[-1][0].line, scheduler.times.blocks),
         )  # fmt: skip
         with redirect_stdout(sys.stderr) if str(out) == STREAM else nullcontext():
+            known.say_constant()
             show(schedule_table(figures))
             for line in _lines(figures, words, out):
                 say(line)

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional, TypeVar
 
 import typer
 
+from fuzzycnc_ros.cli.console import say
+
 if TYPE_CHECKING:
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
     from fuzzycnc_ros.core.config import Config
@@ -34,6 +36,8 @@ Machine = Annotated[
 ]
 
 _NODES = ('feedrate_scheduler', 'simulated_machine')
+_CONSTANT = ('contour_constant.', 'loop.position_gain', 'loop.velocity_bandwidth')
+"""Places in a machine file that say what the machine constant is."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +50,22 @@ class SchedulingMachine:
         Limits of the machine and settings of the schedulers.
     contouring : ContouringConfig
         The simulated machine on which contour errors are measured.
+    constant_known : bool
+        Whether the machine constant is that of the user's machine.
     """
 
     scheduler: FeedrateSchedulerConfig
     contouring: ContouringConfig
+    constant_known: bool = False
+
+    def say_constant(self) -> None:
+        """Say whose machine constant is used, unless it is that of the user's machine."""
+        if not self.constant_known:
+            say(
+                f'machine constant {self.scheduler.machine_constant:.3g} s² of the built-in '
+                'simulated mill, not of your machine: name yours with --machine-file '
+                '(`fuzzycnc machine identify` measures it)'
+            )
 
 
 @dataclass
@@ -83,7 +99,8 @@ def _of_machine_file(file: str) -> SchedulingMachine:
     machine = read_machine_file(file)
     try:
         scheduler = FeedrateSchedulerConfig(**scheduler_parameters(machine))
-        return SchedulingMachine(scheduler, simulated_loop(machine))
+        known = any(place.startswith(_CONSTANT) for place in machine.source)
+        return SchedulingMachine(scheduler, simulated_loop(machine), known)
     except ValueError as error:
         raise ValueError(f'{file}: {error}') from error
 
@@ -105,7 +122,8 @@ def _of_parameter_file(path: Path | None) -> SchedulingMachine:
         contouring = contouring_config(machine)
     except ValueError as error:
         raise ValueError(f'{path}: {error}') from error
-    return SchedulingMachine(_made(FeedrateSchedulerConfig, scheduler, nodes, path), contouring)
+    settings = _made(FeedrateSchedulerConfig, scheduler, nodes, path)
+    return SchedulingMachine(settings, contouring, 'machine_constant' in scheduler.value)
 
 
 def _names(config: type[Config]) -> set[str]:
