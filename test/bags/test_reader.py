@@ -26,8 +26,7 @@ from fuzzycnc_ros.bags.errors import (
     BagTypeError,
     BagVersionError,
 )
-from fuzzycnc_ros.bags.mcap_scan import MAGIC
-from fuzzycnc_ros.bags.mcapfile import McapFile
+from fuzzycnc_ros.bags.mcapfile import MAGIC, McapFile
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.typestore import serialize
 from fuzzycnc_ros.bags.upgrade import Upgraders
