@@ -12,10 +12,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from fuzzycnc_ros.bags.connections import Connection, listed
 from fuzzycnc_ros.bags.errors import BagError, BagTopicError, BagTypeError
-from fuzzycnc_ros.bags.metadata import Profiles
-from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.bags.metadata import Profiles, TopicInfo
+from fuzzycnc_ros.bags.reader import BagReader, listed
 from fuzzycnc_ros.bags.typestore import type_hash
 from fuzzycnc_ros.runtime.records import SECOND
 
@@ -284,18 +283,18 @@ def _time_layout(payload: bytes) -> str:
     return '<iI' if payload[1] & 1 else '>iI'
 
 
-def _describe(reader: BagReader, connection: Connection) -> PlayedTopic:
+def _describe(reader: BagReader, connection: TopicInfo) -> PlayedTopic:
     known = type_hash(connection.type)
     if connection.type_hash and connection.type_hash != known:
         raise BagTypeError(
-            f'{reader.path}: expected {connection.topic} to be {connection.type} as installed '
+            f'{reader.path}: expected {connection.name} to be {connection.type} as installed '
             'here but it was recorded with another definition; play it with the fuzzycnc that '
             'recorded it, or leave the topic out'
         )
     _, fields = reader.decoder.store(connection.type).fielddefs[connection.type]
     depth, latched = _offered(connection.profiles)
     first = fields[0][1][1] if fields else ''
-    return PlayedTopic(connection.topic, connection.type, depth, latched, first == _HEADER)
+    return PlayedTopic(connection.name, connection.type, depth, latched, first == _HEADER)
 
 
 def _offered(profiles: Profiles) -> tuple[int, bool]:

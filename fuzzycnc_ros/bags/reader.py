@@ -4,33 +4,48 @@
 
 import os
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
-from fuzzycnc_ros.bags.connections import connect, listed
-from fuzzycnc_ros.bags.decoder import Decoder
+from fuzzycnc_ros.bags.decoder import UPGRADERS, Decoder, Upgraders
 from fuzzycnc_ros.bags.errors import (
     BagCountError,
     BagFormatError,
     BagTopicError,
     BagTruncatedError,
 )
-from fuzzycnc_ros.bags.files import bag_files, storage_files
-from fuzzycnc_ros.bags.log_order import in_log_order
 from fuzzycnc_ros.bags.mcapfile import McapFile
 from fuzzycnc_ros.bags.metadata import (
     MESSAGE_SET_KEY,
     STATE_KEY,
     STATE_RECORDING,
     Metadata,
+    Profiles,
+    TopicInfo,
+    bag_files,
+    parse_qos,
     read_metadata,
+    storage_files,
 )
 from fuzzycnc_ros.bags.sqlitefile import SqliteFile
-from fuzzycnc_ros.bags.storage import Attachment, Contents
-from fuzzycnc_ros.bags.upgrade import UPGRADERS, Upgraders
+from fuzzycnc_ros.bags.storage import Attachment, Block, Contents, RawMessage
 from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
+
+_QOS_MAX = 1000
+"""Most different QoS texts that are read; a topic that has another counts as of unknown QoS."""
+
+_LISTED = 30  # topics that a message lists
+
+
+_OVERLAP_MAX = 128 * 1024 * 1024
+"""Most bytes of chunks overlapping in time that are sorted together; more is no recording."""
+
+_MESSAGES_MAX = 1_000_000
+"""Most messages that are."""
+
+_Report = Callable[[Exception], None]
+"""Takes what is wrong with a block; raises it, or the block is left out."""
 
 
 class BagMessage(NamedTuple):
@@ -57,7 +72,7 @@ class BagReader:
 
     Attributes
     ----------
-    connections : dict of str to Connection
+    connections : dict of str to TopicInfo
         The topics by name.
     message_count : int
         Messages that the bag promises.
@@ -105,12 +120,7 @@ class BagReader:
         """Return the reader."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the bag."""
         self.close()
 
@@ -199,7 +209,7 @@ class BagReader:
         whole = start is None and stop is None
         yielded: Counter[str] = Counter()
         every = (block for contents in self._contents for block in contents.blocks)
-        ordered = in_log_order(self.path, every, start, stop, self._report)
+        ordered = _in_log_order(self.path, every, start, stop, self._report)
         for log_time, _, _, channel, payload in ordered:
             topic = channel.topic
             if topic not in wanted:
@@ -226,7 +236,7 @@ class BagReader:
         self.message_set = self._message_set()
         upgraders.check_version(self.message_set, self.path)
         self.decoder = Decoder(channels, self.message_set, upgraders)
-        self.connections = connect(self.path, self._contents)
+        self.connections = _connect(self.path, self._contents)
         self.message_count = sum(c.message_count for c in self.connections.values())
         blocks = [block for contents in self._contents for block in contents.blocks]
         self.start = min((block.start for block in blocks), default=0)
@@ -339,3 +349,116 @@ class BagReader:
                         f'promises but read {yielded[topic]}; run `fuzzycnc info --repair`'
                     )
                 )
+
+
+def _connect(path: Path, files: Sequence[Contents]) -> dict[str, TopicInfo]:
+    """Return the topics of a bag by name.
+
+    Parameters
+    ----------
+    path : Path
+        The bag, for the error message.
+    files : sequence of Contents
+        What its files hold.
+
+    Raises
+    ------
+    BagFormatError
+        If a topic has several types.
+    """
+    found: dict[str, TopicInfo] = {}
+    promised: Counter[str] = Counter()
+    for contents in files:
+        promised.update(contents.promised or {})
+    known_qos: dict[str, Profiles] = {}
+    offered: dict[str, dict[str, None]] = {}  # the texts of each topic, each once
+    for channel in (c for contents in files for c in contents.channels):
+        known = found.get(channel.topic)
+        if known and known.type != channel.type:
+            raise BagFormatError(
+                f'{path}: expected one type on {channel.topic} but found {known.type} '
+                f'and {channel.type}'
+            )
+        if channel.qos not in known_qos and len(known_qos) < _QOS_MAX:
+            known_qos[channel.qos] = parse_qos(channel.qos)
+        offered.setdefault(channel.topic, {})[channel.qos] = None
+        found[channel.topic] = TopicInfo(
+            channel.topic,
+            channel.type,
+            [],
+            channel.type_hash,
+            promised[channel.topic],
+            channel.definition,
+        )
+    for topic, texts in offered.items():
+        profiles = found[topic].profiles
+        for text in texts:
+            profiles += [p for p in known_qos.get(text, []) if p not in profiles]
+    return found
+
+
+def listed(topics: Iterable[str], none: str) -> str:
+    """Return topics as text, `none` if there are none; of very many, the first ones."""
+    names = list(topics)
+    more = f' and {len(names) - _LISTED} more' if len(names) > _LISTED else ''
+    return ', '.join(names[:_LISTED]) + more or none
+
+
+def _in_log_order(
+    path: Path, every: Iterable[Block], start: int | None, stop: int | None, report: _Report
+) -> Iterator[RawMessage]:
+    """Yield the messages of all blocks that touch a span, in the order of their log time.
+
+    Parameters
+    ----------
+    path : Path
+        The bag, for the error message.
+    every : iterable of Block
+        Its blocks, in file order; ties stay in this order.
+    start, stop : int or None
+        Only blocks with messages of `start` <= log time < `stop` [ns].
+    report : callable
+        Told of damaged blocks.
+
+    Raises
+    ------
+    BagFormatError
+        If more than `_OVERLAP_MAX` bytes or `_MESSAGES_MAX` messages overlap in time.
+    """
+    blocks = [
+        (place, block)
+        for place, block in enumerate(every)
+        if (start is None or block.stop >= start) and (stop is None or block.start < stop)
+    ]
+    blocks.sort(key=lambda entry: entry[1].start)
+    group: dict[int, Block] = {}
+    group_stop = 0
+    for place, block in blocks:
+        if group and block.start > group_stop:
+            yield from _merged(path, group, report)
+            group = {}
+        group_stop = max(group_stop, block.stop) if group else block.stop
+        group[place] = block
+    yield from _merged(path, group, report)
+
+
+def _merged(path: Path, group: Mapping[int, Block], report: _Report) -> list[RawMessage]:
+    """Return the messages of blocks, by their place, that overlap in time, sorted together."""
+    if sum(block.size for block in group.values()) > _OVERLAP_MAX:
+        raise BagFormatError(
+            f'{path}: expected chunks one after the other in time but {len(group)} of '
+            f'them, more than {_OVERLAP_MAX} bytes, overlap'
+        )
+    messages: list[RawMessage] = []
+    for _, block in sorted(group.items()):
+        try:
+            messages += block.read()
+        except BagFormatError as error:
+            report(error)
+        if len(messages) > _MESSAGES_MAX:
+            raise BagFormatError(
+                f'{path}: expected chunks one after the other in time but {len(group)} of '
+                f'them, more than {_MESSAGES_MAX} messages, overlap'
+            )
+    messages.sort(key=lambda message: message.log_time)  # stable: ties stay in file order
+    return messages

@@ -9,9 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fuzzycnc_ros.bags.errors import BagFormatError, BagTopicError
-from fuzzycnc_ros.bags.files import bag_files, storage_files
 from fuzzycnc_ros.bags.mcapfile import McapFile
-from fuzzycnc_ros.bags.metadata import Metadata, parse_qos, read_metadata
+from fuzzycnc_ros.bags.metadata import (
+    Metadata,
+    bag_files,
+    parse_qos,
+    read_metadata,
+    storage_files,
+)
 from fuzzycnc_ros.bags.storage import Attachment, Channel, RawMessage
 from fuzzycnc_ros.bags.writer import METADATA_RECORD, BagWriter
 from fuzzycnc_ros.runtime.provenance import MESSAGE_SET

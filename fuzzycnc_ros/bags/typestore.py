@@ -14,6 +14,7 @@ from typing import Any
 from fuzzycnc_ros.bags import definitions
 from fuzzycnc_ros.bags.errors import BagDataError, BagTypeError
 from fuzzycnc_ros.bags.libraries import load
+from fuzzycnc_ros.runtime.convert import Target
 
 PACKAGE = 'fuzzycnc_msgs'
 """The package of the messages of fuzzycnc."""
@@ -84,6 +85,10 @@ def message_type(type_name: str) -> Any:
     """
     ensure_type(type_name)
     return typestore().types[type_name]
+
+
+ROSBAGS = Target(message_type, numpy_arrays=True)
+"""Makes rosbags' messages of records."""
 
 
 @cache

@@ -16,6 +16,7 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fuzzycnc_ros.bags.decoder import Upgraders
 from fuzzycnc_ros.bags.errors import (
     BagCountError,
     BagDataError,
@@ -29,7 +30,6 @@ from fuzzycnc_ros.bags.errors import (
 from fuzzycnc_ros.bags.mcapfile import MAGIC, McapFile
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.typestore import serialize
-from fuzzycnc_ros.bags.upgrade import Upgraders
 from fuzzycnc_ros.bags.writer import BagWriter
 
 SECOND = 10**9
