@@ -10,8 +10,8 @@ message is left to rosbags, whose checks and errors then apply.
 """
 
 import struct
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -42,98 +42,18 @@ _TIME, _HEADER = 'builtin_interfaces/msg/Time', 'std_msgs/msg/Header'
 _TIME_FIELDS = [('sec', (_BASE, ('int32', 0))), ('nanosec', (_BASE, ('uint32', 0)))]
 _HEADER_FIELDS = [('stamp', (_NAME, _TIME)), ('frame_id', (_BASE, ('string', 0)))]
 _NUMBERS = {
-    'bool': ('?', np.bool_),
-    'int8': ('b', np.int8),
-    'uint8': ('B', np.uint8),
-    'int16': ('h', np.int16),
-    'uint16': ('H', np.uint16),
-    'int32': ('i', np.int32),
-    'uint32': ('I', np.uint32),
-    'int64': ('q', np.int64),
-    'uint64': ('Q', np.uint64),
-    'float32': ('f', np.float32),
-    'float64': ('d', np.float64),
-}
+    'bool': '?', 'int8': 'b', 'uint8': 'B', 'int16': 'h', 'uint16': 'H', 'int32': 'i',
+    'uint32': 'I', 'int64': 'q', 'uint64': 'Q', 'float32': 'f', 'float64': 'd',
+}  # fmt: skip
 
-Upgrader = Callable[[Any], Any]
-"""Takes a message of one version and returns what the next version has in its place.
+Upgraders = Mapping[tuple[str, int], Callable[[Any], Any]]
+"""By type and the version that they start from: functions that take a message of that version and
+return what the next version has in its place.
 
 The argument has the old definition's attributes; so has the result the new one's.
 """
 
-
-@dataclass
-class Upgraders:
-    """Upgraders by type and the version that they start from.
-
-    Parameters
-    ----------
-    current : int
-        Version that all messages are brought to.
-
-    Examples
-    --------
-    >>> upgraders = Upgraders(current=2)
-    >>> @upgraders.register('fuzzycnc_msgs/msg/Note', 1)
-    ... def note_gets_upper_case(message):
-    ...     return message.upper()
-    >>> upgraders.upgrade('fuzzycnc_msgs/msg/Note', 1, 'warm')
-    'WARM'
-    """
-
-    current: int = MESSAGE_SET
-    _steps: dict[tuple[str, int], Upgrader] = field(default_factory=dict)
-
-    def register(self, type_name: str, version: int) -> Callable[[Upgrader], Upgrader]:
-        """Return a decorator that registers the upgrader of a type from `version` to the next.
-
-        Raises
-        ------
-        ValueError
-            If there is one already, or `version` is not older than the current one.
-        """
-        if version >= self.current or (type_name, version) in self._steps:
-            raise ValueError(
-                f'{type_name}: expected one upgrader from a version before {self.current} '
-                f'but found another from {version}'
-            )
-
-        def decorator(upgrader: Upgrader) -> Upgrader:
-            self._steps[type_name, version] = upgrader
-            return upgrader
-
-        return decorator
-
-    def names(self, type_name: str, version: int) -> list[str]:
-        """Return the names of the upgraders that a message of `version` passes, in order."""
-        return [step.__name__ for step in self._chain(type_name, version)]
-
-    def upgrade(self, type_name: str, version: int, message: Any) -> Any:
-        """Bring a message from `version` to the current one."""
-        for step in self._chain(type_name, version):
-            message = step(message)
-        return message
-
-    def _chain(self, type_name: str, version: int) -> list[Upgrader]:
-        steps = ((type_name, v) for v in range(version, self.current))
-        return [self._steps[step] for step in steps if step in self._steps]
-
-    def check_version(self, version: int, where: object) -> None:
-        """Refuse a bag that a newer fuzzycnc recorded.
-
-        Raises
-        ------
-        BagVersionError
-            If `version` is newer than the current one.
-        """
-        if version > self.current:
-            raise BagVersionError(
-                f'{where}: expected message set {self.current} or older but found {version}; '
-                'install the fuzzycnc that recorded it, or a newer one'
-            )
-
-
-UPGRADERS = Upgraders()
+UPGRADERS: Upgraders = {}
 """The upgraders of this version; message set 1 is the first, so there is none yet."""
 
 
@@ -188,19 +108,24 @@ class Decoder:
 
     def _make(self, type_name: str) -> Decode:
         store = self.store(type_name)
-        version = self._version
-        upgrade = self._upgraders.upgrade
-        known = self._upgraders.names(type_name, version)
-        if known:
-            return lambda raw: upgrade(type_name, version, deserialize(raw, type_name, store))
+        steps = [
+            self._upgraders[name, version]
+            for name, version in sorted(self._upgraders)
+            if name == type_name and version >= self._version
+        ]
+        if steps:
+            return lambda raw: reduce(
+                lambda message, step: step(message), steps, deserialize(raw, type_name, store)
+            )
         if type_name.startswith(f'{PACKAGE}/') and store is not typestore():
             raise BagVersionError(
-                f'expected {type_name} as in message set {self._upgraders.current} but the bag '
-                f'(message set {version}) defines it otherwise and no upgrader is known; '
+                f'expected {type_name} as in message set {MESSAGE_SET} but the bag '
+                f'(message set {self._version}) defines it otherwise and no upgrader is known; '
                 'install the fuzzycnc that recorded it'
             )
-        fast = fast_decoder(store, type_name)
-        return fast or (lambda raw: deserialize(raw, type_name, store))
+        return fast_decoder(store, type_name) or partial(
+            deserialize, type_name=type_name, store=store
+        )
 
     def _find_store(self, type_name: str) -> Any:
         channel = self._channels[type_name]
@@ -334,7 +259,7 @@ def _names() -> Step:
 
 
 def _numbers(name: str) -> Step:
-    dtype = np.dtype(_NUMBERS[name][1]).newbyteorder('<')
+    dtype = np.dtype('<' + _NUMBERS[name])
     size = dtype.itemsize
 
     def step(body: bytes, position: int) -> tuple[Any, int]:
@@ -349,7 +274,7 @@ def _numbers(name: str) -> Step:
 
 
 def _number(name: str) -> Step:
-    form = struct.Struct('<' + _NUMBERS[name][0])
+    form = struct.Struct('<' + _NUMBERS[name])
     size = form.size
 
     def step(body: bytes, position: int) -> tuple[Any, int]:

@@ -14,6 +14,7 @@ from fuzzycnc_ros.bags.errors import (
     BagFormatError,
     BagTopicError,
     BagTruncatedError,
+    BagVersionError,
 )
 from fuzzycnc_ros.bags.mcapfile import McapFile
 from fuzzycnc_ros.bags.metadata import (
@@ -67,7 +68,7 @@ class BagReader:
     strict : bool
         Whether a bag that contradicts itself is refused; otherwise what is wrong is collected
         in `problems` and all that can be read is read.
-    upgraders : Upgraders
+    upgraders : mapping
         Bring messages of older message sets to the current one.
 
     Attributes
@@ -234,7 +235,11 @@ class BagReader:
         channels = [channel for contents in self._contents for channel in contents.channels]
         self.records = {k: v for c in self._contents for k, v in c.metadata.items()}
         self.message_set = self._message_set()
-        upgraders.check_version(self.message_set, self.path)
+        if self.message_set > MESSAGE_SET:
+            raise BagVersionError(
+                f'{self.path}: expected message set {MESSAGE_SET} or older but found '
+                f'{self.message_set}; install the fuzzycnc that recorded it, or a newer one'
+            )
         self.decoder = Decoder(channels, self.message_set, upgraders)
         self.connections = _connect(self.path, self._contents)
         self.message_count = sum(c.message_count for c in self.connections.values())
