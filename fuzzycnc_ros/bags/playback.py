@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from fuzzycnc_ros.bags.errors import BagError, BagTopicError, BagTypeError
 from fuzzycnc_ros.bags.metadata import Profiles, TopicInfo
-from fuzzycnc_ros.bags.reader import BagReader, listed
+from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.typestore import type_hash
 from fuzzycnc_ros.runtime.records import SECOND
 
@@ -324,12 +324,9 @@ def require_topics(reader: BagReader, topics: Iterable[str], wanted: str) -> lis
     BagTopicError
         If none does; the text says what was `wanted` and lists what is there.
     """
-    found = {topic: c.message_count for topic, c in reader.connections.items() if c.message_count}
-    kept = [topic for topic in topics if topic in found]
+    kept = [topic for topic in topics if reader.connections[topic].message_count]
     if not kept:
-        there = (f'{topic} ({count})' for topic, count in found.items())
         raise BagTopicError(
-            f'{reader.path}: expected topics {wanted} but the bag has '
-            f'{listed(there, "no messages at all")}'
+            f'{reader.path}: expected topics {wanted} but the bag has {reader.filled()}'
         )
     return kept

@@ -130,6 +130,12 @@ class BagReader:
         for file in self._files:
             file.close()
 
+    def filled(self) -> str:
+        """Return the topics that hold messages as text, each with how many."""
+        found = ((topic, c.message_count) for topic, c in self.connections.items())
+        there = (f'{topic} ({count})' for topic, count in found if count)
+        return _listed(there, 'no messages at all')
+
     def require(self, topics: Iterable[str] | Mapping[str, str]) -> None:
         """Refuse a bag without certain topics.
 
@@ -147,10 +153,9 @@ class BagReader:
         found = {topic: c for topic, c in self.connections.items() if c.message_count}
         missing = [topic for topic in types if topic not in found]
         if missing:
-            there = (f'{t} ({c.message_count})' for t, c in found.items())
             raise BagTopicError(
                 f'{self.path}: expected messages on {", ".join(missing)} but the bag has '
-                f'{listed(there, "no messages at all")}'
+                f'{self.filled()}'
             )
         for topic, wanted in types.items():
             if wanted is not None and found[topic].type != wanted:
@@ -204,7 +209,7 @@ class BagReader:
         if unknown:
             raise BagTopicError(
                 f'{self.path}: expected the topics {", ".join(sorted(unknown))} but the bag has '
-                f'{listed(self.connections, "none")}'
+                f'{_listed(self.connections, "none")}'
             )
         decodes = {} if raw else {t: self.decoder.decode(self.connections[t].type) for t in wanted}
         whole = start is None and stop is None
@@ -232,6 +237,9 @@ class BagReader:
             raise BagFormatError(f'{self.path}: expected a bag but nothing is there')
         self.metadata = read_metadata(self.path) if self.path.is_dir() else None
         self._contents = [self._open_file(file) for file in self._storage_files()]
+        self._counted = all(contents.promised is not None for contents in self._contents)
+        topics = self.metadata.topics if self.metadata else []
+        self._stated = Counter({topic.name: topic.message_count for topic in topics})
         channels = [channel for contents in self._contents for channel in contents.channels]
         self.records = {k: v for c in self._contents for k, v in c.metadata.items()}
         self.message_set = self._message_set()
@@ -276,18 +284,14 @@ class BagReader:
         return files
 
     def _open_file(self, path: Path) -> Contents:
-        if path.suffix == '.db3':
-            database = SqliteFile(path)
-            self._files.append(database)
-            return database.contents()
-        if path.suffix != '.mcap':
+        if path.suffix not in ('.mcap', '.db3'):
             raise BagFormatError(
                 f'{path}: expected a .mcap or .db3 file; where rosbag2 compressed whole files or '
                 'single messages, convert the bag with `ros2 bag convert` first'
             )
-        file = McapFile(path)
+        file = SqliteFile(path) if path.suffix == '.db3' else McapFile(path)
         self._files.append(file)
-        if file.tear:
+        if isinstance(file, McapFile) and file.tear:
             recording = self.metadata and self.metadata.custom.get(STATE_KEY) == STATE_RECORDING
             cause = (
                 'its recorder was killed, or still writes'
@@ -319,15 +323,14 @@ class BagReader:
         if metadata.custom.get(STATE_KEY) == STATE_RECORDING:
             self.problems.append(f'{self.path}: the recorder did not finish metadata.yaml')
             return
-        stated = {topic.name: topic.message_count for topic in metadata.topics}
-        for topic in stated.keys() | self.connections.keys():
+        if not self._counted:
+            return  # what is read decides
+        for topic in self._stated.keys() | self.connections.keys():
             found = self.connections[topic].message_count if topic in self.connections else 0
-            if any(contents.promised is None for contents in self._contents):
-                break  # the files do not count: what is read decides
-            if stated.get(topic, 0) != found:
+            if self._stated[topic] != found:
                 self._report(
                     BagCountError(
-                        f'{self.path}: expected {stated.get(topic, 0)} messages on {topic} as '
+                        f'{self.path}: expected {self._stated[topic]} messages on {topic} as '
                         f'metadata.yaml says but the storage files hold {found}; run '
                         '`fuzzycnc info --repair`, or `ros2 bag reindex`'
                     )
@@ -341,12 +344,12 @@ class BagReader:
     # Reading
 
     def _check_yielded(self, wanted: set[str], yielded: Counter[str]) -> None:
-        counted = all(contents.promised is not None for contents in self._contents)
-        if not counted and self.metadata is None:
+        if not self._counted and self.metadata is None:
             return
-        stated = {t.name: t.message_count for t in self.metadata.topics} if self.metadata else {}
         for topic in sorted(wanted):
-            promised = self.connections[topic].message_count if counted else stated.get(topic, 0)
+            promised = (
+                self.connections[topic].message_count if self._counted else self._stated[topic]
+            )
             if yielded[topic] != promised:
                 self._report(
                     BagCountError(
@@ -402,7 +405,7 @@ def _connect(path: Path, files: Sequence[Contents]) -> dict[str, TopicInfo]:
     return found
 
 
-def listed(topics: Iterable[str], none: str) -> str:
+def _listed(topics: Iterable[str], none: str) -> str:
     """Return topics as text, `none` if there are none; of very many, the first ones."""
     names = list(topics)
     more = f' and {len(names) - _LISTED} more' if len(names) > _LISTED else ''
