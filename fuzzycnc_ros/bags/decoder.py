@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.bags import definitions
+from fuzzycnc_ros.bags.definitions import BASE, NAME, SEQUENCE
 from fuzzycnc_ros.bags.errors import BagTypeError, BagVersionError
 from fuzzycnc_ros.bags.libraries import load
 from fuzzycnc_ros.bags.storage import Channel
@@ -34,13 +35,12 @@ Decode = Callable[[bytes], Any]
 Step = Callable[[bytes, int], tuple[Any, int]]
 """Takes the message without its head and a position; returns a value and where it ends."""
 
-_BASE, _NAME, _SEQUENCE = 1, 2, 4  # rosbags.interfaces.Nodetype
 _HEAD = b'\x00\x01'  # CDR, little endian
 _LENGTH = struct.Struct('<I')
 _STAMP = struct.Struct('<iI')
 _TIME, _HEADER = 'builtin_interfaces/msg/Time', 'std_msgs/msg/Header'
-_TIME_FIELDS = [('sec', (_BASE, ('int32', 0))), ('nanosec', (_BASE, ('uint32', 0)))]
-_HEADER_FIELDS = [('stamp', (_NAME, _TIME)), ('frame_id', (_BASE, ('string', 0)))]
+_TIME_FIELDS = [('sec', (BASE, ('int32', 0))), ('nanosec', (BASE, ('uint32', 0)))]
+_HEADER_FIELDS = [('stamp', (NAME, _TIME)), ('frame_id', (BASE, ('string', 0)))]
 _NUMBERS = {
     'bool': '?', 'int8': 'b', 'uint8': 'B', 'int16': 'h', 'uint16': 'H', 'int32': 'i',
     'uint32': 'I', 'int64': 'q', 'uint64': 'Q', 'float32': 'f', 'float64': 'd',
@@ -204,21 +204,21 @@ def fast_decoder(store: Any, type_name: str) -> Decode | None:
 
 
 def _is_names(desc: Any) -> bool:
-    return bool(desc[0] == _SEQUENCE and desc[1][0][0] == _BASE and desc[1][0][1][0] == 'string')
+    return bool(desc[0] == SEQUENCE and desc[1][0][0] == BASE and desc[1][0][1][0] == 'string')
 
 
 def _step(store: Any, desc: Any) -> Step | None:
     kind, detail = desc
     if _is_names(desc):
         return _names()
-    if kind == _SEQUENCE and detail[0][0] == _BASE and detail[0][1][0] in _NUMBERS:
+    if kind == SEQUENCE and detail[0][0] == BASE and detail[0][1][0] in _NUMBERS:
         return _numbers(detail[0][1][0])
-    if kind == _BASE and detail[0] == 'string':
+    if kind == BASE and detail[0] == 'string':
         return _string
-    if kind == _BASE and detail[0] in _NUMBERS:
+    if kind == BASE and detail[0] in _NUMBERS:
         return _number(detail[0])
     # A bag may bring a type of the same name with other fields: ROS 1 had another header.
-    if kind != _NAME or store.fielddefs.get(_TIME, ((), ()))[1] != _TIME_FIELDS:
+    if kind != NAME or store.fielddefs.get(_TIME, ((), ()))[1] != _TIME_FIELDS:
         return None
     if detail == _TIME:
         return _time(store.types[_TIME])

@@ -50,6 +50,9 @@ DEADLINES_MAX = 500
 ROUNDING = 1e-9
 """Relative difference that linear algebra on another processor may cause [-]."""
 
+_Point = tuple[int, NodeEvent | NodeConfiguration | None]
+"""Machine time [ns], and the request or the change that comes then; nothing in a turn."""
+
 Progress = Callable[[str, int, int], None]
 """Told the node, components done and in all."""
 
@@ -113,15 +116,6 @@ class ReplayReport:
 
 class ReplayError(ValueError):
     """A bag cannot be replayed; the text says what it lacks."""
-
-
-@dataclass
-class _Point:
-    """Something that happens to a component at a point of machine time."""
-
-    stamp: int
-    event: NodeEvent | None = None
-    configuration: NodeConfiguration | None = None
 
 
 def replay(
@@ -263,6 +257,7 @@ class _ComponentReplay:
             (str(found.get('input')), str(found.get('stamp')))
             for found in (_arguments(item) for item in self._events if item.name == REFUSED)
         }
+        self._inputs = {item.name: self._taken(item) for item in kind.INPUTS}
         self._points = self._collect_points(configurations)
         told = sum(len(recording.raw.get(topic, ())) for topic in self.outputs)
         self._merger.deadlines_left = DEADLINES_MAX + 10 * (told + len(self._points))
@@ -272,16 +267,16 @@ class _ComponentReplay:
 
     def run(self) -> None:
         """Work through the recording in the order of machine time."""
-        for item in self._component.INPUTS:
-            for record in self._taken(item):
-                self._merger.push(item.name, record)
-        for point in self._points:
-            if point.event is not None:
-                self._request(point.event)
-            elif point.configuration is not None:
-                self._reconfigure(point.configuration)
+        for name, records in self._inputs.items():
+            for record in records:
+                self._merger.push(name, record)
+        for stamp, change in self._points:
+            if isinstance(change, NodeEvent):
+                self._request(change)
+            elif change is not None:
+                self._reconfigure(change)
             else:
-                self._keep(self._merger.advance(point.stamp))
+                self._keep(self._merger.advance(stamp))
 
     def _taken(self, source: Input) -> list[Any]:
         """Return the records of an input but for those that the host refused."""
@@ -292,23 +287,20 @@ class _ComponentReplay:
         """Return turns, fired deadlines, requests and changes, in the order of machine time."""
         node = self._component.NAME
         turns = self._recording.records(f'{self._space}/machine_tick/{node}', MachineTick)
-        points = [_Point(turn.stamp) for turn in turns if not turn.probe]
-        if not points:
-            points = self._real_time_points()
-        points += [_Point(e.stamp, event=e) for e in self._events if e.name != REFUSED]
-        points += [_Point(c.stamp, configuration=c) for c in configurations[1:]]
+        stamps = [turn.stamp for turn in turns if not turn.probe] or self._real_time_stamps()
+        points: list[_Point] = [(stamp, None) for stamp in stamps]
+        points += [(event.stamp, event) for event in self._events if event.name != REFUSED]
+        points += [(change.stamp, change) for change in configurations[1:]]
         # At one stamp the node first works up to it, then hears requests: so it was live.
-        return sorted(
-            points, key=lambda p: (p.stamp, p.event is not None or bool(p.configuration))
-        )
+        return sorted(points, key=lambda point: (point[0], point[1] is not None))
 
-    def _real_time_points(self) -> list[_Point]:
+    def _real_time_stamps(self) -> list[int]:
         fired = self._recording.records(f'{self._space}/deadline_fired', DeadlineFired)
         stamps = {item.stamp for item in fired if item.node == self._component.NAME}
         for item in self._component.INPUTS:
             if item.driving:
-                stamps.update(record.stamp for record in self._taken(item))
-        return [_Point(stamp) for stamp in sorted(stamps)]
+                stamps.update(record.stamp for record in self._inputs[item.name])
+        return sorted(stamps)
 
     def _request(self, event: NodeEvent) -> None:
         arguments = _arguments(event)
