@@ -22,6 +22,7 @@ from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
 from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.plausibility import (
     DISPLACEMENT_STEP,
     TEMPERATURE_STEP,
@@ -343,7 +344,7 @@ def _sensor_columns(table: Table, mapping: CsvMapping) -> list[str]:
 
 def _names(table: Table, mapping: CsvMapping, columns: list[str]) -> list[str]:
     names = [mapping.rename.get(column, column) for column in columns]
-    repeated = sorted({name for name in names if names.count(name) > 1})
+    repeated = repeated_names(names)
     if repeated:
         raise CsvError(
             f'{table.path}: expected each sensor and channel name once but found '

@@ -4,7 +4,7 @@
 
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,17 +36,14 @@ from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
 _QOS_MAX = 1000
 """Most different QoS texts that are read; a topic that has another counts as of unknown QoS."""
 
-_LISTED = 30  # topics that a message lists
-
+_LISTED = 30
+"""Topics that a message lists."""
 
 _OVERLAP_MAX = 128 * 1024 * 1024
 """Most bytes of chunks overlapping in time that are sorted together; more is no recording."""
 
 _MESSAGES_MAX = 1_000_000
 """Most messages that are."""
-
-_Report = Callable[[Exception], None]
-"""Takes what is wrong with a block; raises it, or the block is left out."""
 
 
 class BagMessage(NamedTuple):
@@ -214,9 +211,7 @@ class BagReader:
         decodes = {} if raw else {t: self.decoder.decode(self.connections[t].type) for t in wanted}
         whole = start is None and stop is None
         yielded: Counter[str] = Counter()
-        every = (block for contents in self._contents for block in contents.blocks)
-        ordered = _in_log_order(self.path, every, start, stop, self._report)
-        for log_time, _, _, channel, payload in ordered:
+        for log_time, _, _, channel, payload in self._in_log_order(start, stop):
             topic = channel.topic
             if topic not in wanted:
                 continue
@@ -240,7 +235,6 @@ class BagReader:
         self._counted = all(contents.promised is not None for contents in self._contents)
         topics = self.metadata.topics if self.metadata else []
         self._stated = Counter({topic.name: topic.message_count for topic in topics})
-        channels = [channel for contents in self._contents for channel in contents.channels]
         self.records = {k: v for c in self._contents for k, v in c.metadata.items()}
         self.message_set = self._message_set()
         if self.message_set > MESSAGE_SET:
@@ -248,8 +242,9 @@ class BagReader:
                 f'{self.path}: expected message set {MESSAGE_SET} or older but found '
                 f'{self.message_set}; install the fuzzycnc that recorded it, or a newer one'
             )
+        channels = (channel for contents in self._contents for channel in contents.channels)
         self.decoder = Decoder(channels, self.message_set, upgraders)
-        self.connections = _connect(self.path, self._contents)
+        self.connections = self._connect()
         self.message_count = sum(c.message_count for c in self.connections.values())
         blocks = [block for contents in self._contents for block in contents.blocks]
         self.start = min((block.start for block in blocks), default=0)
@@ -305,6 +300,33 @@ class BagReader:
             )
         return file.contents()
 
+    def _connect(self) -> dict[str, TopicInfo]:
+        """Return the topics by name, from the channels of all files."""
+        found: dict[str, TopicInfo] = {}
+        promised: Counter[str] = Counter()
+        for contents in self._contents:
+            promised.update(contents.promised or {})
+        known_qos: dict[str, Profiles] = {}
+        offered: dict[str, dict[str, None]] = {}  # the texts of each topic, each once
+        for channel in (c for contents in self._contents for c in contents.channels):
+            name, kind = channel.topic, channel.type
+            known = found.get(name)
+            if known and known.type != kind:
+                raise BagFormatError(
+                    f'{self.path}: expected one type on {name} but found {known.type} and {kind}'
+                )
+            if channel.qos not in known_qos and len(known_qos) < _QOS_MAX:
+                known_qos[channel.qos] = parse_qos(channel.qos)
+            offered.setdefault(name, {})[channel.qos] = None
+            found[name] = TopicInfo(
+                name, kind, [], channel.type_hash, promised[name], channel.definition
+            )
+        for topic, texts in offered.items():
+            profiles = found[topic].profiles
+            for text in texts:
+                profiles += [p for p in known_qos.get(text, []) if p not in profiles]
+        return found
+
     def _message_set(self) -> int:
         stated = [
             record['message_set'] for record in self.records.values() if 'message_set' in record
@@ -343,6 +365,46 @@ class BagReader:
 
     # Reading
 
+    def _in_log_order(self, start: int | None, stop: int | None) -> Iterator[RawMessage]:
+        """Yield the messages of all blocks that touch a span, in the order of their log time.
+
+        No more of them is in memory than overlaps in time.
+        """
+        every = enumerate(block for contents in self._contents for block in contents.blocks)
+        blocks = [
+            (place, block)
+            for place, block in every
+            if (start is None or block.stop >= start) and (stop is None or block.start < stop)
+        ]
+        group: list[tuple[int, Block]] = []
+        group_stop = 0
+        for place, block in sorted(blocks, key=lambda entry: entry[1].start):
+            if group and block.start > group_stop:
+                yield from self._merged(group)
+                group = []
+            group_stop = max(group_stop, block.stop) if group else block.stop
+            group.append((place, block))
+        yield from self._merged(group)
+
+    def _merged(self, group: list[tuple[int, Block]]) -> list[RawMessage]:
+        """Return the messages of blocks that overlap in time, sorted together."""
+        expected = (
+            f'{self.path}: expected chunks one after the other in time but {len(group)} of them, '
+            'more than'
+        )
+        if sum(block.size for _, block in group) > _OVERLAP_MAX:
+            raise BagFormatError(f'{expected} {_OVERLAP_MAX} bytes, overlap')
+        messages: list[RawMessage] = []
+        for _, block in sorted(group, key=lambda entry: entry[0]):  # as they lie in the files
+            try:
+                messages += block.read()
+            except BagFormatError as error:
+                self._report(error)
+            if len(messages) > _MESSAGES_MAX:
+                raise BagFormatError(f'{expected} {_MESSAGES_MAX} messages, overlap')
+        messages.sort(key=lambda message: message.log_time)  # stable: ties stay in file order
+        return messages
+
     def _check_yielded(self, wanted: set[str], yielded: Counter[str]) -> None:
         if not self._counted and self.metadata is None:
             return
@@ -359,114 +421,8 @@ class BagReader:
                 )
 
 
-def _connect(path: Path, files: Sequence[Contents]) -> dict[str, TopicInfo]:
-    """Return the topics of a bag by name.
-
-    Parameters
-    ----------
-    path : Path
-        The bag, for the error message.
-    files : sequence of Contents
-        What its files hold.
-
-    Raises
-    ------
-    BagFormatError
-        If a topic has several types.
-    """
-    found: dict[str, TopicInfo] = {}
-    promised: Counter[str] = Counter()
-    for contents in files:
-        promised.update(contents.promised or {})
-    known_qos: dict[str, Profiles] = {}
-    offered: dict[str, dict[str, None]] = {}  # the texts of each topic, each once
-    for channel in (c for contents in files for c in contents.channels):
-        known = found.get(channel.topic)
-        if known and known.type != channel.type:
-            raise BagFormatError(
-                f'{path}: expected one type on {channel.topic} but found {known.type} '
-                f'and {channel.type}'
-            )
-        if channel.qos not in known_qos and len(known_qos) < _QOS_MAX:
-            known_qos[channel.qos] = parse_qos(channel.qos)
-        offered.setdefault(channel.topic, {})[channel.qos] = None
-        found[channel.topic] = TopicInfo(
-            channel.topic,
-            channel.type,
-            [],
-            channel.type_hash,
-            promised[channel.topic],
-            channel.definition,
-        )
-    for topic, texts in offered.items():
-        profiles = found[topic].profiles
-        for text in texts:
-            profiles += [p for p in known_qos.get(text, []) if p not in profiles]
-    return found
-
-
 def _listed(topics: Iterable[str], none: str) -> str:
     """Return topics as text, `none` if there are none; of very many, the first ones."""
     names = list(topics)
     more = f' and {len(names) - _LISTED} more' if len(names) > _LISTED else ''
     return ', '.join(names[:_LISTED]) + more or none
-
-
-def _in_log_order(
-    path: Path, every: Iterable[Block], start: int | None, stop: int | None, report: _Report
-) -> Iterator[RawMessage]:
-    """Yield the messages of all blocks that touch a span, in the order of their log time.
-
-    Parameters
-    ----------
-    path : Path
-        The bag, for the error message.
-    every : iterable of Block
-        Its blocks, in file order; ties stay in this order.
-    start, stop : int or None
-        Only blocks with messages of `start` <= log time < `stop` [ns].
-    report : callable
-        Told of damaged blocks.
-
-    Raises
-    ------
-    BagFormatError
-        If more than `_OVERLAP_MAX` bytes or `_MESSAGES_MAX` messages overlap in time.
-    """
-    blocks = [
-        (place, block)
-        for place, block in enumerate(every)
-        if (start is None or block.stop >= start) and (stop is None or block.start < stop)
-    ]
-    blocks.sort(key=lambda entry: entry[1].start)
-    group: dict[int, Block] = {}
-    group_stop = 0
-    for place, block in blocks:
-        if group and block.start > group_stop:
-            yield from _merged(path, group, report)
-            group = {}
-        group_stop = max(group_stop, block.stop) if group else block.stop
-        group[place] = block
-    yield from _merged(path, group, report)
-
-
-def _merged(path: Path, group: Mapping[int, Block], report: _Report) -> list[RawMessage]:
-    """Return the messages of blocks, by their place, that overlap in time, sorted together."""
-    if sum(block.size for block in group.values()) > _OVERLAP_MAX:
-        raise BagFormatError(
-            f'{path}: expected chunks one after the other in time but {len(group)} of '
-            f'them, more than {_OVERLAP_MAX} bytes, overlap'
-        )
-    messages: list[RawMessage] = []
-    for _, block in sorted(group.items()):
-        try:
-            messages += block.read()
-        except BagFormatError as error:
-            report(error)
-        if len(messages) > _MESSAGES_MAX:
-            raise BagFormatError(
-                f'{path}: expected chunks one after the other in time but {len(group)} of '
-                f'them, more than {_MESSAGES_MAX} messages, overlap'
-            )
-    messages.sort(key=lambda message: message.log_time)  # stable: ties stay in file order
-    return messages
