@@ -54,7 +54,7 @@ _DIRECTIVES = {
     'am/pm': '%p',
 }
 
-ENCODINGS = ('cp1252', 'latin-1', 'utf-16')
+_ENCODINGS = ('cp1252', 'latin-1', 'utf-16')
 """What programs write that do not write UTF-8, Excel on Windows first."""
 
 _WORKBOOKS = (b'PK\x03\x04', b'\xd0\xcf\x11\xe0')
@@ -64,7 +64,7 @@ _WIDE = ('utf-16', 'utf-32')  # encodings with zero bytes in plain text
 _DELIMITERS = (';', '\t', ',')
 _EXCEL = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # it takes this line for an instruction
 
-SAMPLE = 20
+_SAMPLE = 20
 """Last lines of a file that tell what stands between columns."""
 
 _EMPTY = ('', 'nan', 'na', 'n/a', 'null', 'none', '-')  # how programs write a missing number
@@ -199,10 +199,10 @@ class Table:
             return '; with decimal commas import with --decimal ,'
         if _THOUSANDS.fullmatch(found):
             return '; remove what stands between thousands'
-        if row == 0 and not any(is_number(cell) for cell in self.rows[0]):
+        if row == 0 and not any(_is_number(cell) for cell in self.rows[0]):
             last = self.first + len(self.rows) - 1
             return f'; leave out a line of units below the header with --rows 1:{last}'
-        if is_day(found):
+        if _is_day(found):
             return '; it is a date without a time of day: name the column of these with --time'
         if known_forms([found]):
             return '; it looks like a time: name the time column with --time'
@@ -232,7 +232,7 @@ class Table:
         midnights: list[int] = []
         if form:
             lost = [row for row, cell in enumerate(cells) if cell.strip().lower() in _EMPTY]
-            misfit = None if lost else first_misfit(cells, form)
+            misfit = None if lost else _first_misfit(cells, form)
             if misfit is not None:
                 looks = (
                     'date such as 2024-05-01T08:00:00Z' if form == ISO8601 else f'time as {form}'
@@ -247,16 +247,16 @@ class Table:
             lost = np.flatnonzero(~np.isfinite(seconds)).tolist()
         if lost:
             raise CsvError(f'{self.place(lost[0], name)}: expected a time but found none')
-        if form and not has_date(form):
-            seconds, midnights = past_midnight(seconds)
+        if form and not _has_date(form):
+            seconds, midnights = _past_midnight(seconds)
         self._check_increasing(name, seconds)
-        date = float(seconds[0]) if form and has_date(form) else None
+        date = float(seconds[0]) if form and _has_date(form) else None
         return Times(seconds - seconds[0], date, form, midnights)
 
     def _form(self, name: str, cells: list[str]) -> str:
         """Return the form of dates or times of day; empty for numbers."""
         first = next((cell for cell in cells if cell.strip().lower() not in _EMPTY), '')
-        if not first or is_number(first):
+        if not first or _is_number(first):
             return ''
         forms = known_forms([first])
         if not forms:
@@ -267,7 +267,7 @@ class Table:
             )
         known = [cell for cell in cells if cell.strip().lower() not in _EMPTY]
         # Of forms that do not fit, the one that fits longest says which cell is odd.
-        ends = [first_misfit(known, form) for form in forms]
+        ends = [_first_misfit(known, form) for form in forms]
         whole = [form for form, end in zip(forms, ends, strict=True) if end is None]
         if not whole:
             return max(zip(forms, ends, strict=True), key=lambda item: item[1] or 0)[0]
@@ -384,7 +384,7 @@ def _read_rows(
         lines[filled.pop(0)] = '\n'
     if not filled:
         raise CsvError(f'{path}: expected a header and rows but the file is empty')
-    sample = [lines[number] for number in filled[-SAMPLE:]]
+    sample = [lines[number] for number in filled[-_SAMPLE:]]
     delimiter = delimiter or _delimiter_of(lines[filled[0]], sample)
     numbers, rows = _split(path, lines, delimiter)
     _check_lengths(path, numbers, rows, delimiter)
@@ -457,7 +457,7 @@ def _check_lengths(path: Path, numbers: list[int], rows: list[list[str]], delimi
     odd = next((place for place, cells in enumerate(rows) if len(cells) != expected), None)
     if odd is None:
         return
-    usual = Counter(map(len, rows[-SAMPLE:])).most_common(1)[0][0]
+    usual = Counter(map(len, rows[-_SAMPLE:])).most_common(1)[0][0]
     begin = next(place for place, cells in enumerate(rows) if len(cells) == usual)
     if begin > 1 or (begin == 1 and expected == 1):
         raise CsvError(
@@ -496,10 +496,10 @@ def _check_header(path: Path, header: list[str], line: int) -> None:
 
 def _is_value(cell: str) -> bool:
     """Return whether a cell holds a number or a time."""
-    return is_number(cell) or bool(known_forms([cell]))
+    return _is_number(cell) or bool(known_forms([cell]))
 
 
-def is_number(cell: str) -> bool:
+def _is_number(cell: str) -> bool:
     """Return whether a cell holds a number, with a point or a comma."""
     try:
         float(cell.strip().replace(',', '.'))
@@ -533,7 +533,7 @@ def _read_text(path: Path, encoding: str) -> str:
     except UnicodeDecodeError as error:
         line = data.count(b'\n', 0, error.start) + 1
         byte = data[error.start : error.start + 1]
-        others = [name for name in ENCODINGS if name != encoding]
+        others = [name for name in _ENCODINGS if name != encoding]
         raise CsvError(
             f'{path}, line {line}: expected text in {encoding} but byte {error.start} is '
             f'0x{byte.hex()}, in cp1252 {byte.decode("cp1252", "replace")!r}; import with '
@@ -600,7 +600,7 @@ def _from_spreadsheet(text: str) -> str:
     return _TOKEN.sub(directive, text)
 
 
-def has_date(form: str) -> bool:
+def _has_date(form: str) -> bool:
     """Return whether a form says the day."""
     return form == ISO8601 or _DATE_PART.search(form) is not None
 
@@ -628,7 +628,7 @@ def read_time(text: str, form: str) -> float:
             fraction = float(f'0.{found[1]}')
             text = text[: found.start()] + text[found.end() :]
     date = datetime.strptime(text, form)
-    if not has_date(form):
+    if not _has_date(form):
         date = date.replace(year=1970, month=1, day=1)
     return _seconds(date) + fraction
 
@@ -638,17 +638,17 @@ def known_forms(cells: Sequence[str]) -> list[str]:
     return [form for form in KNOWN_FORMATS if cells and all(_has(cell, form) for cell in cells)]
 
 
-def is_day(text: str) -> bool:
+def _is_day(text: str) -> bool:
     """Return whether a text is a date in a known form, without a time of day."""
     return any(_has(text, form) for form in (*_DATES, *_EITHER))
 
 
-def first_misfit(cells: Sequence[str], form: str) -> int | None:
+def _first_misfit(cells: Sequence[str], form: str) -> int | None:
     """Return the number of the first text that has another form."""
     return next((row for row, cell in enumerate(cells) if not _has(cell, form)), None)
 
 
-def past_midnight(seconds: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[int]]:
+def _past_midnight(seconds: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[int]]:
     """Return times of day with a day more after each midnight, and the rows that follow one.
 
     Midnight lies where the clock goes back by more than half a day; by less, it was set.

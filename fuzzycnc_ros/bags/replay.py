@@ -41,7 +41,7 @@ from fuzzycnc_ros.runtime.records import (
     Record,
 )
 
-PLUMBING = ('node_configuration', 'node_event', 'deadline_fired', 'machine_tick')
+_PLUMBING = ('node_configuration', 'node_event', 'deadline_fired', 'machine_tick')
 """What a replay reads beside the topics of components; pictures of a camera fill no memory."""
 
 DEADLINES_MAX = 500
@@ -173,7 +173,7 @@ class _Recording:
 
     def __init__(self, reader: BagReader) -> None:
         self.raw: dict[str, list[tuple[str, bytes]]] = defaultdict(list)
-        known = set(PLUMBING)
+        known = set(_PLUMBING)
         for component in COMPONENTS.values():
             known.update(item.name for item in component.INPUTS)
             known.update(item.name for item in component.OUTPUTS)

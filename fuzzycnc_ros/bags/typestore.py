@@ -176,12 +176,3 @@ def deserialize(raw: bytes, type_name: str, store: Any = None) -> Any:
 def _decoding_errors() -> tuple[type[BaseException], ...]:
     serde = load('rosbags.serde')
     return (serde.SerdeError, ValueError, IndexError, AssertionError, struct.error)
-
-
-def canonical(raw: bytes, type_name: str, store: Any = None) -> bytes:
-    """Return CDR bytes serialised anew: little endian, all padding zero.
-
-    What a middleware leaves in the padding is whatever was in memory, so raw bytes of equal
-    messages differ.
-    """
-    return serialize(deserialize(raw, type_name, store), type_name, store)

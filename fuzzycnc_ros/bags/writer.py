@@ -448,7 +448,7 @@ class Sink:
         self._file.close()
 
 
-class SpilledIndex:
+class _SpilledIndex:
     """Entries of the chunk index of an MCAP file, in the order in which they were added.
 
     Parameters
@@ -482,7 +482,7 @@ class SpilledIndex:
         self._file.close()
 
 
-def _spill_index(writer: Any, folder: Path) -> SpilledIndex | None:
+def _spill_index(writer: Any, folder: Path) -> _SpilledIndex | None:
     """Let a writer of the mcap library keep its chunk index on the disk; return that.
 
     The library keeps an entry of about 1 kB for every chunk until the file is closed. Chunks that
@@ -491,6 +491,6 @@ def _spill_index(writer: Any, folder: Path) -> SpilledIndex | None:
     """
     if getattr(writer, _INDEX, None) != []:
         return None
-    index = SpilledIndex(folder)
+    index = _SpilledIndex(folder)
     setattr(writer, _INDEX, index)
     return index
