@@ -22,6 +22,7 @@ import numpy as np
 from fuzzycnc_ros.bags.definitions import SEPARATOR
 from fuzzycnc_ros.bags.reader import BagMessage, BagReader
 from fuzzycnc_ros.bags.typestore import PACKAGE, deserialize, message_definition, serialize
+from fuzzycnc_ros.runtime.convert import stamp_of
 
 EXCLUDED = (
     'diagnostics',
@@ -161,9 +162,7 @@ def _definition(
 
 def _stamp(message: Any, log_time: int) -> int:
     header = getattr(message, 'header', None)
-    if header is None:
-        return log_time
-    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+    return log_time if header is None else stamp_of(header.stamp)
 
 
 @cache

@@ -3,30 +3,31 @@
 """Importing a CSV recording of a real machine into a bag."""
 
 import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.bags.csv_doubts import lone_lines, named_unit_lines, temperature_line, time_line
 from fuzzycnc_ros.bags.csv_mapping import (
     LENGTH_UNITS,
     SPEED_UNITS,
     TEMPERATURE_UNITS,
-    Channel,
     CsvMapping,
-    parse_channel,
 )
-from fuzzycnc_ros.bags.csv_messages import Messages
-from fuzzycnc_ros.bags.csv_table import Table, Times, read_table
-from fuzzycnc_ros.bags.csv_time import ISO8601, known_forms
+from fuzzycnc_ros.bags.csv_table import ISO8601, TIME_UNITS, Table, Times, known_forms
 from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
+from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.plausibility import (
     DISPLACEMENT_STEP,
     TEMPERATURE_STEP,
+    Lone,
+    half_rise_time,
     lone_values,
 )
 from fuzzycnc_ros.core.thermal.run import (
@@ -36,8 +37,15 @@ from fuzzycnc_ros.core.thermal.run import (
     TEMPERATURE_MAX,
     TEMPERATURE_MIN,
 )
-
-__all__ = ['Channel', 'CsvMapping', 'ImportReport', 'import_csv', 'parse_channel']
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.enums import MachineMode, Status
+from fuzzycnc_ros.runtime.records import (
+    Displacement,
+    MachineState,
+    Record,
+    Temperatures,
+    ThermalReference,
+)
 
 REFERENCE_INTERVAL = 60.0
 """Faster readings are averaged to samples of this interval for the reference [s]."""
@@ -53,6 +61,31 @@ GRID_MAX = 10_000_000
 
 GAP_MAX = 3.0
 """Longest gap that resampling bridges, in intervals; further apart nothing was measured."""
+
+
+COLD_MIN, COLD_MAX = 5.0, 45.0
+"""Temperatures between which a machine is started [degC]."""
+
+WARMING_MIN, WARMING_MAX = 180.0, 3.0 * 86400.0
+"""Times between which a machine gains half of its rise [s]."""
+
+LINES_MAX = 3
+"""Single values of a file that are named."""
+
+_BRACKETED = re.compile(r'[\[(]\s*([^\s\])]+)\s*[\])]\s*$')
+_APPENDED = re.compile(r'[_ /](°?[A-Za-z]{2,})\s*$')  # a single letter may as well be a place
+_NAMES: Mapping[str, Mapping[str, str]] = {
+    '--time-unit': {
+        's': 's', 'sec': 's', 'ms': 'ms', 'msec': 'ms', 'min': 'min', 'h': 'h', 'hours': 'h',
+    },
+    '--temperature-unit': {
+        '°C': 'degC', 'degC': 'degC', 'C': 'degC', '°F': 'degF', 'degF': 'degF', 'F': 'degF',
+        'K': 'K',
+    },
+    '--displacement': {
+        'um': 'um', '\xb5m': 'um', '\u03bcm': 'um', 'mm': 'mm', 'm': 'm', 'nm': 'nm',
+    },
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -136,7 +169,7 @@ def import_csv(
     The stamps are the time since the first imported row plus the epoch; log times equal them.
     """
     path = Path(file)
-    table = read_table(path, mapping)
+    table = mapping.table(path)
     sensors = _sensor_columns(table, mapping)
     table.require([mapping.time], '--time')
     table.require([channel.column for channel in mapping.channels], '--displacement')
@@ -198,18 +231,102 @@ def _doubts(
     """Return what looks like a mistake."""
     temperature = recording.temperature
     lone = list(lone_values(temperature, TEMPERATURE_STEP))
-    doubts = named_unit_lines(table, mapping, sensors)
+    doubts = _named_unit_lines(table, mapping, sensors)
     if not doubts:
-        doubts = temperature_line(mapping, temperature)
+        doubts = _temperature_line(mapping, temperature)
         if not clock:
             true = temperature.copy()
             true[[item.row for item in lone], [item.column for item in lone]] = np.nan
-            doubts += time_line(mapping, recording.time, true)
+            doubts += _time_line(mapping, recording.time, true)
     columns = [channel.column for channel in mapping.channels]
-    doubts += lone_lines(table, sensors, lone, 1.0, 'degC')
+    doubts += _lone_lines(table, sensors, lone, 1.0, 'degC')
     jumps = lone_values(recording.displacement, DISPLACEMENT_STEP)
-    doubts += lone_lines(table, columns, jumps, 1e6, 'um')
+    doubts += _lone_lines(table, columns, jumps, 1e6, 'um')
     return tuple(f'{table.path}{doubt}' for doubt in doubts)
+
+
+def _named_unit_lines(table: Table, mapping: CsvMapping, sensors: Sequence[str]) -> list[str]:
+    """Return which columns name another unit than they are read in."""
+    asked = [(name, mapping.temperature_unit, '--temperature-unit') for name in sensors]
+    asked += [(item.column, item.unit, '--displacement') for item in mapping.channels]
+    if mapping.time_unit in TIME_UNITS:
+        asked.append((mapping.time, mapping.time_unit, '--time-unit'))
+    odd: dict[tuple[str, str, str], list[str]] = {}
+    for column, unit, option in asked:
+        found = _BRACKETED.search(column) or _APPENDED.search(column)
+        named = _NAMES[option].get(found[1]) if found else None
+        if named is not None and named != unit:
+            odd.setdefault((option, unit, named), []).append(column)
+    lines = []
+    for (option, unit, named), columns in odd.items():
+        more = f' and {len(columns) - 1} more' if len(columns) > 1 else ''
+        value = f"'{columns[0]}=AXIS:{named}'" if option == '--displacement' else named
+        lines.append(
+            f', column {columns[0]!r}{more}: read in {unit} but named {named}; if the name is '
+            f'right, import with {option} {value}'
+        )
+    return lines
+
+
+def _temperature_line(mapping: CsvMapping, temperature: NDArray[np.float64]) -> list[str]:
+    """Return whether another unit would make the machine start at a temperature of a shop."""
+    first = temperature[:REFERENCE_SAMPLES]
+    if not np.isfinite(first).any():
+        return []
+    start = float(np.nanmedian(first))
+    if COLD_MIN <= start <= COLD_MAX:
+        return []
+    factor, offset = TEMPERATURE_UNITS[mapping.temperature_unit]
+    raw = (start - offset) / factor
+    for unit, (scale, zero) in TEMPERATURE_UNITS.items():
+        if COLD_MIN <= raw * scale + zero <= COLD_MAX:
+            return [
+                f': the machine starts at {start:.3g} degC, which no shop has; if the numbers are '
+                f'in {unit}, it starts at {raw * scale + zero:.3g} degC: import with '
+                f'--temperature-unit {unit}'
+            ]
+    return []
+
+
+def _time_line(
+    mapping: CsvMapping, time: NDArray[np.float64], temperature: NDArray[np.float64]
+) -> list[str]:
+    """Return whether another unit would make the machine warm up as fast as machines do."""
+    taken = half_rise_time(time, temperature)
+    if np.isnan(taken) or WARMING_MIN <= taken <= WARMING_MAX:
+        return []
+    factor = TIME_UNITS[mapping.time_unit]
+    for unit in ('s', 'min', 'ms', 'h'):
+        other = taken / factor * TIME_UNITS[unit]
+        if WARMING_MIN <= other <= WARMING_MAX:
+            return [
+                f': half of the warming takes {_duration(taken)}, which no machine does; if the '
+                f'times are in {unit}, it takes {_duration(other)}: import with --time-unit {unit}'
+            ]
+    return []
+
+
+def _duration(seconds: float) -> str:
+    for unit, length in (('d', 86400.0), ('h', 3600.0), ('min', 60.0)):
+        if seconds >= 2.0 * length:
+            return f'{seconds / length:.3g} {unit}'
+    return f'{seconds:.3g} s'
+
+
+def _lone_lines(
+    table: Table, columns: Sequence[str], lone: Iterable[Lone], scale: float, unit: str
+) -> list[str]:
+    """Return the values that stand alone, with line and column."""
+    found = sorted(lone)
+    lines = [
+        f', line {table.lines[item.row]}, column {columns[item.column]!r}: '
+        f'{item.value * scale:.4g} {unit} stands alone between {item.before * scale:.4g} and '
+        f'{item.behind * scale:.4g}; if nothing of the kind happened, empty the cell'
+        for item in found[:LINES_MAX]
+    ]
+    if len(found) > LINES_MAX:
+        lines.append(f': {len(found) - LINES_MAX} more values in {unit} stand alone like these')
+    return lines
 
 
 def _sensor_columns(table: Table, mapping: CsvMapping) -> list[str]:
@@ -227,7 +344,7 @@ def _sensor_columns(table: Table, mapping: CsvMapping) -> list[str]:
 
 def _names(table: Table, mapping: CsvMapping, columns: list[str]) -> list[str]:
     names = [mapping.rename.get(column, column) for column in columns]
-    repeated = sorted({name for name in names if names.count(name) > 1})
+    repeated = repeated_names(names)
     if repeated:
         raise CsvError(
             f'{table.path}: expected each sensor and channel name once but found '
@@ -398,27 +515,76 @@ def _write(
     sensors: list[str],
     channels: list[str],
 ) -> None:
-    make = Messages(mapping, sensors, channels, int(stamps[0]))
+    machine = mapping.machine
+    cold_since = int(stamps[0])
     reference_rows = _reference_rows(recording.time)
-    space = f'/{mapping.machine}'
     with BagWriter(out, flush_interval=None, custom={'imported_by': 'import-csv'}) as writer:
-        writer.add_topic(f'{space}/temperatures', 'fuzzycnc_msgs/msg/Temperatures', STREAM)
+
+        def write(topic: str, record: Record) -> None:
+            writer.write_message(f'/{machine}/{topic}', encode(record, ROSBAGS), record.stamp)
+
+        writer.add_topic(f'/{machine}/temperatures', Temperatures.TYPE, STREAM)
         if channels:
-            writer.add_topic(f'{space}/displacement', 'fuzzycnc_msgs/msg/Displacement', STREAM)
+            writer.add_topic(f'/{machine}/displacement', Displacement.TYPE, STREAM)
         if mapping.spindle_speed is not None:
-            writer.add_topic(f'{space}/machine_state', 'fuzzycnc_msgs/msg/MachineState', STREAM)
-        writer.add_topic(
-            f'{space}/thermal_reference', 'fuzzycnc_msgs/msg/ThermalReference', LATCHED
-        )
-        for k, stamp in enumerate(int(s) for s in stamps):
+            writer.add_topic(f'/{machine}/machine_state', MachineState.TYPE, STREAM)
+        writer.add_topic(f'/{machine}/thermal_reference', ThermalReference.TYPE, LATCHED)
+        for k, stamp in enumerate(stamps.tolist()):
+            temperature = recording.temperature[k]
             if mapping.spindle_speed is not None:
-                state = make.machine_state(stamp, float(recording.speed[k, 0]))
-                writer.write_message(f'{space}/machine_state', state, stamp)
-            sample = make.temperatures(stamp, recording.temperature[k], recording.readings)
-            writer.write_message(f'{space}/temperatures', sample, stamp)
+                speed = float(recording.speed[k, 0])
+                write('machine_state', _machine_state(machine, stamp, cold_since, speed))
+            write(
+                'temperatures',
+                Temperatures(
+                    stamp=stamp,
+                    frame_id=f'{machine}/machine',
+                    sensor=tuple(sensors),
+                    temperature=temperature,
+                    status=np.where(np.isnan(temperature), Status.MISSING, Status.OK),
+                    readings=min(recording.readings, 2**16 - 1),
+                ),
+            )
             if channels:
-                moved = make.displacement(stamp, recording.displacement[k])
-                writer.write_message(f'{space}/displacement', moved, stamp)
+                write(
+                    'displacement',
+                    Displacement(
+                        stamp=stamp,
+                        frame_id=f'{machine}/workpiece',
+                        axis=tuple(channel.axis for channel in mapping.channels),
+                        channel=tuple(channels),
+                        displacement=recording.displacement[k],
+                        # How well they were measured no CSV file says.
+                        standard_deviation=np.full(len(channels), np.nan),
+                        includes_compensation=False,
+                    ),
+                )
             if k == reference_rows - 1:
-                reference = make.reference(stamp, recording.temperature[:reference_rows])
-                writer.write_message(f'{space}/thermal_reference', reference, stamp)
+                write(
+                    'thermal_reference',
+                    ThermalReference(
+                        stamp=stamp,
+                        frame_id=f'{machine}/machine',
+                        cold_since=cold_since,
+                        set_by='recording',
+                        sensor=tuple(sensors),
+                        # NaN for a sensor that lacks one of the first samples.
+                        temperature=recording.temperature[:reference_rows].mean(axis=0),
+                        samples=min(reference_rows, 2**16 - 1),
+                    ),
+                )
+
+
+def _machine_state(machine: str, stamp: int, cold_since: int, speed: float) -> MachineState:
+    """Return the state as far as the spindle tells; a recording takes no offsets."""
+    return MachineState(
+        stamp=stamp,
+        frame_id=f'{machine}/machine',
+        state=MachineMode.RUNNING if abs(speed) > 0.0 else MachineMode.ON,
+        homed=False,
+        offsets_allowed=False,
+        cold_since=cold_since,
+        spindle_speed=speed,
+        axis=(),
+        position=np.empty(0),
+    )

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from math import pi
+from pathlib import Path
 
-from fuzzycnc_ros.bags.csv_time import ISO8601, strptime_form
+from fuzzycnc_ros.bags.csv_table import ISO8601, TIME_UNITS, Table, read_table, strptime_form
 from fuzzycnc_ros.bags.errors import CsvError
 
-TIME_UNITS = {'s': 1.0, 'ms': 1e-3, 'min': 60.0, 'h': 3600.0}
 LENGTH_UNITS = {'um': 1e-6, 'mm': 1e-3, 'm': 1.0, 'nm': 1e-9}
 TEMPERATURE_UNITS = {'degC': (1.0, 0.0), 'K': (1.0, -273.15), 'degF': (5.0 / 9.0, -160.0 / 9.0)}
 SPEED_UNITS = {'rpm': 2.0 * pi / 60.0, 'rad/s': 1.0}
@@ -185,6 +185,23 @@ class CsvMapping:
     def channels(self) -> tuple[Channel, ...]:
         """The displacement columns."""
         return tuple(c for c in self.displacements if isinstance(c, Channel))
+
+    def table(self, path: Path) -> Table:
+        """Read the rows of a file that the mapping selects.
+
+        Raises
+        ------
+        CsvError
+            If the file cannot be read as `read_table` says.
+        """
+        return read_table(
+            path,
+            encoding=self.encoding,
+            delimiter=self.delimiter,
+            decimal=self.decimal,
+            header=self.header,
+            rows=self.rows,
+        )
 
     def sensor_columns(self, header: Sequence[str]) -> list[str]:
         """Return the temperature columns of a file in its own order.

@@ -1,29 +1,71 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reading the numbers of a CSV recording; every complaint names file, line and column."""
+"""Reading a CSV recording, whatever program wrote it; every complaint names file, line and column.
 
+From the bytes of a file to its text, from the text to header and rows, from the cells to numbers,
+dates and times of day.
+"""
+
+import codecs
+import csv
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.bags.csv_mapping import TIME_UNITS, CsvMapping
-from fuzzycnc_ros.bags.csv_rows import is_number, read_rows
-from fuzzycnc_ros.bags.csv_time import (
-    ISO8601,
-    first_misfit,
-    has_date,
-    is_day,
-    known_forms,
-    past_midnight,
-    read_time,
-)
 from fuzzycnc_ros.bags.errors import CsvError
+from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, SAMPLES_MIN
+
+TIME_UNITS = {'s': 1.0, 'ms': 1e-3, 'min': 60.0, 'h': 3600.0}
+
+ISO8601 = 'iso8601'
+_CLOCKS = ('%H:%M:%S', '%H:%M', '%I:%M:%S %p', '%I:%M %p')
+_DATES = ('%d.%m.%Y', '%d.%m.%y', '%Y/%m/%d', '%Y.%m.%d')
+_EITHER = ('%d/%m/%Y', '%m/%d/%Y', '%d/%m/%y', '%m/%d/%y', '%d-%m-%Y', '%m-%d-%Y')
+KNOWN_FORMATS = (
+    ISO8601,
+    *(f'{date} {clock}' for date in (*_DATES, *_EITHER) for clock in _CLOCKS[:2]),
+    # Who writes AM and PM writes the month first.
+    *(f'{date} {clock}' for date in (*_DATES, *_EITHER[::-1]) for clock in _CLOCKS[2:]),
+    *_CLOCKS,
+)
+"""Forms that are recognised, as `strptime` writes them."""
+
+DAY = 86400.0
+"""Length of a day [s]."""
+
+_FRACTION = re.compile(r'(?<=:\d\d)[.,](\d+)')
+_DATE_PART = re.compile(r'%[dmyYjbBDFxcUWGuw]')
+
+
+_TOKEN = re.compile(r'yyyy|jjjj|yy|jj|dd|tt|hh?|mm|ss|am/pm', re.IGNORECASE)
+_DIRECTIVES = {
+    **dict.fromkeys(('yyyy', 'jjjj'), '%Y'),
+    **dict.fromkeys(('yy', 'jj'), '%y'),
+    **dict.fromkeys(('dd', 'tt'), '%d'),
+    'ss': '%S',
+    'am/pm': '%p',
+}
+
+_ENCODINGS = ('cp1252', 'latin-1', 'utf-16')
+"""What programs write that do not write UTF-8, Excel on Windows first."""
+
+_WORKBOOKS = (b'PK\x03\x04', b'\xd0\xcf\x11\xe0')
+_UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_WIDE = ('utf-16', 'utf-32')  # encodings with zero bytes in plain text
+
+_DELIMITERS = (';', '\t', ',')
+_EXCEL = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # it takes this line for an instruction
+
+_SAMPLE = 20
+"""Last lines of a file that tell what stands between columns."""
 
 _EMPTY = ('', 'nan', 'na', 'n/a', 'null', 'none', '-')  # how programs write a missing number
 _FEW = 0.1  # share of repeated times from which a clock is too coarse, and no row is doubled
@@ -157,10 +199,10 @@ class Table:
             return '; with decimal commas import with --decimal ,'
         if _THOUSANDS.fullmatch(found):
             return '; remove what stands between thousands'
-        if row == 0 and not any(is_number(cell) for cell in self.rows[0]):
+        if row == 0 and not any(_is_number(cell) for cell in self.rows[0]):
             last = self.first + len(self.rows) - 1
             return f'; leave out a line of units below the header with --rows 1:{last}'
-        if is_day(found):
+        if _is_day(found):
             return '; it is a date without a time of day: name the column of these with --time'
         if known_forms([found]):
             return '; it looks like a time: name the time column with --time'
@@ -190,7 +232,7 @@ class Table:
         midnights: list[int] = []
         if form:
             lost = [row for row, cell in enumerate(cells) if cell.strip().lower() in _EMPTY]
-            misfit = None if lost else first_misfit(cells, form)
+            misfit = None if lost else _first_misfit(cells, form)
             if misfit is not None:
                 looks = (
                     'date such as 2024-05-01T08:00:00Z' if form == ISO8601 else f'time as {form}'
@@ -205,16 +247,16 @@ class Table:
             lost = np.flatnonzero(~np.isfinite(seconds)).tolist()
         if lost:
             raise CsvError(f'{self.place(lost[0], name)}: expected a time but found none')
-        if form and not has_date(form):
-            seconds, midnights = past_midnight(seconds)
+        if form and not _has_date(form):
+            seconds, midnights = _past_midnight(seconds)
         self._check_increasing(name, seconds)
-        date = float(seconds[0]) if form and has_date(form) else None
+        date = float(seconds[0]) if form and _has_date(form) else None
         return Times(seconds - seconds[0], date, form, midnights)
 
     def _form(self, name: str, cells: list[str]) -> str:
         """Return the form of dates or times of day; empty for numbers."""
         first = next((cell for cell in cells if cell.strip().lower() not in _EMPTY), '')
-        if not first or is_number(first):
+        if not first or _is_number(first):
             return ''
         forms = known_forms([first])
         if not forms:
@@ -225,7 +267,7 @@ class Table:
             )
         known = [cell for cell in cells if cell.strip().lower() not in _EMPTY]
         # Of forms that do not fit, the one that fits longest says which cell is odd.
-        ends = [first_misfit(known, form) for form in forms]
+        ends = [_first_misfit(known, form) for form in forms]
         whole = [form for form, end in zip(forms, ends, strict=True) if end is None]
         if not whole:
             return max(zip(forms, ends, strict=True), key=lambda item: item[1] or 0)[0]
@@ -286,21 +328,345 @@ class Table:
         return f'{self.path}, line {self.lines[row]}, column {name!r}'
 
 
-def read_table(path: Path, mapping: CsvMapping) -> Table:
-    """Read the rows of a CSV file that a mapping selects.
+def read_table(
+    path: Path,
+    *,
+    encoding: str = 'utf-8',
+    delimiter: str | None = None,
+    decimal: str = '.',
+    header: bool = True,
+    rows: tuple[int, int] | None = None,
+) -> Table:
+    """Read the rows of a CSV file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    encoding : str
+        Its encoding.
+    delimiter : str, optional
+        Character between columns; found out if absent.
+    decimal : {'.', ','}
+        Decimal sign.
+    header : bool
+        Whether the first line names the columns; if not, they are called c1, c2 and so on.
+    rows : (int, int), optional
+        First and last row that are wanted, counted from 0 below the header.
 
     Raises
     ------
     CsvError
-        If the file cannot be read as `read_rows` says, or fewer than 8 rows are left.
+        If the file is missing, empty, no text, has no header or a single column, names a column
+        twice, has rows of different length, or fewer than 8 rows are left.
     """
-    header, numbers, rows = read_rows(path, mapping)
-    begin, end = mapping.rows or (0, len(rows) - 1)
-    if end >= len(rows):
+    names, numbers, cells = _read_rows(path, encoding, delimiter, header)
+    begin, end = rows or (0, len(cells) - 1)
+    if end >= len(cells):
         raise CsvError(
-            f'{path}: expected rows {begin} to {end} but the file has rows 0 to {len(rows) - 1}'
+            f'{path}: expected rows {begin} to {end} but the file has rows 0 to {len(cells) - 1}'
         )
-    numbers, rows = numbers[begin : end + 1], rows[begin : end + 1]
-    if len(rows) < SAMPLES_MIN:
-        raise CsvError(f'{path}: expected at least {SAMPLES_MIN} rows but found {len(rows)}')
-    return Table(path, header, numbers, rows, mapping.decimal, begin)
+    numbers, cells = numbers[begin : end + 1], cells[begin : end + 1]
+    if len(cells) < SAMPLES_MIN:
+        raise CsvError(f'{path}: expected at least {SAMPLES_MIN} rows but found {len(cells)}')
+    return Table(path, names, numbers, cells, decimal, begin)
+
+
+def _read_rows(
+    path: Path, encoding: str, delimiter: str | None, named: bool
+) -> tuple[list[str], list[int], list[list[str]]]:
+    """Return the names of the columns, and line number and cells of each row of a file."""
+    lines = _read_text(path, encoding).splitlines(keepends=True)
+    filled = [number for number, line in enumerate(lines) if line.strip()]
+    told = _EXCEL.fullmatch(lines[filled[0]].strip()) if filled else None
+    if told:
+        delimiter = delimiter or told[1]
+        lines[filled.pop(0)] = '\n'
+    if not filled:
+        raise CsvError(f'{path}: expected a header and rows but the file is empty')
+    sample = [lines[number] for number in filled[-_SAMPLE:]]
+    delimiter = delimiter or _delimiter_of(lines[filled[0]], sample)
+    numbers, rows = _split(path, lines, delimiter)
+    _check_lengths(path, numbers, rows, delimiter)
+    if len(rows[0]) < 2:
+        signs = [sign for sign in '|: ' if sign in rows[0][0]]
+        raise CsvError(
+            f'{path}, line {numbers[0]}: expected columns but found one, {rows[0][0]!r:.60}; name '
+            f'what stands between them with --delimiter{f" {signs[0]!r}" if signs else ""}'
+        )
+    if named:
+        header = [' '.join(cell.split()) for cell in rows[0]]  # lines may be broken in a name
+        _check_header(path, header, numbers[0])
+        numbers, rows = numbers[1:], rows[1:]
+    else:
+        header = [f'c{place + 1}' for place in range(len(rows[0]))]
+        if not any(map(_is_value, rows[0])):
+            raise CsvError(
+                f'{path}, line {numbers[0]}: expected values but found '
+                f'{", ".join(rows[0][:4])}; where the first line names the columns, leave out '
+                '--no-header'
+            )
+    return header, numbers, rows
+
+
+def _delimiter_of(head: str, sample: Sequence[str]) -> str:
+    """Return what stands between columns, from the first line and the last ones.
+
+    A comma may be the decimal sign too: the others go first, if all lines are alike with them.
+    """
+    widths = {
+        sign: Counter(_width(line, sign) for line in sample).most_common(1)[0][0]
+        for sign in _DELIMITERS
+    }
+    found = [sign for sign in _DELIMITERS if widths[sign] > 1]
+    alike = [sign for sign in found if _width(head, sign) == widths[sign]]
+    likely = max(_DELIMITERS[::-1], key=head.count)
+    return (alike or found or [likely])[0]
+
+
+def _width(line: str, delimiter: str) -> int:
+    """Return how many columns a line has; 1 if it is no CSV, which is refused where it is read."""
+    try:
+        return len(next(csv.reader([line], delimiter=delimiter)))
+    except csv.Error:
+        return 1
+
+
+def _split(path: Path, lines: list[str], delimiter: str) -> tuple[list[int], list[list[str]]]:
+    """Return line number and cells of each row that is not empty."""
+    reader = csv.reader(lines, delimiter=delimiter)
+    numbers: list[int] = []
+    rows: list[list[str]] = []
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                numbers.append(reader.line_num)
+                rows.append(cells)
+    except csv.Error as error:
+        raise CsvError(
+            f'{path}, line {reader.line_num}: expected CSV but found {error}'
+        ) from error
+    if not rows:
+        raise CsvError(f'{path}: expected a header and rows but the file is empty')
+    return numbers, rows
+
+
+def _check_lengths(path: Path, numbers: list[int], rows: list[list[str]], delimiter: str) -> None:
+    """Refuse rows of another length than the first one."""
+    expected = len(rows[0])
+    odd = next((place for place, cells in enumerate(rows) if len(cells) != expected), None)
+    if odd is None:
+        return
+    usual = Counter(map(len, rows[-_SAMPLE:])).most_common(1)[0][0]
+    begin = next(place for place, cells in enumerate(rows) if len(cells) == usual)
+    if begin > 1 or (begin == 1 and expected == 1):
+        raise CsvError(
+            f'{path}, line {numbers[0]}: expected {usual} columns, as from line {numbers[begin]} '
+            f'on, but found {delimiter.join(rows[0])!r:.60}; delete what stands above the names '
+            'of the columns'
+        )
+    found, hint = len(rows[odd]), ''
+    if found > expected and delimiter == ',':
+        hint = (
+            '; where the comma is the decimal sign too, export with ; between the columns and '
+            'import with --decimal ,'
+        )
+    raise CsvError(
+        f'{path}, line {numbers[odd]}: expected {expected} columns as in the header but found '
+        f'{found}{hint}'
+    )
+
+
+def _check_header(path: Path, header: list[str], line: int) -> None:
+    """Refuse a first line that holds a row, or names a column twice."""
+    named = [name for name in header if name]
+    if all(map(_is_value, named)):
+        raise CsvError(
+            f'{path}, line {line}: expected the names of the columns but found '
+            f'{", ".join(header[:4])}; add a line of names, or import with --no-header, which '
+            f'calls the columns c1 to c{len(header)}'
+        )
+    repeated = repeated_names(named)
+    if repeated:
+        raise CsvError(
+            f'{path}, line {line}: expected each column once but found '
+            f'{", ".join(repr(name) for name in repeated)} more than once; rename them in the file'
+        )
+
+
+def _is_value(cell: str) -> bool:
+    """Return whether a cell holds a number or a time."""
+    return _is_number(cell) or bool(known_forms([cell]))
+
+
+def _is_number(cell: str) -> bool:
+    """Return whether a cell holds a number, with a point or a comma."""
+    try:
+        float(cell.strip().replace(',', '.'))
+    except ValueError:
+        return False
+    return True
+
+
+def _read_text(path: Path, encoding: str) -> str:
+    """Return the text of a file without a byte order mark."""
+    codec = codecs.lookup(encoding).name
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise CsvError(f'{path}: cannot be read: {error.strerror}') from error
+    if data.startswith(_WORKBOOKS):
+        raise CsvError(
+            f'{path}: expected a CSV file but found a workbook; save its sheet as CSV (UTF-8)'
+        )
+    if (data.startswith(_UTF16_MARKS) or b'\0' in data) and not codec.startswith(_WIDE):
+        raise CsvError(
+            f'{path}: expected text in {encoding} but found what looks like UTF-16; import with '
+            '--encoding utf-16'
+        )
+    if not codec.startswith('utf') and not data.isascii() and _is_utf8(data):
+        raise CsvError(
+            f'{path}: expected text in {encoding} but it is UTF-8; import without --encoding'
+        )
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError as error:
+        line = data.count(b'\n', 0, error.start) + 1
+        byte = data[error.start : error.start + 1]
+        others = [name for name in _ENCODINGS if name != encoding]
+        raise CsvError(
+            f'{path}, line {line}: expected text in {encoding} but byte {error.start} is '
+            f'0x{byte.hex()}, in cp1252 {byte.decode("cp1252", "replace")!r}; import with '
+            f'--encoding {others[0]}, or else {" or ".join(others[1:])}'
+        ) from error
+    except UnicodeError as error:
+        raise CsvError(f'{path}: expected text in {encoding} but found {error}') from error
+    return text.removeprefix('\ufeff')
+
+
+def _is_utf8(data: bytes) -> bool:
+    try:
+        data.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def strptime_form(text: str) -> str:
+    """Return a form as `strptime` writes it, from that or from what spreadsheets call it.
+
+    Raises
+    ------
+    ValueError
+        If it is neither.
+
+    Examples
+    --------
+    >>> strptime_form('dd.mm.yyyy hh:mm:ss'), strptime_form('TT.MM.JJJJ hh:mm')
+    ('%d.%m.%Y %H:%M:%S', '%d.%m.%Y %H:%M')
+    """
+    if text == ISO8601:
+        return text
+    form = text if '%' in text else _from_spreadsheet(text)
+    if '%' not in form or not _is_form(form):
+        raise ValueError(
+            'expected a form such as %d.%m.%Y %H:%M:%S, dd.mm.yyyy hh:mm:ss or iso8601 but '
+            f'found {text!r}'
+        )
+    return form
+
+
+def _is_form(form: str) -> bool:
+    try:
+        datetime.strptime('', form)
+    except ValueError as error:
+        return re.search('bad directive|stray', str(error)) is None
+    return True
+
+
+def _from_spreadsheet(text: str) -> str:
+    hour = '%I' if re.search('am/pm', text, re.IGNORECASE) else '%H'
+    names = [token.lower() for token in _TOKEN.findall(text)]
+    places = iter(range(len(names)))
+
+    def directive(_: re.Match[str]) -> str:
+        place = next(places)
+        name = names[place]
+        if name == 'mm':  # minutes behind an hour or before a second, months else
+            near = (names[place - 1 : place], names[place + 1 : place + 2])
+            return '%M' if near[0] in (['h'], ['hh']) or near[1] == ['ss'] else '%m'
+        return hour if name in ('h', 'hh') else _DIRECTIVES[name]
+
+    return _TOKEN.sub(directive, text)
+
+
+def _has_date(form: str) -> bool:
+    """Return whether a form says the day."""
+    return form == ISO8601 or _DATE_PART.search(form) is not None
+
+
+def read_time(text: str, form: str) -> float:
+    """Return the seconds of a date since 1970, or of a time of day since midnight.
+
+    A zone that the text does not name is UTC.  A fraction of a second may stand behind a point
+    or a comma.
+
+    Raises
+    ------
+    ValueError
+        If the text has another form.
+    """
+    text = text.strip()
+    if form == ISO8601:
+        # Python 3.10 does not know the Z of ISO 8601.
+        date = datetime.fromisoformat(f'{text[:-1]}+00:00' if text.endswith('Z') else text)
+        return _seconds(date)
+    fraction = 0.0
+    if '%f' not in form:
+        found = _FRACTION.search(text)
+        if found:
+            fraction = float(f'0.{found[1]}')
+            text = text[: found.start()] + text[found.end() :]
+    date = datetime.strptime(text, form)
+    if not _has_date(form):
+        date = date.replace(year=1970, month=1, day=1)
+    return _seconds(date) + fraction
+
+
+def known_forms(cells: Sequence[str]) -> list[str]:
+    """Return the known forms that all of some texts have; none if there is no text."""
+    return [form for form in KNOWN_FORMATS if cells and all(_has(cell, form) for cell in cells)]
+
+
+def _is_day(text: str) -> bool:
+    """Return whether a text is a date in a known form, without a time of day."""
+    return any(_has(text, form) for form in (*_DATES, *_EITHER))
+
+
+def _first_misfit(cells: Sequence[str], form: str) -> int | None:
+    """Return the number of the first text that has another form."""
+    return next((row for row, cell in enumerate(cells) if not _has(cell, form)), None)
+
+
+def _past_midnight(seconds: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[int]]:
+    """Return times of day with a day more after each midnight, and the rows that follow one.
+
+    Midnight lies where the clock goes back by more than half a day; by less, it was set.
+    """
+    rows = np.flatnonzero(np.diff(seconds) < -0.5 * DAY) + 1
+    days = np.zeros(len(seconds))
+    days[rows] = 1.0
+    return seconds + DAY * np.cumsum(days), rows.tolist()
+
+
+def _has(text: str, form: str) -> bool:
+    try:
+        read_time(text, form)
+    except ValueError:
+        return False
+    return True
+
+
+def _seconds(date: datetime) -> float:
+    zoned = date if date.tzinfo is not None else date.replace(tzinfo=timezone.utc)
+    return zoned.timestamp()

@@ -31,7 +31,8 @@ rosbags writes code for each element of an array of strings or messages."""
 
 _TYPE_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*/(msg|srv|action)/[A-Za-z][A-Za-z0-9_]*')
 _FIELD_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
-_BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4  # rosbags.interfaces.Nodetype
+BASE, NAME, ARRAY, SEQUENCE = 1, 2, 3, 4
+"""Kinds of nodes in rosbags' parse tree, as `rosbags.interfaces.Nodetype` has them."""
 
 Types = dict[str, Any]
 """rosbags' parse tree: type name to (constants, fields)."""
@@ -118,8 +119,8 @@ def references(types: Types, type_name: str) -> list[str]:
 
 def _named(fields: list[Any]) -> Iterator[str]:
     for _, (kind, detail) in fields:
-        inner = (kind, detail) if kind in (_BASE, _NAME) else detail[0]
-        if inner[0] == _NAME:
+        inner = (kind, detail) if kind in (BASE, NAME) else detail[0]
+        if inner[0] == NAME:
             yield inner[1]
 
 
@@ -131,7 +132,7 @@ def _check(types: Types) -> None:
             if not _FIELD_NAME.fullmatch(field):
                 raise BagTypeError(f'{name}: expected a field name but found {field!r}')
         for field, (kind, detail) in fields:
-            if kind == _ARRAY and detail[1] < 0:
+            if kind == ARRAY and detail[1] < 0:
                 raise BagTypeError(f'{name}: expected a length of {field!r}, found {detail[1]}')
     counts: dict[str, int] = {}
     for name in types:
@@ -151,11 +152,11 @@ def _count_members(
     if name not in counts:
         total = 0
         for _, (kind, detail) in types[name][1]:
-            inner = (kind, detail) if kind in (_BASE, _NAME) else detail[0]
+            inner = (kind, detail) if kind in (BASE, NAME) else detail[0]
             number = 1
-            if inner[0] == _NAME:
+            if inner[0] == NAME:
                 number = _count_members(types, inner[1], (*parents, name), counts)
-            if kind == _ARRAY and (inner[0] == _NAME or inner[1][0] == 'string'):
+            if kind == ARRAY and (inner[0] == NAME or inner[1][0] == 'string'):
                 number *= detail[1]
             total += number
         if total > MEMBERS_MAX:

@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `metadata.yaml` of a rosbag2 directory, version 9 as Jazzy writes it, and its QoS text."""
 
-import os
 import stat
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.bags.errors import BagFormatError
 from fuzzycnc_ros.bags.libraries import load
 
@@ -95,7 +96,9 @@ class TopicInfo:
     type_hash : str
         REP 2011 hash of the type, empty if unknown.
     message_count : int
-        Number of messages.
+        Number of messages; as the bag promises where it is read.
+    definition : str
+        Definition that the bag embeds, empty if there is none.
     """
 
     name: str
@@ -103,6 +106,7 @@ class TopicInfo:
     profiles: Profiles = field(default_factory=list)
     type_hash: str = ''
     message_count: int = 0
+    definition: str = ''
 
 
 def qos_text(profiles: Sequence[Mapping[str, Any]]) -> str:
@@ -215,9 +219,7 @@ class Metadata:
 
     def write(self, folder: Path) -> None:
         """Write `metadata.yaml` into a folder, whole or not at all."""
-        part = folder / f'.{METADATA_FILE}.part'
-        part.write_text(self.text(), encoding='utf-8')
-        os.replace(part, folder / METADATA_FILE)
+        write_text(folder / METADATA_FILE, self.text())
 
 
 def read_metadata(folder: Path) -> Metadata | None:
@@ -325,3 +327,44 @@ def _dump(value: object) -> str:
     fast = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
     dumper = type('Dumper', (fast,), {'ignore_aliases': lambda self, data: True})
     return str(yaml.dump(value, Dumper=dumper, sort_keys=False, allow_unicode=True))
+
+
+def bag_files(folder: Path, metadata: Metadata) -> list[Path]:
+    """Return the storage files that a `metadata.yaml` names.
+
+    Raises
+    ------
+    BagFormatError
+        If one is missing, or lies outside of the bag's directory.
+    """
+    files = []
+    for name in metadata.files:
+        relative = Path(name)
+        if relative.is_absolute() or '..' in relative.parts:
+            raise BagFormatError(
+                f'{folder}: expected storage files inside of the bag but metadata.yaml names '
+                f'{name!r}'
+            )
+        # The first versions of rosbag2 wrote the bag's own directory in front.
+        candidates = [folder / relative, folder / relative.name]
+        file = next((path for path in candidates if path.exists()), None)
+        if file is None:
+            there = sorted(p.name for p in folder.iterdir())
+            raise BagFormatError(
+                f'{folder}: expected the storage file {name!r} but found {", ".join(there)}'
+            )
+        with suppress(OSError):
+            if not file.resolve().is_relative_to(folder.resolve()):
+                raise BagFormatError(
+                    f'{folder}: expected storage files inside of the bag but {name!r} leads to '
+                    f'{file.resolve()}'
+                )
+        files.append(file)
+    return files
+
+
+def storage_files(folder: Path) -> list[Path]:
+    """Return the storage files that lie in a directory, in recording order."""
+    files = [*folder.glob('*.mcap'), *folder.glob('*.db3')]
+    # rosbag2 numbers the files of a split recording: bag_2 comes before bag_10.
+    return sorted(files, key=lambda path: (len(path.name), path.name))

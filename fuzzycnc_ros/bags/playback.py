@@ -12,9 +12,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from fuzzycnc_ros.bags.connections import Connection, listed
 from fuzzycnc_ros.bags.errors import BagError, BagTopicError, BagTypeError
-from fuzzycnc_ros.bags.metadata import Profiles
+from fuzzycnc_ros.bags.metadata import Profiles, TopicInfo
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.typestore import type_hash
 from fuzzycnc_ros.runtime.records import SECOND
@@ -284,18 +283,18 @@ def _time_layout(payload: bytes) -> str:
     return '<iI' if payload[1] & 1 else '>iI'
 
 
-def _describe(reader: BagReader, connection: Connection) -> PlayedTopic:
+def _describe(reader: BagReader, connection: TopicInfo) -> PlayedTopic:
     known = type_hash(connection.type)
     if connection.type_hash and connection.type_hash != known:
         raise BagTypeError(
-            f'{reader.path}: expected {connection.topic} to be {connection.type} as installed '
+            f'{reader.path}: expected {connection.name} to be {connection.type} as installed '
             'here but it was recorded with another definition; play it with the fuzzycnc that '
             'recorded it, or leave the topic out'
         )
     _, fields = reader.decoder.store(connection.type).fielddefs[connection.type]
     depth, latched = _offered(connection.profiles)
     first = fields[0][1][1] if fields else ''
-    return PlayedTopic(connection.topic, connection.type, depth, latched, first == _HEADER)
+    return PlayedTopic(connection.name, connection.type, depth, latched, first == _HEADER)
 
 
 def _offered(profiles: Profiles) -> tuple[int, bool]:
@@ -325,12 +324,9 @@ def require_topics(reader: BagReader, topics: Iterable[str], wanted: str) -> lis
     BagTopicError
         If none does; the text says what was `wanted` and lists what is there.
     """
-    found = {topic: c.message_count for topic, c in reader.connections.items() if c.message_count}
-    kept = [topic for topic in topics if topic in found]
+    kept = [topic for topic in topics if reader.connections[topic].message_count]
     if not kept:
-        there = (f'{topic} ({count})' for topic, count in found.items())
         raise BagTopicError(
-            f'{reader.path}: expected topics {wanted} but the bag has '
-            f'{listed(there, "no messages at all")}'
+            f'{reader.path}: expected topics {wanted} but the bag has {reader.filled()}'
         )
     return kept

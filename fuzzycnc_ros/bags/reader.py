@@ -6,31 +6,44 @@ import os
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
-from fuzzycnc_ros.bags.connections import connect, listed
-from fuzzycnc_ros.bags.decoder import Decoder
+from fuzzycnc_ros.bags.decoder import UPGRADERS, Decoder, Upgraders
 from fuzzycnc_ros.bags.errors import (
     BagCountError,
     BagFormatError,
     BagTopicError,
     BagTruncatedError,
+    BagVersionError,
 )
-from fuzzycnc_ros.bags.files import bag_files, storage_files
-from fuzzycnc_ros.bags.log_order import in_log_order
 from fuzzycnc_ros.bags.mcapfile import McapFile
 from fuzzycnc_ros.bags.metadata import (
     MESSAGE_SET_KEY,
     STATE_KEY,
     STATE_RECORDING,
     Metadata,
+    Profiles,
+    TopicInfo,
+    bag_files,
+    parse_qos,
     read_metadata,
+    storage_files,
 )
 from fuzzycnc_ros.bags.sqlitefile import SqliteFile
-from fuzzycnc_ros.bags.storage import Attachment, Contents
-from fuzzycnc_ros.bags.upgrade import UPGRADERS, Upgraders
+from fuzzycnc_ros.bags.storage import Attachment, Block, Contents, RawMessage
 from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
+
+_QOS_MAX = 1000
+"""Most different QoS texts that are read; a topic that has another counts as of unknown QoS."""
+
+_LISTED = 30
+"""Topics that a message lists."""
+
+_OVERLAP_MAX = 128 * 1024 * 1024
+"""Most bytes of chunks overlapping in time that are sorted together; more is no recording."""
+
+_MESSAGES_MAX = 1_000_000
+"""Most messages that are."""
 
 
 class BagMessage(NamedTuple):
@@ -52,12 +65,12 @@ class BagReader:
     strict : bool
         Whether a bag that contradicts itself is refused; otherwise what is wrong is collected
         in `problems` and all that can be read is read.
-    upgraders : Upgraders
+    upgraders : mapping
         Bring messages of older message sets to the current one.
 
     Attributes
     ----------
-    connections : dict of str to Connection
+    connections : dict of str to TopicInfo
         The topics by name.
     message_count : int
         Messages that the bag promises.
@@ -105,12 +118,7 @@ class BagReader:
         """Return the reader."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the bag."""
         self.close()
 
@@ -118,6 +126,12 @@ class BagReader:
         """Close the files of the bag."""
         for file in self._files:
             file.close()
+
+    def filled(self) -> str:
+        """Return the topics that hold messages as text, each with how many."""
+        found = ((topic, c.message_count) for topic, c in self.connections.items())
+        there = (f'{topic} ({count})' for topic, count in found if count)
+        return _listed(there, 'no messages at all')
 
     def require(self, topics: Iterable[str] | Mapping[str, str]) -> None:
         """Refuse a bag without certain topics.
@@ -136,10 +150,9 @@ class BagReader:
         found = {topic: c for topic, c in self.connections.items() if c.message_count}
         missing = [topic for topic in types if topic not in found]
         if missing:
-            there = (f'{t} ({c.message_count})' for t, c in found.items())
             raise BagTopicError(
                 f'{self.path}: expected messages on {", ".join(missing)} but the bag has '
-                f'{listed(there, "no messages at all")}'
+                f'{self.filled()}'
             )
         for topic, wanted in types.items():
             if wanted is not None and found[topic].type != wanted:
@@ -193,14 +206,12 @@ class BagReader:
         if unknown:
             raise BagTopicError(
                 f'{self.path}: expected the topics {", ".join(sorted(unknown))} but the bag has '
-                f'{listed(self.connections, "none")}'
+                f'{_listed(self.connections, "none")}'
             )
         decodes = {} if raw else {t: self.decoder.decode(self.connections[t].type) for t in wanted}
         whole = start is None and stop is None
         yielded: Counter[str] = Counter()
-        every = (block for contents in self._contents for block in contents.blocks)
-        ordered = in_log_order(self.path, every, start, stop, self._report)
-        for log_time, _, _, channel, payload in ordered:
+        for log_time, _, _, channel, payload in self._in_log_order(start, stop):
             topic = channel.topic
             if topic not in wanted:
                 continue
@@ -221,12 +232,19 @@ class BagReader:
             raise BagFormatError(f'{self.path}: expected a bag but nothing is there')
         self.metadata = read_metadata(self.path) if self.path.is_dir() else None
         self._contents = [self._open_file(file) for file in self._storage_files()]
-        channels = [channel for contents in self._contents for channel in contents.channels]
+        self._counted = all(contents.promised is not None for contents in self._contents)
+        topics = self.metadata.topics if self.metadata else []
+        self._stated = Counter({topic.name: topic.message_count for topic in topics})
         self.records = {k: v for c in self._contents for k, v in c.metadata.items()}
         self.message_set = self._message_set()
-        upgraders.check_version(self.message_set, self.path)
+        if self.message_set > MESSAGE_SET:
+            raise BagVersionError(
+                f'{self.path}: expected message set {MESSAGE_SET} or older but found '
+                f'{self.message_set}; install the fuzzycnc that recorded it, or a newer one'
+            )
+        channels = (channel for contents in self._contents for channel in contents.channels)
         self.decoder = Decoder(channels, self.message_set, upgraders)
-        self.connections = connect(self.path, self._contents)
+        self.connections = self._connect()
         self.message_count = sum(c.message_count for c in self.connections.values())
         blocks = [block for contents in self._contents for block in contents.blocks]
         self.start = min((block.start for block in blocks), default=0)
@@ -261,18 +279,14 @@ class BagReader:
         return files
 
     def _open_file(self, path: Path) -> Contents:
-        if path.suffix == '.db3':
-            database = SqliteFile(path)
-            self._files.append(database)
-            return database.contents()
-        if path.suffix != '.mcap':
+        if path.suffix not in ('.mcap', '.db3'):
             raise BagFormatError(
                 f'{path}: expected a .mcap or .db3 file; where rosbag2 compressed whole files or '
                 'single messages, convert the bag with `ros2 bag convert` first'
             )
-        file = McapFile(path)
+        file = SqliteFile(path) if path.suffix == '.db3' else McapFile(path)
         self._files.append(file)
-        if file.tear:
+        if isinstance(file, McapFile) and file.tear:
             recording = self.metadata and self.metadata.custom.get(STATE_KEY) == STATE_RECORDING
             cause = (
                 'its recorder was killed, or still writes'
@@ -285,6 +299,33 @@ class BagReader:
                 'be read and to see what was lost'
             )
         return file.contents()
+
+    def _connect(self) -> dict[str, TopicInfo]:
+        """Return the topics by name, from the channels of all files."""
+        found: dict[str, TopicInfo] = {}
+        promised: Counter[str] = Counter()
+        for contents in self._contents:
+            promised.update(contents.promised or {})
+        known_qos: dict[str, Profiles] = {}
+        offered: dict[str, dict[str, None]] = {}  # the texts of each topic, each once
+        for channel in (c for contents in self._contents for c in contents.channels):
+            name, kind = channel.topic, channel.type
+            known = found.get(name)
+            if known and known.type != kind:
+                raise BagFormatError(
+                    f'{self.path}: expected one type on {name} but found {known.type} and {kind}'
+                )
+            if channel.qos not in known_qos and len(known_qos) < _QOS_MAX:
+                known_qos[channel.qos] = parse_qos(channel.qos)
+            offered.setdefault(name, {})[channel.qos] = None
+            found[name] = TopicInfo(
+                name, kind, [], channel.type_hash, promised[name], channel.definition
+            )
+        for topic, texts in offered.items():
+            profiles = found[topic].profiles
+            for text in texts:
+                profiles += [p for p in known_qos.get(text, []) if p not in profiles]
+        return found
 
     def _message_set(self) -> int:
         stated = [
@@ -304,15 +345,14 @@ class BagReader:
         if metadata.custom.get(STATE_KEY) == STATE_RECORDING:
             self.problems.append(f'{self.path}: the recorder did not finish metadata.yaml')
             return
-        stated = {topic.name: topic.message_count for topic in metadata.topics}
-        for topic in stated.keys() | self.connections.keys():
+        if not self._counted:
+            return  # what is read decides
+        for topic in self._stated.keys() | self.connections.keys():
             found = self.connections[topic].message_count if topic in self.connections else 0
-            if any(contents.promised is None for contents in self._contents):
-                break  # the files do not count: what is read decides
-            if stated.get(topic, 0) != found:
+            if self._stated[topic] != found:
                 self._report(
                     BagCountError(
-                        f'{self.path}: expected {stated.get(topic, 0)} messages on {topic} as '
+                        f'{self.path}: expected {self._stated[topic]} messages on {topic} as '
                         f'metadata.yaml says but the storage files hold {found}; run '
                         '`fuzzycnc info --repair`, or `ros2 bag reindex`'
                     )
@@ -325,13 +365,53 @@ class BagReader:
 
     # Reading
 
+    def _in_log_order(self, start: int | None, stop: int | None) -> Iterator[RawMessage]:
+        """Yield the messages of all blocks that touch a span, in the order of their log time.
+
+        No more of them is in memory than overlaps in time.
+        """
+        every = enumerate(block for contents in self._contents for block in contents.blocks)
+        blocks = [
+            (place, block)
+            for place, block in every
+            if (start is None or block.stop >= start) and (stop is None or block.start < stop)
+        ]
+        group: list[tuple[int, Block]] = []
+        group_stop = 0
+        for place, block in sorted(blocks, key=lambda entry: entry[1].start):
+            if group and block.start > group_stop:
+                yield from self._merged(group)
+                group = []
+            group_stop = max(group_stop, block.stop) if group else block.stop
+            group.append((place, block))
+        yield from self._merged(group)
+
+    def _merged(self, group: list[tuple[int, Block]]) -> list[RawMessage]:
+        """Return the messages of blocks that overlap in time, sorted together."""
+        expected = (
+            f'{self.path}: expected chunks one after the other in time but {len(group)} of them, '
+            'more than'
+        )
+        if sum(block.size for _, block in group) > _OVERLAP_MAX:
+            raise BagFormatError(f'{expected} {_OVERLAP_MAX} bytes, overlap')
+        messages: list[RawMessage] = []
+        for _, block in sorted(group, key=lambda entry: entry[0]):  # as they lie in the files
+            try:
+                messages += block.read()
+            except BagFormatError as error:
+                self._report(error)
+            if len(messages) > _MESSAGES_MAX:
+                raise BagFormatError(f'{expected} {_MESSAGES_MAX} messages, overlap')
+        messages.sort(key=lambda message: message.log_time)  # stable: ties stay in file order
+        return messages
+
     def _check_yielded(self, wanted: set[str], yielded: Counter[str]) -> None:
-        counted = all(contents.promised is not None for contents in self._contents)
-        if not counted and self.metadata is None:
+        if not self._counted and self.metadata is None:
             return
-        stated = {t.name: t.message_count for t in self.metadata.topics} if self.metadata else {}
         for topic in sorted(wanted):
-            promised = self.connections[topic].message_count if counted else stated.get(topic, 0)
+            promised = (
+                self.connections[topic].message_count if self._counted else self._stated[topic]
+            )
             if yielded[topic] != promised:
                 self._report(
                     BagCountError(
@@ -339,3 +419,10 @@ class BagReader:
                         f'promises but read {yielded[topic]}; run `fuzzycnc info --repair`'
                     )
                 )
+
+
+def _listed(topics: Iterable[str], none: str) -> str:
+    """Return topics as text, `none` if there are none; of very many, the first ones."""
+    names = list(topics)
+    more = f' and {len(names) - _LISTED} more' if len(names) > _LISTED else ''
+    return ', '.join(names[:_LISTED]) + more or none

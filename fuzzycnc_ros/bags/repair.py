@@ -9,10 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fuzzycnc_ros.bags.errors import BagFormatError, BagTopicError
-from fuzzycnc_ros.bags.files import bag_files, storage_files
 from fuzzycnc_ros.bags.mcapfile import McapFile
-from fuzzycnc_ros.bags.metadata import Metadata, parse_qos, read_metadata
-from fuzzycnc_ros.bags.storage import Attachment, Channel, RawMessage
+from fuzzycnc_ros.bags.metadata import (
+    Metadata,
+    bag_files,
+    parse_qos,
+    read_metadata,
+    storage_files,
+)
+from fuzzycnc_ros.bags.storage import Channel, RawMessage
 from fuzzycnc_ros.bags.writer import METADATA_RECORD, BagWriter
 from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
 
@@ -169,9 +174,11 @@ class _Copy:
             self._announce(channel)
         for read in file.attachments:
             try:
-                self._attach(read())
+                found = read()
             except BagFormatError as error:
                 self._damage.append(str(error))
+            else:
+                self.writer.attach(found.name, found.data, found.media_type, found.log_time)
         self._damage.extend(file.problems)
         stated = None if file.statistics is None else file.topic_counts(file.statistics)
         if stated is None or self._promised is None:
@@ -203,34 +210,26 @@ class _Copy:
     def _announce(self, channel: Channel) -> bool:
         """Announce a channel and return whether its messages can be kept."""
         if channel not in self._known:
-            self._known[channel] = self._add(channel)
+            self._known[channel] = True
+            try:
+                self.writer.add_topic(
+                    channel.topic,
+                    channel.type,
+                    parse_qos(channel.qos),
+                    definition=channel.definition,
+                    encoding=channel.encoding,
+                    hash_text=channel.type_hash,
+                )
+            except BagTopicError as error:
+                self._damage.append(str(error))
+                self._known[channel] = False
         return self._known[channel]
-
-    def _add(self, channel: Channel) -> bool:
-        try:
-            self.writer.add_topic(
-                channel.topic,
-                channel.type,
-                parse_qos(channel.qos),
-                definition=channel.definition,
-                encoding=channel.encoding,
-                hash_text=channel.type_hash,
-            )
-        except BagTopicError as error:
-            self._damage.append(str(error))
-            return False
-        return True
 
     def _write(self, messages: list[RawMessage]) -> None:
         for log_time, publish_time, sequence, channel, payload in messages:
             if self._announce(channel):
                 self.writer.write(channel.topic, log_time, publish_time, payload, sequence)
                 self._last[channel.topic] = max(self._last.get(channel.topic, 0), log_time)
-
-    def _attach(self, attachment: Attachment) -> None:
-        self.writer.attach(
-            attachment.name, attachment.data, attachment.media_type, attachment.log_time
-        )
 
 
 def _metadata(source: Path, damage: list[str]) -> Metadata | None:
@@ -272,9 +271,9 @@ def _open(paths: list[Path], damage: list[str]) -> list[McapFile]:
             files.append(McapFile(path))
         except BagFormatError as error:
             problems.append(str(error))
-    damage.extend(problems)
     if not files:
         raise BagFormatError(f'nothing can be repaired: {"; ".join(problems)}')
+    damage.extend(problems)
     return files
 
 

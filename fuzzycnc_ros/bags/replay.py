@@ -9,23 +9,25 @@ for byte in canonical form.
 
 import json
 import os
-from collections import defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, fields
+from math import inf
 from typing import Any
 
-from fuzzycnc_ros.bags.canonical import combined_hash, topic_hashes
+import numpy as np
+
+from fuzzycnc_ros.bags.canonical import canonical_message, combined_hash, topic_hashes
 from fuzzycnc_ros.bags.playback import stamp_of
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.bags.replay_comparison import TopicComparison, compare_topic
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.bags.typestore import message_type
+from fuzzycnc_ros.bags.typestore import ROSBAGS, deserialize
 from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.registry import COMPONENTS, MACHINES
 from fuzzycnc_ros.runtime.component import Component, Emission, Input
-from fuzzycnc_ros.runtime.convert import Target, decode, encode
+from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.runtime.host import (
     DeadlineFired,
     MachineTick,
@@ -39,17 +41,43 @@ from fuzzycnc_ros.runtime.records import (
     Record,
 )
 
-ROSBAGS = Target(message_type, numpy_arrays=True)
-"""Builds rosbags' messages."""
-
-PLUMBING = ('node_configuration', 'node_event', 'deadline_fired', 'machine_tick')
+_PLUMBING = ('node_configuration', 'node_event', 'deadline_fired', 'machine_tick')
 """What a replay reads beside the topics of components; pictures of a camera fill no memory."""
 
 DEADLINES_MAX = 500
 """Deadlines that may fire without a trace; beside them, ten for each recorded message and turn."""
 
+ROUNDING = 1e-9
+"""Relative difference that linear algebra on another processor may cause [-]."""
+
+_Point = tuple[int, NodeEvent | NodeConfiguration | None]
+"""Machine time [ns], and the request or the change that comes then; nothing in a turn."""
+
 Progress = Callable[[str, int, int], None]
 """Told the node, components done and in all."""
+
+
+@dataclass(frozen=True)
+class TopicComparison:
+    """Recorded against recomputed messages of one topic."""
+
+    topic: str
+    recorded: int
+    recomputed: int
+    identical: int
+    first_difference: str = ''
+    largest_difference: float = 0.0
+    """Largest relative difference of a number [-]; infinite if anything else differs."""
+
+    @property
+    def equal(self) -> bool:
+        """Whether nothing differs."""
+        return self.recorded == self.recomputed == self.identical
+
+    @property
+    def equivalent(self) -> bool:
+        """Whether nothing differs but the rounding of another processor's arithmetic."""
+        return self.equal or self.largest_difference <= ROUNDING
 
 
 @dataclass(frozen=True)
@@ -88,15 +116,6 @@ class ReplayReport:
 
 class ReplayError(ValueError):
     """A bag cannot be replayed; the text says what it lacks."""
-
-
-@dataclass
-class _Point:
-    """Something that happens to a component at a point of machine time."""
-
-    stamp: int
-    event: NodeEvent | None = None
-    configuration: NodeConfiguration | None = None
 
 
 def replay(
@@ -141,7 +160,7 @@ def replay(
         notes.extend(player.notes)
         for topic, messages in player.outputs.items():
             outputs.extend(messages)
-            topics.append(compare_topic(topic, recording.raw.get(topic, []), messages))
+            topics.append(_compare_topic(topic, recording.raw.get(topic, []), messages))
     return ReplayReport(topics, topic_hashes(outputs), notes)
 
 
@@ -154,7 +173,7 @@ class _Recording:
 
     def __init__(self, reader: BagReader) -> None:
         self.raw: dict[str, list[tuple[str, bytes]]] = defaultdict(list)
-        known = set(PLUMBING)
+        known = set(_PLUMBING)
         for component in COMPONENTS.values():
             known.update(item.name for item in component.INPUTS)
             known.update(item.name for item in component.OUTPUTS)
@@ -238,6 +257,7 @@ class _ComponentReplay:
             (str(found.get('input')), str(found.get('stamp')))
             for found in (_arguments(item) for item in self._events if item.name == REFUSED)
         }
+        self._inputs = {item.name: self._taken(item) for item in kind.INPUTS}
         self._points = self._collect_points(configurations)
         told = sum(len(recording.raw.get(topic, ())) for topic in self.outputs)
         self._merger.deadlines_left = DEADLINES_MAX + 10 * (told + len(self._points))
@@ -247,16 +267,16 @@ class _ComponentReplay:
 
     def run(self) -> None:
         """Work through the recording in the order of machine time."""
-        for item in self._component.INPUTS:
-            for record in self._taken(item):
-                self._merger.push(item.name, record)
-        for point in self._points:
-            if point.event is not None:
-                self._request(point.event)
-            elif point.configuration is not None:
-                self._reconfigure(point.configuration)
+        for name, records in self._inputs.items():
+            for record in records:
+                self._merger.push(name, record)
+        for stamp, change in self._points:
+            if isinstance(change, NodeEvent):
+                self._request(change)
+            elif change is not None:
+                self._reconfigure(change)
             else:
-                self._keep(self._merger.advance(point.stamp))
+                self._keep(self._merger.advance(stamp))
 
     def _taken(self, source: Input) -> list[Any]:
         """Return the records of an input but for those that the host refused."""
@@ -267,23 +287,20 @@ class _ComponentReplay:
         """Return turns, fired deadlines, requests and changes, in the order of machine time."""
         node = self._component.NAME
         turns = self._recording.records(f'{self._space}/machine_tick/{node}', MachineTick)
-        points = [_Point(turn.stamp) for turn in turns if not turn.probe]
-        if not points:
-            points = self._real_time_points()
-        points += [_Point(e.stamp, event=e) for e in self._events if e.name != REFUSED]
-        points += [_Point(c.stamp, configuration=c) for c in configurations[1:]]
+        stamps = [turn.stamp for turn in turns if not turn.probe] or self._real_time_stamps()
+        points: list[_Point] = [(stamp, None) for stamp in stamps]
+        points += [(event.stamp, event) for event in self._events if event.name != REFUSED]
+        points += [(change.stamp, change) for change in configurations[1:]]
         # At one stamp the node first works up to it, then hears requests: so it was live.
-        return sorted(
-            points, key=lambda p: (p.stamp, p.event is not None or bool(p.configuration))
-        )
+        return sorted(points, key=lambda point: (point[0], point[1] is not None))
 
-    def _real_time_points(self) -> list[_Point]:
+    def _real_time_stamps(self) -> list[int]:
         fired = self._recording.records(f'{self._space}/deadline_fired', DeadlineFired)
         stamps = {item.stamp for item in fired if item.node == self._component.NAME}
         for item in self._component.INPUTS:
             if item.driving:
-                stamps.update(record.stamp for record in self._taken(item))
-        return [_Point(stamp) for stamp in sorted(stamps)]
+                stamps.update(record.stamp for record in self._inputs[item.name])
+        return sorted(stamps)
 
     def _request(self, event: NodeEvent) -> None:
         arguments = _arguments(event)
@@ -358,3 +375,78 @@ def _object(text: str, where: str) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise ReplayError(f'{where}: expected a JSON object but found {text[:60]!r}')
     return found
+
+
+def _compare_topic(
+    topic: str, recorded: list[tuple[str, bytes]], recomputed: list[tuple[str, str, int, Any]]
+) -> TopicComparison:
+    """Compare recorded messages of a topic, type and bytes, with recomputed ones.
+
+    Parameters
+    ----------
+    topic : str
+        The topic.
+    recorded : list
+        Type and bytes of each message.
+    recomputed : list
+        Topic, type, stamp [ns] and message of each.
+    """
+    before, after = _by_stamp(recorded), _by_stamp((k, m) for _, k, _, m in recomputed)
+    identical, difference, largest = 0, '', 0.0
+    for key in sorted(set(before) | set(after)):
+        if key not in before or key not in after:
+            apart, what = inf, 'not recomputed' if key in before else 'not recorded'
+        else:
+            (kind, old), (_, new) = before[key], after[key]
+            if old == new:
+                identical += 1
+                continue
+            what = 'differs'
+            apart = relative_difference(deserialize(old, kind), deserialize(new, kind))
+        largest = max(largest, apart)
+        difference = difference or f'{what}, at machine time {key[0] / SECOND:.3f} s'
+    return TopicComparison(topic, len(recorded), len(recomputed), identical, difference, largest)
+
+
+def _by_stamp(messages: Iterable[tuple[str, Any]]) -> dict[tuple[int, int], tuple[str, bytes]]:
+    """Return type and canonical bytes by stamp [ns] and number among those of the stamp.
+
+    One message that is missing must not make all that follow it look different.
+    """
+    seen: Counter[int] = Counter()
+    found = {}
+    for kind, message in messages:
+        payload = canonical_message(message, kind)
+        stamp = stamp_of(payload)
+        found[stamp, seen[stamp]] = (kind, payload)
+        seen[stamp] += 1
+    return found
+
+
+def relative_difference(first: Any, second: Any) -> float:
+    """Return the largest relative difference [-] between two messages of rosbags.
+
+    Infinite if a text, a count, a flag or a length differs, or a NaN stands against a number.
+    """
+    if isinstance(first, (float, np.ndarray)):
+        a, b = np.asarray(first), np.asarray(second)
+        if a.shape != b.shape:
+            return inf
+        if a.dtype.kind != 'f':
+            return 0.0 if np.array_equal(a, b) else inf
+        if not np.array_equal(np.isnan(a), np.isnan(b)):
+            return inf
+        size = np.maximum(np.abs(a), np.abs(b))
+        apart = np.divide(np.abs(a - b), size, out=np.zeros_like(size), where=size > 0.0)
+        return float(np.nanmax(apart, initial=0.0))
+    if isinstance(first, (list, tuple)):
+        if len(first) != len(second):
+            return inf
+        pairs = zip(first, second, strict=True)
+        return max((relative_difference(a, b) for a, b in pairs), default=0.0)
+    if isinstance(first, (str, int, bool)):
+        return 0.0 if first == second else inf
+    names = [item.name for item in fields(first)]
+    return max(
+        (relative_difference(getattr(first, n), getattr(second, n)) for n in names), default=0.0
+    )

@@ -16,6 +16,7 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.components.thermal.predictor_stream import TOPICS, speed_told, speeds_at
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun, counted
+from fuzzycnc_ros.runtime.convert import stamp_of
 
 TEMPERATURES_TYPE = 'fuzzycnc_msgs/msg/Temperatures'
 DISPLACEMENT_TYPE = 'fuzzycnc_msgs/msg/Displacement'
@@ -323,7 +324,7 @@ def _join(stamp: NDArray[np.int64], moved: Series, average: bool) -> NDArray[np.
 
 
 def _stamp(message: Any) -> int:
-    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
+    return stamp_of(message.header.stamp)
 
 
 def _seconds(stamp: int) -> str:

@@ -100,7 +100,9 @@ class SqliteFile:
         total = 0
         # Sizes are looked up row by row: a GROUP BY would drag all messages through memory.
         for row in self._rows('SELECT id, timestamp, length(data) FROM messages ORDER BY id'):
-            numbers = self._integers(row)
+            numbers = [value for value in row if isinstance(value, int)]
+            if len(numbers) != len(row):
+                raise BagFormatError(f'{self.path}: expected whole numbers but found {row}')
             if found and (len(found) == _ROWS or total + numbers[2] > _SIZE):
                 blocks.append(self._block(found, total))
                 found, total = [], 0
@@ -132,13 +134,6 @@ class SqliteFile:
             if any(row[6] for row in self._query(f'PRAGMA table_xinfo({table})')):
                 raise BagFormatError(f'{self.path}: expected no generated columns in {table}')
         return tables
-
-    def _integers(self, row: tuple[object, ...]) -> list[int]:
-        """Return a row of which every entry must be a whole number."""
-        numbers = [value for value in row if isinstance(value, int)]
-        if len(numbers) != len(row):
-            raise BagFormatError(f'{self.path}: expected whole numbers but found {row}')
-        return numbers
 
     def _definitions(self) -> dict[str, tuple[str, str]]:
         """Return definition and encoding of each type."""

@@ -14,6 +14,7 @@ from typing import Any
 from fuzzycnc_ros.bags import definitions
 from fuzzycnc_ros.bags.errors import BagDataError, BagTypeError
 from fuzzycnc_ros.bags.libraries import load
+from fuzzycnc_ros.runtime.convert import Target
 
 PACKAGE = 'fuzzycnc_msgs'
 """The package of the messages of fuzzycnc."""
@@ -84,6 +85,10 @@ def message_type(type_name: str) -> Any:
     """
     ensure_type(type_name)
     return typestore().types[type_name]
+
+
+ROSBAGS = Target(message_type, numpy_arrays=True)
+"""Makes rosbags' messages of records."""
 
 
 @cache
@@ -171,12 +176,3 @@ def deserialize(raw: bytes, type_name: str, store: Any = None) -> Any:
 def _decoding_errors() -> tuple[type[BaseException], ...]:
     serde = load('rosbags.serde')
     return (serde.SerdeError, ValueError, IndexError, AssertionError, struct.error)
-
-
-def canonical(raw: bytes, type_name: str, store: Any = None) -> bytes:
-    """Return CDR bytes serialised anew: little endian, all padding zero.
-
-    What a middleware leaves in the padding is whatever was in memory, so raw bytes of equal
-    messages differ.
-    """
-    return serialize(deserialize(raw, type_name, store), type_name, store)

@@ -3,12 +3,13 @@
 """Writing a rosbag2 directory with one MCAP file, such that a killed writer loses little."""
 
 import os
+import pickle
 import re
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from fuzzycnc_ros.bags import metadata as rosbag2
@@ -21,8 +22,6 @@ from fuzzycnc_ros.bags.errors import (
 )
 from fuzzycnc_ros.bags.libraries import load
 from fuzzycnc_ros.bags.metadata import Metadata, Profiles, Qos, TopicInfo
-from fuzzycnc_ros.bags.sink import Sink
-from fuzzycnc_ros.bags.spilled_index import spill_index
 from fuzzycnc_ros.bags.typestore import (
     message_definition,
     serialize,
@@ -42,6 +41,7 @@ METADATA_RECORD = 'fuzzycnc'
 
 _TOPIC = re.compile(r'[!-~]{1,512}')
 _TIME_MAX = 2**63 - 1
+_INDEX = '_Writer__chunk_indices'  # the mcap library's own name of its index
 
 
 class BagWriter:
@@ -131,7 +131,7 @@ class BagWriter:
             compression=self._module.CompressionType[compression.upper()],
         )
         with self._guard():
-            self._index = spill_index(self._writer, self.path)
+            self._index = _spill_index(self._writer, self.path)
             self._writer.start(profile='ros2', library='fuzzycnc_ros')
             self._writer.add_metadata(
                 METADATA_RECORD, {'message_set': str(self._message_set), **self._custom}
@@ -142,12 +142,7 @@ class BagWriter:
         """Return the writer."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the bag; what was written before an error stays readable."""
         self.close()
 
@@ -400,3 +395,102 @@ def _make_folder(path: Path) -> Path:
     except OSError as error:
         raise BagWriteError(f'{path}: cannot be made: {error.strerror}') from error
     return path
+
+
+class Sink:
+    """A file without buffer that knows how far it holds whole MCAP records.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it must not exist.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = open(path, 'xb', buffering=0)
+        self._whole = 0
+
+    @property
+    def closed(self) -> bool:
+        """Whether the file was closed."""
+        return self._file.closed
+
+    def tell(self) -> int:
+        """Return the number of bytes written."""
+        return self._whole
+
+    def write(self, data: bytes) -> int:
+        """Write whole records.
+
+        Raises
+        ------
+        OSError
+            If the disk is full or fails; the last record may then be in the file in part.
+        """
+        # mcap hands over whole records in every call, so each call ends on a record's boundary.
+        rest = memoryview(data)
+        while len(rest):
+            rest = rest[self._file.write(rest) :]
+        self._whole += len(data)
+        return len(data)
+
+    def flush(self) -> None:
+        """Do nothing: there is no buffer."""
+
+    def keep_whole_records(self) -> None:
+        """Cut off a record that was written in part."""
+        with suppress(OSError):  # the cut is a courtesy: repair reads past a torn record as well
+            self._file.truncate(self._whole)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class _SpilledIndex:
+    """Entries of the chunk index of an MCAP file, in the order in which they were added.
+
+    Parameters
+    ----------
+    folder : Path
+        Where a nameless file may grow; it is gone with the process, however that ends.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._file = tempfile.TemporaryFile(dir=folder)
+
+    def append(self, entry: Any) -> None:
+        """Add an entry.
+
+        Raises
+        ------
+        OSError
+            If the disk refuses it.
+        """
+        pickle.dump(entry, self._file)
+
+    def __iter__(self) -> Iterator[Any]:
+        """Yield the entries."""
+        self._file.seek(0)
+        with suppress(EOFError):
+            while True:
+                yield pickle.load(self._file)
+
+    def close(self) -> None:
+        """Give the space back."""
+        self._file.close()
+
+
+def _spill_index(writer: Any, folder: Path) -> _SpilledIndex | None:
+    """Let a writer of the mcap library keep its chunk index on the disk; return that.
+
+    The library keeps an entry of about 1 kB for every chunk until the file is closed. Chunks that
+    are closed twice a second, so that a kill loses little, come to 170,000 a day. There is no
+    public way to put the list elsewhere; where the library has changed it stays in memory.
+    """
+    if getattr(writer, _INDEX, None) != []:
+        return None
+    index = _SpilledIndex(folder)
+    setattr(writer, _INDEX, index)
+    return index

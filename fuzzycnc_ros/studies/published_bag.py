@@ -7,7 +7,7 @@ from types import TracebackType
 
 from fuzzycnc_ros.bags.metadata import LATCHED as LATCHED_QOS
 from fuzzycnc_ros.bags.metadata import STREAM as STREAM_QOS
-from fuzzycnc_ros.bags.replay import ROSBAGS
+from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.runtime.component import LATCHED

@@ -8,8 +8,9 @@ from datetime import datetime, timedelta
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.bags.csv_import import CsvMapping, import_csv
-from fuzzycnc_ros.bags.csv_time import KNOWN_FORMATS, known_forms, read_time, strptime_form
+from fuzzycnc_ros.bags.csv_import import import_csv
+from fuzzycnc_ros.bags.csv_mapping import CsvMapping
+from fuzzycnc_ros.bags.csv_table import KNOWN_FORMATS, known_forms, read_time, strptime_form
 from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import read_run

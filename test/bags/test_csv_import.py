@@ -5,7 +5,8 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.bags.csv_import import CsvMapping, import_csv, parse_channel
+from fuzzycnc_ros.bags.csv_import import import_csv
+from fuzzycnc_ros.bags.csv_mapping import CsvMapping, parse_channel
 from fuzzycnc_ros.bags.errors import BagExistsError, CsvError
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import read_run

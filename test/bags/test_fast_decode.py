@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.bags import definitions
+from fuzzycnc_ros.bags.decoder import fast_decoder
 from fuzzycnc_ros.bags.errors import BagDataError
-from fuzzycnc_ros.bags.fast_decode import fast_decoder
 from fuzzycnc_ros.bags.libraries import load
 from fuzzycnc_ros.bags.typestore import deserialize, message_type, serialize, typestore
 

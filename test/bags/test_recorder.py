@@ -12,9 +12,14 @@ from hypothesis import strategies as st
 
 from fuzzycnc_ros.bags.errors import BagTopicError, BagWriteError
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.bags.recorder import REPORT_NAME, RecordingThread
+from fuzzycnc_ros.bags.recorder import (
+    MODULUS,
+    REPORT_NAME,
+    UNSUPPORTED,
+    RecordingThread,
+    SequenceCounter,
+)
 from fuzzycnc_ros.bags.repair import repair
-from fuzzycnc_ros.bags.sequence import MODULUS, UNSUPPORTED, SequenceCounter
 from fuzzycnc_ros.bags.writer import BagWriter
 
 NUMBER = 'std_msgs/msg/UInt64'
@@ -262,7 +267,7 @@ def test_error_of_the_thread_surfaces(tmp_path, monkeypatch):
     def refuse(sink, data):
         raise full
 
-    monkeypatch.setattr('fuzzycnc_ros.bags.sink.Sink.write', refuse)
+    monkeypatch.setattr('fuzzycnc_ros.bags.writer.Sink.write', refuse)
     count = 0
     while thread.put('/a', bytes(1000), count):
         count += 1

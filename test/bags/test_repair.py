@@ -5,6 +5,7 @@
 import shutil
 
 import pytest
+from fuzzing import raw_bags as raw
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -99,6 +100,14 @@ def test_whole_messages_of_a_torn_chunk_are_salvaged(tmp_path, new):
     assert report.topics['/t'].lost is None
     found = raw_messages(report.path)
     assert [m.log_time for m in found] == list(range(len(found)))
+
+
+def test_a_damaged_announcement_hides_no_sound_one(tmp_path):
+    chunk = raw.chunk(raw.channel(1, '/t') + raw.message(1, 2))
+    file = raw.mcap(tmp_path / 'a.mcap', [raw.schema(), chunk, raw.channel(1, b'\xff')])
+    report = repair(file)
+    assert 'not in UTF-8' in report.damage[0]
+    assert report.topics['/t'].kept == 1
 
 
 def test_facts_and_attachments_survive(tmp_path, new):

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.bags import definitions, libraries, typestore
+from fuzzycnc_ros.bags.canonical import canonical_message
 from fuzzycnc_ros.bags.errors import BagDataError, BagTypeError, MissingLibraryError
 
 TEMPERATURES = 'fuzzycnc_msgs/msg/Temperatures'
@@ -144,8 +145,8 @@ def test_canonical_form_forgets_padding(new):
     assert pad > 0, 'the sample must contain padding'
     dirty[end : end + pad] = b'\xaa' * pad
     assert bytes(dirty) != raw
-    assert typestore.canonical(bytes(dirty), TEMPERATURES) == raw
-    assert typestore.canonical(raw, TEMPERATURES) == raw
+    assert canonical_message(bytes(dirty), TEMPERATURES) == raw
+    assert canonical_message(raw, TEMPERATURES) == raw
 
 
 def test_no_ros_is_imported():

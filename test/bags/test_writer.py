@@ -14,7 +14,6 @@ import pytest
 import rosbags.rosbag2
 import yaml
 
-from fuzzycnc_ros.bags import spilled_index
 from fuzzycnc_ros.bags.errors import (
     BagError,
     BagExistsError,
@@ -81,7 +80,7 @@ def test_the_index_of_a_long_recording_is_not_kept_in_memory(tmp_path, monkeypat
         tracemalloc.stop()
     assert grown < 100_000  # in a list it would be millions
     assert len(list((tmp_path / 'bag').iterdir())) == 2
-    monkeypatch.setattr(spilled_index, '_LIST', 'what another version has')
+    monkeypatch.setattr('fuzzycnc_ros.bags.writer._INDEX', 'what another version has')
     spilled = (tmp_path / 'first' / 'first_0.mcap').read_bytes()
     (tmp_path / 'other').mkdir()
     assert chunks(tmp_path / 'other' / 'first', 10) == spilled

@@ -7,7 +7,7 @@ from dataclasses import fields
 
 import pytest
 
-from fuzzycnc_ros.bags.csv_import import CsvMapping
+from fuzzycnc_ros.bags.csv_mapping import CsvMapping
 from fuzzycnc_ros.bags.yaml_file import SIZE_MAX, compose, construct
 from fuzzycnc_ros.cli.axes.servo_settings import read_settings
 from fuzzycnc_ros.cli.bags.import_csv import _read_mapping

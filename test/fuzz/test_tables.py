@@ -17,7 +17,8 @@ from hypothesis import given
 
 from fuzzycnc_ros.adapters.opcua.control_file import read_control
 from fuzzycnc_ros.adapters.readings.device_file import read_devices
-from fuzzycnc_ros.bags.csv_import import CsvMapping, import_csv
+from fuzzycnc_ros.bags.csv_import import import_csv
+from fuzzycnc_ros.bags.csv_mapping import CsvMapping
 from fuzzycnc_ros.bags.errors import BagError, CsvError
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.cli.axes.servo_settings import read_settings

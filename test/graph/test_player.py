@@ -10,8 +10,7 @@ from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
 from fuzzycnc_ros.bags.playback import PlayedMessage, by_stamp
-from fuzzycnc_ros.bags.replay import ROSBAGS
-from fuzzycnc_ros.bags.typestore import serialize
+from fuzzycnc_ros.bags.typestore import ROSBAGS, serialize
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode, stamp_of

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.bags.replay import ROSBAGS, ReplayError, replay
-from fuzzycnc_ros.bags.replay_comparison import relative_difference
+from fuzzycnc_ros.bags.replay import ReplayError, relative_difference, replay
+from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.runtime.enums import Status
@@ -36,7 +36,7 @@ def rewritten(source, target, change):
     """Copy a bag; `change` may alter or drop messages."""
     with BagReader(source) as reader, BagWriter(target) as writer:
         for connection in reader.connections.values():
-            writer.add_topic(connection.topic, connection.type, connection.profiles)
+            writer.add_topic(connection.name, connection.type, connection.profiles)
         for item in reader.messages():
             message = change(item.topic, item.message)
             if message is not None:

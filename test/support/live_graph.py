@@ -41,7 +41,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
-from fuzzycnc_ros.bags.replay import ROSBAGS
+from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.cli.live.graph_processes import parameter_file, ros_arguments
 from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.ros.bring_up import NodeSpec, node_specs

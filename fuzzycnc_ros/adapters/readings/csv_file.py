@@ -69,10 +69,9 @@ class CsvFile(Source):
 
 def _read(path: Path, time_column: str) -> tuple[list[str], Floats, Floats]:
     """Return sensor names, times [s] and temperatures [degC] of a file."""
-    from fuzzycnc_ros.bags.csv_mapping import CsvMapping  # costs a second of start-up
-    from fuzzycnc_ros.bags.csv_table import read_table
+    from fuzzycnc_ros.bags.csv_table import read_table  # costs a second of start-up
 
-    table = read_table(path, CsvMapping(time=time_column))
+    table = read_table(path)
     table.require([time_column])
     sensors = [name for name in table.header if name != time_column]
     if not sensors:

@@ -14,11 +14,11 @@ from typing import Any
 
 from campaign.relay import direct
 from fuzzycnc_ros.bags.errors import BagTruncatedError
-from fuzzycnc_ros.bags.files import storage_files
 from fuzzycnc_ros.bags.mcapfile import McapFile
+from fuzzycnc_ros.bags.metadata import storage_files
 from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.bags.recorder import SequenceCounter
 from fuzzycnc_ros.bags.repair import repair
-from fuzzycnc_ros.bags.sequence import SequenceCounter
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import decode

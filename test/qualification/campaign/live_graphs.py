@@ -22,7 +22,7 @@ from std_msgs.msg import String
 from campaign.evidence import MARKS, RECORDS
 from campaign.relay import Relay, direct, durability, remappings
 from campaign.scenario import Stage
-from fuzzycnc_ros.bags.files import storage_files
+from fuzzycnc_ros.bags.metadata import storage_files
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.operator_client import parameter_request, refusals
 from fuzzycnc_ros.cli.live.supervision import Supervisor

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from fuzzycnc_ros.bags.errors import BagFormatError
-from fuzzycnc_ros.bags.files import storage_files
 from fuzzycnc_ros.bags.mcapfile import McapFile
+from fuzzycnc_ros.bags.metadata import storage_files
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.canonical import combined_hash, topic_hashes
-from fuzzycnc_ros.bags.replay import ROSBAGS
+from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
