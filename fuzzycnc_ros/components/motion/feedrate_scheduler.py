@@ -17,8 +17,11 @@ import numpy as np
 from fuzzycnc_ros.components.motion.feedrate_run import Header, PathRun, rehearse
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.motion.program_request import ScheduledProgram, schedule_text
-from fuzzycnc_ros.components.motion.tool_path_checks import PATH_AXES
-from fuzzycnc_ros.components.motion.tool_paths import ToolPathSegments, tool_path_segments
+from fuzzycnc_ros.components.motion.tool_paths import (
+    PATH_AXES,
+    ToolPathSegments,
+    tool_path_segments,
+)
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,
