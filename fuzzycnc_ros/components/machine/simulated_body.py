@@ -84,10 +84,8 @@ class SimulatedBody(Component[SimulatedBodyConfig]):
         'offsets that it reads back; temperatures and displacement. Makes machine time.'
     )
     CONFIG = SimulatedBodyConfig
-    INPUTS = (
-        Input('machine_state', MachineState),
-        Input('compensation_applied', CompensationApplied),
-    )
+    STATE = Input('machine_state', MachineState)
+    INPUTS = (STATE, Input('compensation_applied', CompensationApplied))
     OUTPUTS = (
         Output('displacement', Displacement),
         Output('sensor_readings', Temperatures),
@@ -146,7 +144,7 @@ class SimulatedBody(Component[SimulatedBodyConfig]):
 
     def health(self) -> list[Health]:
         """Report what the controller does with the machine."""
-        if 'machine_state' not in self._newest:
+        if self.last(self.STATE) is None:
             return [Health('controller', Level.WARN, 'no machine_state of a controller yet')]
         values = {
             f'offset {axis} [um]': f'{1e6 * offset:.2f}'

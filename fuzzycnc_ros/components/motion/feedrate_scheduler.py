@@ -165,10 +165,10 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
         if run is None:
             yield from self._start(stamp)
         elif run.complete:
-            state = self._newest.get('trajectory_state')
+            state = self.last(self.FOLLOWED)
             known = {int(status): status.name for status in TrajectoryStatus}
             heard = 'silent'
-            if isinstance(state, TrajectoryState):
+            if state is not None:
                 heard = known.get(state.status, f'status {state.status}')
             self._drop(f'the machine did not say that it has finished: {heard}')
         else:
