@@ -17,7 +17,7 @@ from fuzzycnc_ros.components.machine.machine_operator import (
     machine_sheet,
 )
 from fuzzycnc_ros.components.machine.mill_instruments import Warmth
-from fuzzycnc_ros.components.machine.servo_motion import servo_motion
+from fuzzycnc_ros.components.machine.servo_motion import ServoMotion
 from fuzzycnc_ros.components.machine.simulated_machine_config import (
     MACHINE_DUTIES,
     SimulatedMachineConfig,
@@ -117,7 +117,7 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
         self._stitching = Stitching(machine_sheet(self._config), self._config.sheet_seed)
         self._operator = machine_operator(self._config)
         self._motion: Axes = (
-            servo_motion(self._config, self._axes_needed)
+            ServoMotion(self._config, self._axes_needed)
             if self._config.servo_axes or self._config.moves
             else ContouringMotion(contouring_config(self._config))
         )
