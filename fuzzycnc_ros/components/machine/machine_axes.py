@@ -75,9 +75,9 @@ class Axes(ABC):
         """Whether something is to be followed to its end, or the axes do not rest yet."""
 
     @property
-    @abstractmethod
     def following(self) -> bool:
-        """Whether what the axes are to do goes on: time that nobody has to wait for it."""
+        """Whether what the axes are to do goes on; without it, they may never arrive."""
+        return self.busy
 
     @property
     @abstractmethod
@@ -149,9 +149,9 @@ class Axes(ABC):
     def clamp(self) -> None:
         """Clamp the axes where they are until they are needed again."""
 
-    @abstractmethod
     def allow(self, allowed: bool, why: str, now: int) -> None:
-        """Say whether the machine may move; if not, the axes stop."""
+        """Say whether the machine may move; if not, the commanded position stands still."""
+        self.guard.allow(allowed, why)
 
     @abstractmethod
     def advance(self, time: int) -> None:
@@ -259,11 +259,6 @@ class ContouringMotion(Axes):
         return self._moved is not None or self._input.next_time is not None
 
     @property
-    def following(self) -> bool:
-        """Whether a trajectory goes on; these axes always arrive."""
-        return self.busy
-
-    @property
     def moving(self) -> bool:
         """Whether the axes move, from the first sample of a trajectory until they rest again."""
         return self._moved is not None
@@ -298,7 +293,7 @@ class ContouringMotion(Axes):
         if not allowed:
             self._commanded = now
             self._begins = False
-        self._input.allow(allowed, why)
+        super().allow(allowed, why, now)
 
     def drive(self, command: AxisCommand) -> None:
         """Take no notice: the axes have loops of their own."""

@@ -1,14 +1,24 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The heat of the simulated mill, and the instruments that read it."""
+"""The heat of the simulated mill, the instruments that read it, and the offsets against it."""
+
+from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fuzzycnc_ros.runtime.component import Emission
-from fuzzycnc_ros.runtime.records import Displacement, Floats, Temperatures, nanoseconds
+from fuzzycnc_ros.core.inputs.offset_input import OffsetInput, OffsetInputConfig
+from fuzzycnc_ros.runtime.component import Emission, Health, Level
+from fuzzycnc_ros.runtime.records import (
+    Compensation,
+    CompensationApplied,
+    Displacement,
+    Floats,
+    Temperatures,
+    nanoseconds,
+)
 from fuzzycnc_ros.simulation.thermal.duties import Duty
 from fuzzycnc_ros.simulation.thermal.mill import (
     DISPLACEMENT_NOISE,
@@ -18,28 +28,12 @@ from fuzzycnc_ros.simulation.thermal.mill import (
 )
 from fuzzycnc_ros.simulation.thermal.sensor_faults import parse_sensor_fault
 
+if TYPE_CHECKING:
+    from fuzzycnc_ros.components.machine.simulated_body import SimulatedBodyConfig
+    from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
+
 RUN_SEED_STEP = 1000
 """What the seed goes up by from one duty to the next."""
-
-
-class InstrumentConfig(Protocol):
-    """Parameters that instruments need, of whichever node reads them."""
-
-    @property
-    def seed(self) -> int:
-        """Seed of all measuring noise."""
-
-    @property
-    def tick_period(self) -> float:
-        """Machine time between two sets of readings [s]."""
-
-    @property
-    def displacement_interval(self) -> float:
-        """Machine time between two displacement measurements [s]."""
-
-    @property
-    def sensor_faults(self) -> tuple[str, ...]:
-        """Sensor faults as sensor:kind:start[:value]."""
 
 
 class MillInstruments:
@@ -47,7 +41,7 @@ class MillInstruments:
 
     Parameters
     ----------
-    config : InstrumentConfig
+    config : SimulatedMachineConfig or SimulatedBodyConfig
         Parameters of the node.
 
     Raises
@@ -56,7 +50,7 @@ class MillInstruments:
         If a sensor fault is malformed.
     """
 
-    def __init__(self, config: InstrumentConfig) -> None:
+    def __init__(self, config: SimulatedMachineConfig | SimulatedBodyConfig) -> None:
         self._config = config
         self._faults = tuple(parse_sensor_fault(text) for text in config.sensor_faults)
         self._mill: ThermalMill
@@ -111,3 +105,78 @@ class MillInstruments:
                 readings=1,
             ),
         )
+
+
+class Warmth(MillInstruments):
+    """Moves temperatures and offsets on, and measures them.
+
+    Parameters
+    ----------
+    config : SimulatedMachineConfig
+        Parameters of the machine.
+
+    Attributes
+    ----------
+    offsets : OffsetInput
+        Guard of the offsets.
+    spindle_speed : float
+        Spindle speed of the newest tick [rad/s].
+
+    Raises
+    ------
+    ValueError
+        If a sensor fault is malformed.
+    """
+
+    def __init__(self, config: SimulatedMachineConfig) -> None:
+        super().__init__(config)
+        self.offsets = OffsetInput(
+            MILL_AXES,
+            OffsetInputConfig(
+                offset_max=config.offset_max,
+                slew_max=config.slew_max,
+                validity_max=config.validity_max,
+            ),
+        )
+        self.spindle_speed = 0.0
+
+    def command(self, command: Compensation) -> None:
+        """Take an offset command; the offset input decides whether it is followed."""
+        self.offsets.command(
+            command.epoch,
+            command.axis,
+            command.offset,
+            command.slope,
+            command.reference_position,
+            stamp=command.stamp,
+            valid_until=command.valid_until,
+        )
+
+    def advance(self, period: float, spindle_speed: float) -> None:
+        """Move on by a period [s] at a spindle speed [rad/s]."""
+        self.spindle_speed = spindle_speed
+        super().advance(period, spindle_speed)
+
+    def applied(self, stamp: int, frame_id: str, refusal: str) -> Emission:
+        """Return the offsets in force at a stamp [ns], and why others are refused, if they are."""
+        applied = CompensationApplied(
+            stamp=stamp,
+            frame_id=frame_id,
+            epoch=self.offsets.epoch,
+            status=int(self.offsets.status),
+            reason=refusal or self.offsets.reason,
+            axis=MILL_AXES,
+            offset=self.offsets.applied,
+            at_limit=self.offsets.at_limit,
+        )
+        return Emission('compensation_applied', applied)
+
+    def health(self) -> Health:
+        """Report the offsets in force and why a command was refused."""
+        values = {
+            f'offset {axis} [um]': f'{1e6 * offset:.2f}'
+            for axis, offset in zip(MILL_AXES, self.offsets.applied, strict=True)
+        }
+        level = Level.WARN if self.offsets.reason else Level.OK
+        text = self.offsets.reason or self.offsets.status.name.lower()
+        return Health('compensation', level, text, values)

@@ -50,12 +50,9 @@ class ServoMoves:
     ----------
     axes : sequence of str
         Axes that there are.
-    moves : sequence of str
-        Targets [m] as `X:-0.05`, of several axes as `X:-0.05,Y:0.01`.
-    duration : float
-        Time of each [s].
-    tolerance : float
-        Distance from its target within which an axis has to read at the end [m].
+    config : SimulatedMachineConfig
+        Targets [m] as `X:-0.05`, of several axes as `X:-0.05,Y:0.01`; time of each, and how near
+        an axis has to read at its end.
 
     Attributes
     ----------
@@ -68,14 +65,12 @@ class ServoMoves:
         If a move does not name axes and numbers.
     """
 
-    def __init__(
-        self, axes: Sequence[str], moves: Sequence[str], *, duration: float, tolerance: float
-    ) -> None:
+    def __init__(self, axes: Sequence[str], config: SimulatedMachineConfig) -> None:
         self._axes = tuple(axes)
-        self._waiting = deque(self.parsed(text) for text in moves)
-        self._duration = nanoseconds(duration)
+        self._waiting = deque(self.parsed(text) for text in config.moves)
+        self._duration = nanoseconds(config.move_time)
         self._given = len(self._waiting) * self._duration
-        self._tolerance = tolerance
+        self._tolerance = config.move_tolerance
         self._number = 0
         self._move: dict[str, float] = {}  # the one that is being made
         self._until = 0
@@ -283,37 +278,48 @@ class ServoMotion(Axes):
 
     Parameters
     ----------
-    plants : mapping of str to AxisPlant
-        Axes by name, of one control period.
-    moves : ServoMoves
-        What the machine itself asks for.
-    limits : TrajectoryInputConfig
-        What trajectories have to keep.
-    travel : mapping of str to tuple of float
-        Ends of the travel of each axis [m].
-    silence : float
-        Time after the first period from which the feedback is missing [s]; 0 for never.
+    config : SimulatedMachineConfig
+        Parameters of the machine.
     on : callable
-        Whether the axes are needed when all moves are over.
+        Whether the axes are needed when all moves are over; else they are clamped.
+
+    Raises
+    ------
+    ValueError
+        If the parameters do not fit each other.
     """
 
-    def __init__(
-        self,
-        plants: Mapping[str, AxisPlant],
-        moves: ServoMoves,
-        limits: TrajectoryInputConfig,
-        *,
-        travel: Mapping[str, tuple[float, float]],
-        silence: float,
-        on: Callable[[], bool],
-    ) -> None:
-        super().__init__(tuple(plants), limits.period, 0.0)  # the velocity is fed forward
+    def __init__(self, config: SimulatedMachineConfig, on: Callable[[], bool]) -> None:
+        if config.duties and not config.jobs:
+            raise ValueError(
+                'duties: expected none on a machine with servo_axes but no jobs, which say when '
+                f'to drive them every {config.axis_interpolation_period:g} s, but found '
+                f'{", ".join(config.duties)}'
+            )
+        ends = (config.servo_travel_low, config.servo_travel_high)
+        if not ends[0] < ends[1]:
+            raise ValueError(
+                f'servo_travel_high: expected more than servo_travel_low = {ends[0]} m but found '
+                f'{ends[1]} m'
+            )
+        axes = parse_axes('servo_axes', config.servo_axes)
+        period = config.axis_interpolation_period
+        super().__init__(tuple(axes), period, 0.0)  # the velocity is fed forward
+        data = file_axes('servo_axes', axes, config.axis_data)
+        check_period('axis_interpolation_period', period, data)
+        plants = parse_plants('servo_plant', axes, config.servo_plant, data, period=period)
+        travel = {axis: _ends(data[axis]) if axis in data else ends for axis in axes}
+        limits = TrajectoryInputConfig(
+            period=period,
+            velocity_max=config.axis_velocity_max,
+            acceleration_max=config.axis_acceleration_max,
+        )
         self._plants = list(plants.values())
-        self._moves, self._on = moves, on
+        self._moves, self._on = ServoMoves(self.axes, config), on
         self._drives = ServoDrives(plants, travel)
         self._lead = ServoLead(self.axes, limits)
-        self._per_period = 1.0 / limits.period
-        self._silence = round(silence / limits.period)
+        self._per_period = 1.0 / period
+        self._silence = round(config.servo_silence / period)
         self._place = [plant.position for plant in self._plants]  # told for trajectories
         self._reading = [plant.measure() for plant in self._plants]
         self._speed = [0.0] * len(self._plants)
@@ -408,7 +414,7 @@ class ServoMotion(Axes):
     def allow(self, allowed: bool, why: str, now: int) -> None:
         """Say whether the machine may move; if not, its drives are at zero."""
         self._drives.allow(allowed, why)
-        self.guard.allow(allowed, why)
+        super().allow(allowed, why, now)
 
     def advance(self, time: int) -> None:
         """Do nothing in a tick that is not for the axes."""
@@ -504,56 +510,6 @@ class ServoMotion(Axes):
             isfinite(reading) and abs(reading - place) <= _ARRIVED
             for reading, place in zip(self._reading, self._place, strict=True)
         )
-
-
-def servo_motion(config: SimulatedMachineConfig, on: Callable[[], bool]) -> ServoMotion:
-    """Return the driven axes that a configuration describes.
-
-    Parameters
-    ----------
-    config : SimulatedMachineConfig
-        Parameters of the machine.
-    on : callable
-        Whether the axes are needed when all moves are over; else they are clamped.
-
-    Raises
-    ------
-    ValueError
-        If they do not fit each other.
-    """
-    if config.duties and not config.jobs:
-        raise ValueError(
-            'duties: expected none on a machine with servo_axes but no jobs, which say when to '
-            f'drive them every {config.axis_interpolation_period:g} s, but found '
-            f'{", ".join(config.duties)}'
-        )
-    travel = (config.servo_travel_low, config.servo_travel_high)
-    if not travel[0] < travel[1]:
-        raise ValueError(
-            f'servo_travel_high: expected more than servo_travel_low = {travel[0]} m but found '
-            f'{travel[1]} m'
-        )
-    axes = parse_axes('servo_axes', config.servo_axes)
-    period = config.axis_interpolation_period
-    data = file_axes('servo_axes', axes, config.axis_data)
-    check_period('axis_interpolation_period', period, data)
-    return ServoMotion(
-        parse_plants('servo_plant', axes, config.servo_plant, data, period=period),
-        ServoMoves(
-            tuple(axes),
-            config.moves,
-            duration=config.move_time,
-            tolerance=config.move_tolerance,
-        ),
-        TrajectoryInputConfig(
-            period=period,
-            velocity_max=config.axis_velocity_max,
-            acceleration_max=config.axis_acceleration_max,
-        ),
-        travel={axis: _ends(data[axis]) if axis in data else travel for axis in axes},
-        silence=config.servo_silence,
-        on=on,
-    )
 
 
 def _ends(data: AxisData) -> tuple[float, float]:

@@ -8,8 +8,7 @@ measured here is therefore what compensation leaves, through all that lies betwe
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import DAY_START
 from fuzzycnc_ros.components.machine.simulated_machine_config import (
     MACHINE_DUTIES,
     SimulatedMachineConfig,
+    same_param,
 )
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.runtime.component import Component, Emission, Health, Input, Level, Output
@@ -37,12 +37,6 @@ SPEED_MAX = 1e4
 """Spindle speed beyond which a state means nothing [rad/s]."""
 
 
-def _of_the_machine(name: str) -> Any:
-    """Make a field like one of `simulated_machine`."""
-    item = {item.name: item for item in fields(SimulatedMachineConfig)}[name]
-    return field(default=item.default, metadata=item.metadata)
-
-
 @dataclass(frozen=True, kw_only=True)
 class SimulatedBodyConfig(Config):
     """Parameters of `simulated_body`."""
@@ -56,11 +50,11 @@ class SimulatedBodyConfig(Config):
     duration: float = param(
         0.0, 's', 'Time after which it ends; 0 for the length of the duty', low=0.0, high=864000.0
     )
-    seed: int = _of_the_machine('seed')
-    tick_period: float = _of_the_machine('tick_period')
+    seed: int = same_param(SimulatedMachineConfig, 'seed')
+    tick_period: float = same_param(SimulatedMachineConfig, 'tick_period')
     rate: float = param(1.0, '-', 'Speed of machine time; 1 is real time', low=0.01, high=1e4)
-    displacement_interval: float = _of_the_machine('displacement_interval')
-    sensor_faults: tuple[str, ...] = _of_the_machine('sensor_faults')
+    displacement_interval: float = same_param(SimulatedMachineConfig, 'displacement_interval')
+    sensor_faults: tuple[str, ...] = same_param(SimulatedMachineConfig, 'sensor_faults')
     nodes: tuple[str, ...] = param(
         (
             'temperature_acquisition',
@@ -72,7 +66,7 @@ class SimulatedBodyConfig(Config):
         '-',
         'Nodes of the run, which the start awaits',
     )
-    start_timeout: float = _of_the_machine('start_timeout')
+    start_timeout: float = same_param(SimulatedMachineConfig, 'start_timeout')
 
 
 class SimulatedBody(Component[SimulatedBodyConfig]):
@@ -84,10 +78,8 @@ class SimulatedBody(Component[SimulatedBodyConfig]):
         'offsets that it reads back; temperatures and displacement. Makes machine time.'
     )
     CONFIG = SimulatedBodyConfig
-    INPUTS = (
-        Input('machine_state', MachineState),
-        Input('compensation_applied', CompensationApplied),
-    )
+    STATE = Input('machine_state', MachineState)
+    INPUTS = (STATE, Input('compensation_applied', CompensationApplied))
     OUTPUTS = (
         Output('displacement', Displacement),
         Output('sensor_readings', Temperatures),
@@ -146,7 +138,7 @@ class SimulatedBody(Component[SimulatedBodyConfig]):
 
     def health(self) -> list[Health]:
         """Report what the controller does with the machine."""
-        if 'machine_state' not in self._newest:
+        if self.last(self.STATE) is None:
             return [Health('controller', Level.WARN, 'no machine_state of a controller yet')]
         values = {
             f'offset {axis} [um]': f'{1e6 * offset:.2f}'

@@ -16,13 +16,13 @@ from fuzzycnc_ros.components.machine.machine_operator import (
     machine_operator,
     machine_sheet,
 )
-from fuzzycnc_ros.components.machine.servo_motion import servo_motion
+from fuzzycnc_ros.components.machine.mill_instruments import Warmth
+from fuzzycnc_ros.components.machine.servo_motion import ServoMotion
 from fuzzycnc_ros.components.machine.simulated_machine_config import (
     MACHINE_DUTIES,
     SimulatedMachineConfig,
     contouring_config,
 )
-from fuzzycnc_ros.components.machine.simulated_machine_warmth import Warmth
 from fuzzycnc_ros.components.machine.stitching import Stitching
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
@@ -117,7 +117,7 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
         self._stitching = Stitching(machine_sheet(self._config), self._config.sheet_seed)
         self._operator = machine_operator(self._config)
         self._motion: Axes = (
-            servo_motion(self._config, self._axes_needed)
+            ServoMotion(self._config, self._axes_needed)
             if self._config.servo_axes or self._config.moves
             else ContouringMotion(contouring_config(self._config))
         )
@@ -223,10 +223,9 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
             self._told_mode = mode
             yield Emission('machine_state', self._state(stamp, mode))
         if slow:
-            refusal = self.sources.refusal('compensation')
-            yield from self._warmth.readings(
-                stamp, stamp - self._start, self.frame('machine'), workpiece, refusal
-            )
+            machine, since = self.frame('machine'), stamp - self._start
+            yield self._warmth.applied(stamp, machine, self.sources.refusal('compensation'))
+            yield from self._warmth.readings(stamp, since, machine, workpiece)
         yield from moved
         yield from self._stitching.tick(moved, self._motion, workpiece)
         told = {item.output for item in moved}
@@ -292,7 +291,8 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
         period = self._config.tick_period
         allowed = self._mode is MachineMode.ON
         speed = self._duty.spindle_speed(self._ticks * period) if allowed else 0.0
-        self._warmth.advance(stamp, period, speed)
+        self._warmth.advance(period, speed)
+        self._warmth.offsets.advance(stamp)
         self._ticks += 1
 
     def _go_on(self, stamp: int, slow: bool) -> Iterator[Emission]:

@@ -40,9 +40,9 @@ MACHINE_DUTIES: Mapping[str, Duty] = MappingProxyType({**DUTIES, WHOLE_SHIFT.nam
 _PREFIX = 'axis_'
 
 
-def _axis_param(name: str) -> Any:
-    """Make a field `axis_<name>` with default, unit, bounds and text of the contouring machine."""
-    item = {item.name: item for item in fields(ContouringConfig)}[name]
+def same_param(config: type[Config], name: str) -> Any:
+    """Make a field with default, unit, bounds and text of a field of another configuration."""
+    item = {item.name: item for item in fields(config)}[name]
     return field(default=item.default, metadata=item.metadata)
 
 
@@ -134,14 +134,14 @@ class SimulatedMachineConfig(Config):
         low=0.01,
         high=7200.0,
     )
-    axis_interpolation_period: float = _axis_param('interpolation_period')
-    axis_control_steps: int = _axis_param('control_steps')
-    axis_filter_samples: int = _axis_param('filter_samples')
-    axis_position_gain: float = _axis_param('position_gain')
-    axis_velocity_bandwidth: float = _axis_param('velocity_bandwidth')
-    axis_velocity_max: float = _axis_param('velocity_max')
-    axis_acceleration_max: float = _axis_param('acceleration_max')
-    axis_run_out: float = _axis_param('run_out')
+    axis_interpolation_period: float = same_param(ContouringConfig, 'interpolation_period')
+    axis_control_steps: int = same_param(ContouringConfig, 'control_steps')
+    axis_filter_samples: int = same_param(ContouringConfig, 'filter_samples')
+    axis_position_gain: float = same_param(ContouringConfig, 'position_gain')
+    axis_velocity_bandwidth: float = same_param(ContouringConfig, 'velocity_bandwidth')
+    axis_velocity_max: float = same_param(ContouringConfig, 'velocity_max')
+    axis_acceleration_max: float = same_param(ContouringConfig, 'acceleration_max')
+    axis_run_out: float = same_param(ContouringConfig, 'run_out')
     servo_axes: tuple[str, ...] = param(
         (),
         '-',

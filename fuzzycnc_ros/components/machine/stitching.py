@@ -7,10 +7,10 @@ It is a part of `simulated_machine`, and the only place where a sheet's drag and
 
 from collections.abc import Iterable, Iterator
 from math import dist, hypot
-from typing import Protocol
 
 import numpy as np
 
+from fuzzycnc_ros.components.machine.machine_axes import Axes
 from fuzzycnc_ros.components.soft.compensated_paths import check_compensated
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
 from fuzzycnc_ros.runtime.records import (
@@ -33,16 +33,6 @@ BEGUN = 1e-9
 """Way along a path from which on it is being followed [m]."""
 
 Point = tuple[float, float]
-
-
-class Motion(Protocol):
-    """What the stitching asks the axes."""
-
-    def place(self, path_id: str) -> float:
-        """Return how far along a path the axes were commanded [m]; 0 if it is not followed."""
-
-    def finished(self, path_id: str) -> bool:
-        """Whether that path was the last to be followed, to its end, and the axes rest."""
 
 
 class Stitching:
@@ -102,14 +92,14 @@ class Stitching:
             self._say(Level.ERROR, f'{self._run.progress}, then left: {why}')
             self._path = self._run = None
 
-    def tick(self, moved: Iterable[Emission], motion: Motion, frame_id: str) -> Iterator[Emission]:
+    def tick(self, moved: Iterable[Emission], motion: Axes, frame_id: str) -> Iterator[Emission]:
         """Stitch what the tool has come by since the last tick.
 
         Parameters
         ----------
         moved : iterable of Emission
             What the axes told in this tick.
-        motion : Motion
+        motion : Axes
             The axes.
         frame_id : str
             Frame of what is published.

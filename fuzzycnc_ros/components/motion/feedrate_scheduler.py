@@ -17,8 +17,11 @@ import numpy as np
 from fuzzycnc_ros.components.motion.feedrate_run import Header, PathRun, rehearse
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.motion.program_request import ScheduledProgram, schedule_text
-from fuzzycnc_ros.components.motion.tool_path_checks import PATH_AXES
-from fuzzycnc_ros.components.motion.tool_paths import ToolPathSegments, tool_path_segments
+from fuzzycnc_ros.components.motion.tool_paths import (
+    PATH_AXES,
+    ToolPathSegments,
+    tool_path_segments,
+)
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,
@@ -162,10 +165,10 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
         if run is None:
             yield from self._start(stamp)
         elif run.complete:
-            state = self._newest.get('trajectory_state')
+            state = self.last(self.FOLLOWED)
             known = {int(status): status.name for status in TrajectoryStatus}
             heard = 'silent'
-            if isinstance(state, TrajectoryState):
+            if state is not None:
                 heard = known.get(state.status, f'status {state.status}')
             self._drop(f'the machine did not say that it has finished: {heard}')
         else:

@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of `feedrate_scheduler`, and the scheduler and the limits that they mean."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from math import inf
 from types import MappingProxyType
+from typing import Any
 
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
@@ -285,12 +286,25 @@ class FeedrateSchedulerConfig(Config):
 def make_scheduler(config: FeedrateSchedulerConfig) -> Scheduler:
     """Return the scheduler that a configuration asks for.
 
+    Each of its fields is the parameter of the same name, or of that name behind the method's.
+
     Raises
     ------
     ValueError
         If its parameters do not fit each other.
     """
-    return _SCHEDULERS[config.method](config)
+    kind, prefix = _SCHEDULERS[config.method], f'{config.method}_'
+    allowed = config.tolerance / config.machine_constant  # across the path [m/s^2]
+    known: dict[str, Any] = {item.name: getattr(config, item.name) for item in fields(config)}
+    known |= {name.removeprefix(prefix): known[name] for name in known if name.startswith(prefix)}
+    known |= {
+        'normal_acceleration': allowed,
+        'acceleration': 2.0 * allowed,  # half of it goes across the path
+        'jerk': config.path_jerk,
+    }
+    given = {item.name: known[item.name] for item in fields(kind) if item.name in known}
+    absent = {name: None for name in _NONE_FOR_ZERO if name in given and not given[name]}
+    return kind(**given | absent)
 
 
 def make_limits(config: FeedrateSchedulerConfig) -> MotionLimits:
@@ -310,100 +324,17 @@ def heeds_tolerance(config: FeedrateSchedulerConfig) -> bool:
     return config.method not in ('fuzzy', 'constant', 'chord_error')
 
 
-def _log_fuzzy(config: FeedrateSchedulerConfig) -> Scheduler:
-    return LogFuzzyScheduler(
-        feed_max=config.feed_max,
-        feed_min=config.feed_min,
-        tolerance=config.tolerance,
-        machine_constant=config.machine_constant,
-        margin=config.log_fuzzy_margin,
-        approach_time=config.log_fuzzy_approach_time or None,
-        approach_slope=config.log_fuzzy_approach_slope or None,
-        guard_length=config.log_fuzzy_guard_length,
-        guard_time=config.log_fuzzy_guard_time,
-        guard_step=config.log_fuzzy_guard_step,
-        curvature_max=config.curvature_max or None,
-        braking=config.log_fuzzy_braking,
-        braking_points=config.log_fuzzy_braking_points,
-    )
-
-
-def _fuzzy(config: FeedrateSchedulerConfig) -> Scheduler:
-    return FuzzyScheduler(
-        feed_max=config.feed_max,
-        feed_min=config.feed_min,
-        vvlf=config.fuzzy_vvlf,
-        curvature_centres=config.fuzzy_curvature_centres,
-        variation_centres=config.fuzzy_variation_centres,
-        ratio_centres=config.fuzzy_ratio_centres,
-        curvature_cap=config.fuzzy_curvature_cap,
-        normalisation=config.fuzzy_normalisation,
-        window=config.fuzzy_window,
-        window_length=config.fuzzy_window_length or None,
-        window_both=config.fuzzy_window_both,
-        average=config.fuzzy_average,
-        smoothing=config.fuzzy_smoothing,
-    )
-
-
-def _constant(config: FeedrateSchedulerConfig) -> Scheduler:
-    return ConstantFeed(feed_max=config.feed_max, feed_min=config.feed_min)
-
-
-def _normal_acceleration(config: FeedrateSchedulerConfig) -> Scheduler:
-    return ConstantNormalAcceleration(
-        feed_max=config.feed_max,
-        feed_min=config.feed_min,
-        normal_acceleration=_allowed_acceleration(config),
-    )
-
-
-def _chord_error(config: FeedrateSchedulerConfig) -> Scheduler:
-    return ChordErrorFeed(
-        feed_max=config.feed_max,
-        feed_min=config.feed_min,
-        chord_error=config.chord_error,
-        period=config.period,
-    )
-
-
-def _look_ahead(config: FeedrateSchedulerConfig) -> Scheduler:
-    return LookAheadFeed(
-        feed_max=config.feed_max,
-        feed_min=config.feed_min,
-        chord_error=config.chord_error,
-        period=config.period,
-        normal_acceleration=_allowed_acceleration(config),
-        path_acceleration=config.path_acceleration,
-    )
-
-
-def _jerk_limited(config: FeedrateSchedulerConfig) -> Scheduler:
-    return JerkLimitedFeed(
-        feed_max=config.feed_max,
-        feed_min=config.feed_min,
-        chord_error=config.chord_error,
-        period=config.period,
-        acceleration=2.0 * _allowed_acceleration(config),  # half of it goes across the path
-        jerk=config.path_jerk or None,
-        erosion=config.jerk_limited_erosion,
-        average=config.jerk_limited_average,
-    )
-
-
-def _allowed_acceleration(config: FeedrateSchedulerConfig) -> float:
-    """Acceleration across the path that leaves the tolerance as contour error [m/s^2]."""
-    return config.tolerance / config.machine_constant
-
-
-_SCHEDULERS: Mapping[str, Callable[[FeedrateSchedulerConfig], Scheduler]] = MappingProxyType(
+_SCHEDULERS: Mapping[str, type[Scheduler]] = MappingProxyType(
     {
-        'log_fuzzy': _log_fuzzy,
-        'fuzzy': _fuzzy,
-        'constant': _constant,
-        'normal_acceleration': _normal_acceleration,
-        'chord_error': _chord_error,
-        'look_ahead': _look_ahead,
-        'jerk_limited': _jerk_limited,
+        'log_fuzzy': LogFuzzyScheduler,
+        'fuzzy': FuzzyScheduler,
+        'constant': ConstantFeed,
+        'normal_acceleration': ConstantNormalAcceleration,
+        'chord_error': ChordErrorFeed,
+        'look_ahead': LookAheadFeed,
+        'jerk_limited': JerkLimitedFeed,
     }
 )
+
+_NONE_FOR_ZERO = ('approach_time', 'approach_slope', 'curvature_max', 'window_length', 'jerk')
+"""Fields for which the parameter 0 means that there is no such value."""

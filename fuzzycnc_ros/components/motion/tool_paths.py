@@ -1,24 +1,21 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tool paths as they travel on topics: made of curves and programs, and turned into motion."""
+"""Tool paths as they travel on topics: made of curves and programs, and turned into motion.
+
+Every way in which one can be malformed is refused here, with its remedy.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.motion.tool_path_checks import (
-    PATH_AXES,
-    arc_frames,
-    check_arrays,
-    check_sizes,
-    curve_of,
-    path_columns,
-)
+from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT, POINT_ROUNDING, RELATIVE_MISFIT
 from fuzzycnc_ros.core.feedrate.gcode.segments import (
     ArcSegment,
     DwellSegment,
@@ -27,12 +24,25 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import (
     Point,
     Segment,
 )
-from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
+from fuzzycnc_ros.core.feedrate.path.nurbs import (
+    COORDINATE_MAX,
+    DEGREE_MAX,
+    NurbsCurve,
+    check_machinable,
+)
 from fuzzycnc_ros.runtime.enums import Junction, SegmentKind
 from fuzzycnc_ros.runtime.records import Floats, ToolPath
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
+
+
+PATH_AXES = ('X', 'Y', 'Z')
+"""Axes that a tool path may have."""
+
+TURNS_MAX = 1000.0
+"""Largest number of turns of an arc."""
+_AXIS_MISFIT = 1e-9
 
 
 class ToolPathSegments(Sequence[Segment]):
@@ -67,12 +77,12 @@ class ToolPathSegments(Sequence[Segment]):
     def __init__(self, path: ToolPath) -> None:
         self.axis = path.axis
         self.columns = path_columns(path.axis)
-        check_arrays(path)
-        check_sizes(path, len(self.columns))
+        _check_arrays(path)
+        _check_sizes(path, len(self.columns))
         self._path = path
         self._point = self._ends()
         self.start = _point(self._point[0])
-        self._arcs = arc_frames(path, self._point, self.columns)
+        self._arcs = _arc_frames(path, self._point, self.columns)
         self._arc_row = np.cumsum(path.kind == SegmentKind.ARC) - 1
         self.exact_stop = path.junction == Junction.EXACT_STOP
         self.block = path.block
@@ -117,10 +127,7 @@ class ToolPathSegments(Sequence[Segment]):
             return ArcSegment(*common, axes, (x, y), float(self._arcs.sweep[row]))
         if kind == SegmentKind.DWELL:
             return DwellSegment(*common, float(path.data[path.offset[index]]))
-        return NurbsSegment(*common, self._curve(index), line)
-
-    def _curve(self, index: int) -> NurbsCurve:
-        return curve_of(self._path, index, self.columns)
+        return NurbsSegment(*common, _curve_of(self._path, index, self.columns), line)
 
     def _ends(self) -> Floats:
         """Return where each segment starts, and where the last one ends, shape (n + 1, 3)."""
@@ -133,7 +140,7 @@ class ToolPathSegments(Sequence[Segment]):
         found[simple[:, np.newaxis] + 1, columns] = path.data[place]
         first: dict[int, Floats] = {}
         for index in np.flatnonzero(path.kind == SegmentKind.NURBS).tolist():
-            curve = self._curve(index)
+            curve = _curve_of(self._path, index, self.columns)
             first[index], found[index + 1] = curve.point(list(curve.domain))
         # A dwell ends where the segment before it did.
         moved = np.append(True, path.kind != SegmentKind.DWELL)
@@ -307,3 +314,263 @@ def _row(segment: Segment, columns: list[int]) -> tuple[SegmentKind, Floats]:
 def _point(row: NDArray[np.float64]) -> Point:
     x, y, z = row.tolist()
     return x, y, z
+
+
+@dataclass(frozen=True)
+class _ArcFrames:
+    """Planes and angles of arcs: axis across (k,), centre in the plane (k, 2) [m], angle (k,)."""
+
+    across: NDArray[np.intp]
+    centre: Floats
+    sweep: Floats
+
+
+def path_columns(axis: tuple[str, ...]) -> tuple[int, ...]:
+    """Return the places of a path's axes among X, Y and Z.
+
+    Raises
+    ------
+    ValueError
+        If there are none, one is another axis, or one comes twice.
+    """
+    unknown = [name for name in axis if name not in PATH_AXES]
+    if unknown or not axis or len(set(axis)) != len(axis):
+        raise ValueError(
+            f'axis: expected distinct names of {", ".join(PATH_AXES)} but found '
+            f'{", ".join(map(repr, axis)) or "none"}'
+        )
+    return tuple(PATH_AXES.index(name) for name in axis)
+
+
+def _check_arrays(path: ToolPath) -> None:
+    """Refuse arrays that do not fit each other, and values that mean nothing.
+
+    Raises
+    ------
+    ValueError
+        If so.
+    """
+    if not path.path_id:
+        raise ValueError('path_id: expected a name but found an empty text')
+    count = len(path.kind)
+    if count == 0:
+        raise ValueError('kind: expected at least one segment but found none')
+    for name, wanted in (
+        ('start', len(path.axis)),
+        ('junction', count),
+        ('block', count),
+        ('feedrate', count),
+        ('offset', count + 1),
+    ):
+        found = len(getattr(path, name))
+        if found != wanted:
+            raise ValueError(f'{name}: expected {wanted} values but found {found}')
+    for name, values in (('start', path.start), ('data', path.data)):
+        _refuse(~np.isfinite(values), values, f'{name}: expected finite numbers')
+    far = np.abs(path.start) > COORDINATE_MAX
+    _refuse(far, path.start, f'start: expected coordinates up to {COORDINATE_MAX:g} m')
+    known = np.isin(path.kind, [int(kind) for kind in SegmentKind])
+    _refuse(~known, path.kind, 'kind: expected 0 to 3')
+    known = np.isin(path.junction, [int(junction) for junction in Junction])
+    _refuse(~known, path.junction, 'junction: expected 0 or 1')
+    rapid = np.isnan(path.feedrate)
+    good = rapid | ((path.feedrate > 0.0) & np.isfinite(path.feedrate))
+    _refuse(~good, path.feedrate, 'feedrate: expected more than 0 m/s, or NaN for a rapid')
+    offset = path.offset.astype(np.int64)
+    size = np.diff(offset)
+    if offset[0] != 0 or offset[-1] != len(path.data) or (size < 0).any():
+        raise ValueError(
+            f'offset: expected numbers that rise from 0 to {len(path.data)}, the length of data, '
+            f'but found {offset[0]} to {offset[-1]}'
+            + (', falling on the way' if (size < 0).any() else '')
+        )
+
+
+def _check_sizes(path: ToolPath, width: int) -> None:
+    """Refuse segments whose data is too short, too long or out of range.
+
+    Parameters
+    ----------
+    path : ToolPath
+        Path whose arrays fit each other.
+    width : int
+        Number of its axes.
+
+    Raises
+    ------
+    ValueError
+        If there is one.
+    """
+    size = np.diff(path.offset.astype(np.int64))
+    first = path.offset[:-1].astype(np.int64)
+    for kind, wanted in (
+        (SegmentKind.LINE, width),
+        (SegmentKind.ARC, 2 * width + 4),
+        (SegmentKind.DWELL, 1),
+    ):
+        found = f'{wanted} numbers of a {kind.name.lower()} but found {{:d}}'
+        _refuse_segments(path, (path.kind == kind) & (size != wanted), found, size)
+    for kind, numbers in ((SegmentKind.LINE, width), (SegmentKind.ARC, 2 * width)):
+        chosen = np.flatnonzero(path.kind == kind)
+        values = path.data[first[chosen][:, np.newaxis] + np.arange(numbers)]
+        far = np.abs(values).max(axis=1, initial=0.0)
+        found = f'coordinates up to {COORDINATE_MAX:g} m but found {{:g}} m'
+        _refuse_segments(path, far > COORDINATE_MAX, found, far, chosen=chosen)
+    chosen = np.flatnonzero(path.kind == SegmentKind.DWELL)
+    times = path.data[first[chosen]]
+    found = 'a dwell of 0 s or more but found {:g} s'
+    _refuse_segments(path, times < 0.0, found, times, chosen=chosen)
+
+
+def _curve_of(path: ToolPath, index: int, columns: tuple[int, ...]) -> NurbsCurve:
+    """Return the curve of a segment, in three dimensions.
+
+    Raises
+    ------
+    ValueError
+        If its data makes none.
+    """
+    data = path.data[int(path.offset[index]) : int(path.offset[index + 1])]
+    width = len(columns)
+    if len(data) < 2 or data[0] != np.floor(data[0]) or data[1] != np.floor(data[1]):
+        raise _segment_error(
+            path, index, 'the whole numbers degree and points first but found others'
+        )
+    if not (1.0 <= data[0] <= DEGREE_MAX and 2.0 <= data[1] <= len(data)):
+        raise _segment_error(
+            path,
+            index,
+            f'a degree from 1 to {DEGREE_MAX} and at least 2 points but found {data[0]:g} and '
+            f'{data[1]:g}',
+        )
+    degree, count = int(data[0]), int(data[1])
+    knots = count + degree + 1
+    wanted = 2 + knots + count * (1 + width)
+    if len(data) != wanted:
+        raise _segment_error(
+            path,
+            index,
+            f'{wanted} numbers of a curve of degree {degree} through {count} points but found '
+            f'{len(data)}',
+        )
+    knot, weight = data[2 : 2 + knots], data[2 + knots : 2 + knots + count]
+    points = data[2 + knots + count :].reshape(count, width)
+    control = np.zeros((count, 3))
+    control[:, columns] = points
+    try:
+        curve = NurbsCurve(control, weight, knot, degree)
+        check_machinable(control, weight, knot, degree)
+    except ValueError as error:
+        raise ValueError(f'segment {index} (block {path.block[index]}): {error}') from error
+    return curve
+
+
+def _arc_frames(path: ToolPath, point: Floats, columns: tuple[int, ...]) -> _ArcFrames:
+    """Return the frames of all arcs, in the order of their segments.
+
+    Parameters
+    ----------
+    path : ToolPath
+        Path whose sizes are right.
+    point : ndarray, shape (n + 1, 3)
+        Where its segments start and the last one ends [m].
+    columns : tuple of int
+        Places of its axes among X, Y and Z.
+
+    Raises
+    ------
+    ValueError
+        If an arc does not turn about X, Y or Z, needs an axis that the path does not have, or
+        does not end where its angle leads.
+    """
+    chosen, width = np.flatnonzero(path.kind == SegmentKind.ARC), len(columns)
+    place = path.offset[chosen].astype(np.int64)[:, np.newaxis] + np.arange(2 * width + 4)
+    data = path.data[place]
+    row = np.arange(len(chosen))
+    turn = data[:, 2 * width : 2 * width + 3]
+    across = np.argmax(np.abs(turn), axis=1)
+    sign = np.where(turn[row, across] > 0.0, 1.0, -1.0)
+    exact = np.zeros((len(chosen), 3))
+    exact[row, across] = sign
+    wrong = np.abs(turn - exact).max(axis=1, initial=0.0) > _AXIS_MISFIT
+    found = 'a turn axis of length 1 along X, Y or Z but found {}; give other arcs as curves'
+    _refuse_segments(path, wrong, found, turn, chosen=chosen)
+    wrong = np.zeros(len(row), bool)
+    for missing in set(range(3)) - set(columns):
+        wrong |= across != missing
+    found = f'an arc in the plane of {", ".join(path.axis)} but found one about {{}}'
+    _refuse_segments(path, wrong, found, np.array(PATH_AXES)[across], chosen=chosen)
+    sweep = sign * data[:, -1]
+    wrong = ~((np.abs(sweep) > 0.0) & (np.abs(sweep) <= TURNS_MAX * 2.0 * np.pi))
+    found = f'an angle other than 0, up to {TURNS_MAX:g} turns, but found {{:g}} rad'
+    _refuse_segments(path, wrong, found, sweep, chosen=chosen)
+    centre = np.zeros((len(chosen), 3))
+    centre[:, columns] = data[:, width : 2 * width]
+    plane = (across[:, np.newaxis] + [1, 2]) % 3
+    middle = np.take_along_axis(centre, plane, axis=1)
+    start = np.take_along_axis(point[chosen], plane, axis=1) - middle
+    end = np.take_along_axis(point[chosen + 1], plane, axis=1) - middle
+    _check_circles(path, chosen, start, end, sweep)
+    return _ArcFrames(across, middle, sweep)
+
+
+def _check_circles(
+    path: ToolPath, chosen: NDArray[np.intp], start: Floats, end: Floats, sweep: Floats
+) -> None:
+    """Refuse arcs whose end is not where their start turned by their angle lies."""
+    first, last = np.hypot(*start.T), np.hypot(*end.T)
+    room = np.maximum(ABSOLUTE_MISFIT, RELATIVE_MISFIT * first)
+    wrong = (first < POINT_ROUNDING) | (np.abs(last - first) > room)
+    found = 'start and end of the arc equally far from its centre but found {:.6g} m and {:.6g} m'
+    _refuse_segments(path, wrong, found, first, last, chosen=chosen)
+    turned = np.arctan2(end[:, 1], end[:, 0]) - np.arctan2(start[:, 1], start[:, 0]) - sweep
+    apart = np.abs(turned - 2.0 * np.pi * np.round(turned / (2.0 * np.pi))) * last
+    found = 'an end where the angle of {:.9g} rad leads but found it {:.6g} m away'
+    _refuse_segments(path, apart > POINT_ROUNDING, found, sweep, apart, chosen=chosen)
+
+
+def _segment_error(path: ToolPath, index: int, text: str) -> ValueError:
+    """Return the refusal of a segment: what was expected of it and what was found."""
+    return ValueError(f'segment {index} (block {path.block[index]}): expected {text}')
+
+
+def _refuse_segments(
+    path: ToolPath,
+    wrong: NDArray[np.bool_],
+    expected: str,
+    *found: NDArray[Any],
+    chosen: NDArray[np.intp] | None = None,
+) -> None:
+    """Refuse the first segment that is wrong.
+
+    Parameters
+    ----------
+    path : ToolPath
+        The path.
+    wrong : ndarray of bool, shape (k,)
+        Which segments are wrong, of those that are `chosen` or of all.
+    expected : str
+        What was expected, and places for what was found.
+    found : ndarray, shape (k, ...)
+        What was found, for each place of the text.
+    chosen : ndarray, shape (k,), optional
+        Numbers of the segments.
+
+    Raises
+    ------
+    ValueError
+        If one is wrong.
+    """
+    if wrong.any():
+        at = int(wrong.argmax())
+        number = at if chosen is None else int(chosen[at])
+        raise _segment_error(
+            path, number, expected.format(*(values[at].tolist() for values in found))
+        )
+
+
+def _refuse(wrong: NDArray[np.bool_], values: NDArray[np.generic], expected: str) -> None:
+    """Refuse values, naming the first wrong one."""
+    if wrong.any():
+        at = int(wrong.argmax())
+        raise ValueError(f'{expected}; found {values[at]} at {at}')

@@ -108,9 +108,10 @@ class Compensator(Component[CompensatorConfig]):
     SUMMARY = 'The only source of offsets: clamped, rate-limited, expiring. Managed lifecycle.'
     CONFIG = CompensatorConfig
     MACHINE = Input('machine_state', MachineState, max_age=600.0, sole=True)
+    APPLIED = Input('compensation_applied', CompensationApplied, sole=True)
     INPUTS = (
         MACHINE,
-        Input('compensation_applied', CompensationApplied, sole=True),
+        APPLIED,
         Input('thermal_error', ThermalError, driving=True, sole=True),
     )
     OUTPUTS = (Output('compensation', Compensation),)
@@ -269,8 +270,8 @@ class Compensator(Component[CompensatorConfig]):
         }
         text = self._state.name.lower() + (f': {self._why}' if self._why else '')
         items = [Health('state', level, text, values)]
-        applied = self._newest.get('compensation_applied')
-        if isinstance(applied, CompensationApplied) and applied.status == AppliedStatus.REFUSED:
+        applied = self.last(self.APPLIED)
+        if applied is not None and applied.status == AppliedStatus.REFUSED:
             items.append(
                 Health('read-back', Level.ERROR, f'refused by the machine: {applied.reason}')
             )
@@ -290,8 +291,8 @@ class Compensator(Component[CompensatorConfig]):
         self._moved_at = stamp
         self._why = 'waiting for the read-back of the machine and a valid thermal error'
         self._state = CompensationState.EXPIRED
-        applied = self._newest.get('compensation_applied')
-        if isinstance(applied, CompensationApplied):
+        applied = self.last(self.APPLIED)
+        if applied is not None:
             self._take_over(applied)
         return Answer(True, 'active: offsets follow the thermal error')
 

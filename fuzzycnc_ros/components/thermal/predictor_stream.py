@@ -359,7 +359,7 @@ class PredictorStream:
     Parameters
     ----------
     config : ThermalPredictorConfig
-        Parameters of the predictor.
+        Parameters of the predictor; `config` may be set anew at any time.
 
     Attributes
     ----------
@@ -376,6 +376,7 @@ class PredictorStream:
     """
 
     def __init__(self, config: ThermalPredictorConfig) -> None:
+        self.config = config
         self.reference: ThermalReference | None = None
         self.checkpoint: PredictorState | None = None
         self.selection: SensorSelection | None = None
@@ -384,14 +385,14 @@ class PredictorStream:
         self.probes = ProbeSource(config) if probing else None
         self._heard: deque[Heard] = deque(maxlen=SAMPLES_MAX)
 
-    def hear(self, sample: Temperatures, config: ThermalPredictorConfig) -> Heard:
+    def hear(self, sample: Temperatures) -> Heard:
         """Return a sample with what else is known of its time; keep it as long as it matters.
 
         That is `settle_time`, for a model that is to begin then.  A speed that has been unknown
         for longer than `gap_max` is none.
         """
         stamp, told = sample.stamp, self.speeds.newest
-        known = told is not None and stamp - told.stamp <= nanoseconds(config.gap_max)
+        known = told is not None and stamp - told.stamp <= nanoseconds(self.config.gap_max)
         since = self.reference.stamp if self.reference is not None else stamp
         heard = Heard(
             sample,
@@ -399,7 +400,7 @@ class PredictorStream:
             self.probes.take(stamp, since) if self.probes is not None else (),
         )
         self._heard.append(heard)
-        oldest = stamp - nanoseconds(config.settle_time)
+        oldest = stamp - nanoseconds(self.config.settle_time)
         # One sample from before that time proves that the history is long enough.
         while len(self._heard) > 1 and self._heard[1].sample.stamp <= oldest:
             self._heard.popleft()

@@ -67,10 +67,8 @@ class SensorSelector(Component[SensorSelectorConfig]):
     NAME = 'sensor_selector'
     SUMMARY = 'Chooses few representative sensors from calibration runs, with substitutes.'
     CONFIG = SensorSelectorConfig
-    INPUTS = (
-        Input('displacement', Displacement),
-        Input('temperatures', Temperatures, driving=True),
-    )
+    MEASURED = Input('displacement', Displacement)
+    INPUTS = (MEASURED, Input('temperatures', Temperatures, driving=True))
     OUTPUTS = (Output('sensor_selection', SensorSelection, LATCHED, persistent=True),)
 
     def __init__(self, config: SensorSelectorConfig | None = None) -> None:
@@ -82,8 +80,8 @@ class SensorSelector(Component[SensorSelectorConfig]):
 
     def on_temperatures(self, sample: Temperatures) -> Iterable[Emission]:
         """Keep the sample if its displacement was measured with it."""
-        measured = self._newest.get('displacement')
-        if isinstance(measured, Displacement) and measured.stamp == sample.stamp:
+        measured = self.last(self.MEASURED)
+        if measured is not None and measured.stamp == sample.stamp:
             if self._samples and sample.stamp - self._samples[-1][0].stamp > PAUSE:
                 self._samples.clear()
             self._samples.append((sample, measured))

@@ -11,7 +11,7 @@ zero costs up to 42 um.
 import numpy as np
 
 from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel
-from fuzzycnc_ros.core.thermal.sensor_watch import Estimate, MateEstimate, SensorWatch
+from fuzzycnc_ros.core.thermal.sensor_watch import MateEstimate, SensorWatch
 from fuzzycnc_ros.runtime.records import (
     Bools,
     Floats,
@@ -70,7 +70,10 @@ class RiseSource:
         self._watch = watch
         self._reference = np.array([zero.get(name, np.nan) for name in sensor])
         self._columns = np.array([position[name] for name in model.inputs])
-        self._field = _Field(model, position) if model.watch is not None else None
+        # Places in the stream of the sensors that the watch knows, -1 where it has none.
+        watched = model.watch.sensor if model.watch is not None else ()
+        self._places = np.array([position.get(name, -1) for name in watched], np.intp)
+        self._estimate = None if model.watch is None else MateEstimate(model.watch)
         published = _published(selection)
         self._mates: list[list[tuple[str, int, float]]] = []
         self._published: list[bool] = []
@@ -109,9 +112,8 @@ class RiseSource:
         rises[np.abs(rises) > RISE_MAX] = np.nan
         rise: Floats = rises[self._columns]
         usable = np.isfinite(rise)
-        field = None if self._field is None else self._field.of(rises)
-        if self._watch is not None and field is not None:
-            faulty = usable & self._watch.update(field, self._interval)
+        if self._watch is not None and self._estimate is not None:
+            faulty = usable & self._watch.update(self._watched(rises), self._interval)
             self.voted_out = tuple(self._inputs[n] for n in np.flatnonzero(faulty))
             usable &= ~faulty
         if usable.all():
@@ -138,39 +140,16 @@ class RiseSource:
             if np.isfinite(rises[column]):
                 first, estimate = mate, gain * float(rises[column])
                 break
-        if self._field is None or self._published[number]:
+        if self._estimate is None or self._published[number]:
             return first, estimate
-        found = self._field.estimate(number, rises)
+        found = self._estimate.of(number, self._watched(rises))
         if first:
             return first, found.rise
         return (found.mate, found.rise) if found.missed <= MISSED_MAX else ('', np.nan)
 
-
-class _Field:
-    """The sensors that a model's watch knows, as they are found in a stream.
-
-    Parameters
-    ----------
-    model : ThermalModel
-        A model with a watch.
-    position : dict of str to int
-        Place of each sensor in the stream.
-    """
-
-    def __init__(self, model: ThermalModel, position: dict[str, int]) -> None:
-        assert model.watch is not None
-        self._sensor = model.watch.sensor
-        self._there = np.array([name in position for name in self._sensor])
-        self._columns = np.array([position.get(name, 0) for name in self._sensor])
-        self._estimate = MateEstimate(model.watch)
-
-    def of(self, rises: Floats) -> Floats:
+    def _watched(self, rises: Floats) -> Floats:
         """Return the rises in the order of the watch, NaN where the stream has none."""
-        return np.where(self._there, rises[self._columns], np.nan)
-
-    def estimate(self, number: int, rises: Floats) -> Estimate:
-        """Return what all sensors that can be read say of an input."""
-        return self._estimate.of(number, self.of(rises))
+        return np.where(self._places >= 0, rises[self._places], np.nan)
 
 
 def _published(selection: SensorSelection | None) -> dict[str, list[tuple[str, float]]]:

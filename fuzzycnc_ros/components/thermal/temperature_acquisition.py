@@ -120,10 +120,11 @@ class TemperatureAcquisition(Component[TemperatureAcquisitionConfig]):
     NAME = 'temperature_acquisition'
     SUMMARY = 'Averages raw readings into samples and checks range, rate, stuck sensors and gaps.'
     CONFIG = TemperatureAcquisitionConfig
+    APPLIED = Input('compensation_applied', CompensationApplied, quiet=True, sole=True)
     INPUTS = (
         Input('sensor_readings', Temperatures, driving=True, sole=True),
         Input('machine_state', MachineState, sole=True),
-        Input('compensation_applied', CompensationApplied, quiet=True, sole=True),
+        APPLIED,
     )
     OUTPUTS = (
         Output('thermal_reference', ThermalReference, LATCHED, persistent=True),
@@ -267,8 +268,8 @@ class TemperatureAcquisition(Component[TemperatureAcquisitionConfig]):
     @property
     def _offsets(self) -> str:
         """Offsets in force as far as the machine has told, in words; empty if there are none."""
-        applied = self._newest.get('compensation_applied')
-        return _standing(applied) if isinstance(applied, CompensationApplied) else ''
+        applied = self.last(self.APPLIED)
+        return '' if applied is None else _standing(applied)
 
     def _accept_sensors(self, reading: Temperatures) -> bool:
         """Refuse readings that do not fit the sensors of the run; set up at the first ones."""

@@ -100,8 +100,6 @@ class ModelHistory:
     ----------
     text : str
         Text of a model file.
-    config : ThermalPredictorConfig
-        Parameters of the predictor; `config` may be set anew at any time.
     stream : PredictorStream
         What it rests on; the model begins if there is a thermal reference.
 
@@ -111,18 +109,22 @@ class ModelHistory:
         If it is no model file or damaged.
     """
 
-    def __init__(self, text: str, config: ThermalPredictorConfig, stream: PredictorStream) -> None:
-        self.text, self.config = text, config
+    def __init__(self, text: str, stream: PredictorStream) -> None:
+        self.text, self._stream = text, stream
         self.model = ThermalModel.from_json(text)
         self.hash = text_hash(text)
         self.label = f'{"/".join(dict.fromkeys(self.model.default))} {self.hash[:12]}'
-        self.correction = ProbeCorrection(self.model, config)
-        self._stream = stream
+        self.correction = ProbeCorrection(self.model, self.config)
         self._begun = False
         self._warm: dict[str, float] = {}
         """Inputs that were warm when the reference was taken, by how much [K]."""
         self._forget()
         self.refuse(Reason.NO_REFERENCE, 'waiting for temperatures')
+
+    @property
+    def config(self) -> ThermalPredictorConfig:
+        """Parameters of the predictor, as they are now."""
+        return self._stream.config
 
     def _forget(self) -> None:
         """Drop the history."""

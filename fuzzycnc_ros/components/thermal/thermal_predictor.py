@@ -286,8 +286,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
     def reconfigure(self, config: ThermalPredictorConfig) -> None:
         """Take live parameters; they act from the next sample on."""
         super().reconfigure(config)
-        for history in self._swap.models:
-            history.config = self._config
+        self._stream.config = self._config
 
     def use_model(self, text: str) -> str:
         """Take a model from the text of its file; return how it comes into use, in words.
@@ -306,7 +305,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         kept = self._swap.keep(text)
         if kept:
             return kept
-        history = ModelHistory(text, self._config, self._stream)
+        history = ModelHistory(text, self._stream)
         if history.model.losing and not self._config.force:
             raise ModelMismatchError(refusal_of(history.model))
         in_use, newest = self._swap.in_use, self._stream.newest
@@ -377,7 +376,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
 
     def on_temperatures(self, sample: Temperatures) -> Iterator[Emission]:
         """Predict from one sample."""
-        found = self._swap.take(self._stream.hear(sample, self._config))
+        found = self._swap.take(self._stream.hear(sample))
         yield Emission('thermal_error', self._error(sample.stamp, found))
         if found is None:
             return

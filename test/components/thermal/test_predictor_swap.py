@@ -136,10 +136,10 @@ def test_model_in_use_stays_until_the_history_of_the_new_one_is_known():
 
 
 def test_samples_are_kept_for_as_long_as_they_matter_and_not_without_end():
-    config = ThermalPredictorConfig(settle_time=1800.0)
-    run, stream = recordings()['T2'], PredictorStream(config)
+    run = recordings()['T2']
+    stream = PredictorStream(ThermalPredictorConfig(settle_time=1800.0))
     for row in range(len(run.time)):
-        stream.hear(sample_of(run, row), config)
+        stream.hear(sample_of(run, row))
     kept = [item.sample.stamp for item in stream.since(0)]
     newest = nanoseconds(START + run.time[-1])
     assert kept == [newest - nanoseconds(60.0 * age) for age in range(30, -1, -1)]
