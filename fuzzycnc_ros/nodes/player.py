@@ -120,7 +120,6 @@ class PlayerNode(BagNode[PlayerConfig]):
     def stop(self) -> None:
         """Close the bag."""
         self._reader.close()
-        self.node.destroy_node()
 
     # The bag
 

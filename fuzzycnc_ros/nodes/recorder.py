@@ -126,7 +126,6 @@ class RecorderNode(BagNode[RecorderConfig]):
                 + ''.join(f', {hole["count"]} holes in {topic}' for topic, hole in holes.items()),
                 flush=True,
             )
-        self.node.destroy_node()
 
     def _wanted(self, topic: str) -> bool:
         return bool(self._include.search(topic)) and not self._exclude.search(topic)

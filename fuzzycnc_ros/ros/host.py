@@ -163,8 +163,7 @@ class ComponentNode:
         self.announce()
 
     def stop(self) -> None:
-        """Release what the node holds; called at the end of the process."""
-        self.node.destroy_node()
+        """Release what the node holds beside its part of the middleware, at the process' end."""
 
     def publish(self, emissions: Iterable[Emission]) -> None:
         """Publish what the component emitted and keep what must survive a restart."""

@@ -67,6 +67,67 @@ ONE_WISH = 1.0
 AGAIN = 0.01
 """Wall time [s] after which a wish is repeated that was lost."""
 _PR_SET_PDEATHSIG = 1
+_SIGEV_THREAD = 2
+
+
+class _Value(ctypes.Union):
+    """What a timer hands to its function, `union sigval` of POSIX."""
+
+    _fields_ = (('number', ctypes.c_int), ('pointer', ctypes.c_void_p))
+
+
+class _Event(ctypes.Structure):
+    """How a timer tells that it has run out, `struct sigevent` of Linux."""
+
+    _fields_ = (
+        ('value', _Value),
+        ('signal', ctypes.c_int),
+        ('notify', ctypes.c_int),
+        ('function', ctypes.c_void_p),
+        ('attributes', ctypes.c_void_p),
+        ('padding', ctypes.c_byte * 32),
+    )
+
+
+class _Times(ctypes.Structure):
+    """When a timer runs out, `struct itimerspec` with its two times in seconds and nanoseconds."""
+
+    _fields_ = (('interval', ctypes.c_long * 2), ('value', ctypes.c_long * 2))
+
+
+@contextmanager
+def ending_within(seconds: int, code: int) -> Iterator[None]:
+    """Have this process end unless the body is through in time, whatever it hangs in.
+
+    Middleware that lets go of its peers while these end, too, was seen to spin forever, and it
+    holds the interpreter meanwhile: neither a thread of Python nor a signal handler of Python is
+    heard.  So the timer is the kernel's, and what it calls is `_exit`.
+
+    Parameters
+    ----------
+    seconds : int
+        Wall time from now [s].
+    code : int
+        What the process ends with then.
+    """
+    library = ctypes.CDLL(None, use_errno=True)
+    if not hasattr(library, 'timer_create'):  # glibc before 2.34 has it elsewhere
+        yield
+        return
+    event = _Event(
+        notify=_SIGEV_THREAD, function=ctypes.cast(library._exit, ctypes.c_void_p).value
+    )
+    event.value.number = code
+    timer = ctypes.c_void_p()
+    times = _Times(value=(seconds, 0))
+    if library.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)):
+        yield
+        return
+    library.timer_settime(timer, 0, ctypes.byref(times), None)
+    try:
+        yield
+    finally:
+        library.timer_delete(timer)
 
 
 class Wish:

@@ -17,7 +17,16 @@ from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros.arguments import initialise
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.presence import Presence
-from fuzzycnc_ros.ros.processes import REFUSED, Wish, interruptible, prepare_environment
+from fuzzycnc_ros.ros.processes import (
+    REFUSED,
+    Wish,
+    ending_within,
+    interruptible,
+    prepare_environment,
+)
+
+LETTING_GO = 20
+"""Wall time [s] that the middleware has for its part of the end; it takes 0.1 s, or forever."""
 
 
 def tell_error(error: object) -> None:
@@ -57,7 +66,7 @@ class Served(Protocol):
         """Begin; all nodes of the process exist by now or follow."""
 
     def stop(self) -> None:
-        """Release what the node holds."""
+        """Release what the node holds beside its part of the middleware."""
 
 
 HostFactory = Callable[[], Served]
@@ -121,9 +130,14 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
     finally:
         for host in reversed(hosts):
             host.stop()
-        if executor is not None:
-            executor.shutdown()
-        rclpy.try_shutdown()
-        presence.leave()
-    # Only now: what a node holds may fail to be written to its end.
-    return max([refused, *(host.exit_code for host in hosts)])
+        # What a node holds may fail to be written to its end: the code is known only now.
+        code = max([refused, *(host.exit_code for host in hosts)])
+        sys.stdout.flush()
+        with ending_within(LETTING_GO, code):
+            for host in reversed(hosts):
+                host.node.destroy_node()
+            if executor is not None:
+                executor.shutdown()
+            rclpy.try_shutdown()
+            presence.leave()
+    return code

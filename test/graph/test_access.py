@@ -128,6 +128,7 @@ def created(domain, monkeypatch, tmp_path):
                 ]
             finally:
                 host.stop()
+                host.node.destroy_node()
         finally:
             rclpy.shutdown()
 

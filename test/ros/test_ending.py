@@ -3,6 +3,8 @@
 """A wish to end is heeded wherever it meets the process."""
 
 import signal
+import subprocess
+import sys
 
 import pytest
 from processes import wait_for
@@ -44,3 +46,25 @@ def test_other_errors_that_are_lost_are_told_as_ever(monkeypatch):
         item = Faulty()
         del item
     assert [lost.exc_type for lost in told] == [ValueError]
+
+
+@pytest.mark.parametrize('hang', ['while True: pass', "re.match('(a+)+$', 80 * 'a' + 'b')"])
+def test_a_process_ends_in_time_whatever_it_hangs_in(hang):
+    """The second one holds the interpreter, as middleware does that spins in a destructor."""
+    script = (
+        'import re\nfrom fuzzycnc_ros.ros.processes import ending_within\n'
+        f'print("told", flush=True)\nwith ending_within(1, 7):\n  {hang}\n'
+    )
+    done = subprocess.run(
+        [sys.executable, '-c', script], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (7, 'told\n', '')
+
+
+def test_a_process_that_is_through_in_time_is_left_alone():
+    script = (
+        'import time\nfrom fuzzycnc_ros.ros.processes import ending_within\n'
+        'with ending_within(1, 7): pass\ntime.sleep(1.5)\n'
+    )
+    done = subprocess.run([sys.executable, '-c', script], timeout=60, check=False)
+    assert done.returncode == 0

@@ -82,7 +82,7 @@ def test_nights_between_duties_are_left_out(domain, monkeypatch):
             while not machine.done:
                 machine._tick_in_time()
     finally:
-        machine.stop()
+        machine.node.destroy_node()
         rclpy.shutdown()
     assert now[0] - 100.0 == pytest.approx(2 * 600.0 / 600.0, abs=0.1)
     times = [getattr(item, 'stamp', None) or item.sec * SECOND + item.nanosec for item in sent]

@@ -34,7 +34,7 @@ def compensator(_initialised):
     """A node with a component."""
     host = make()
     yield host
-    host.stop()
+    host.node.destroy_node()
 
 
 def test_another_clock_is_refused(compensator):

@@ -101,6 +101,17 @@ def test_the_table_says_what_it_takes_and_what_was_passed_through(fuzzycnc, part
         assert piece in outcome.out, piece
 
 
+def test_a_machine_constant_that_is_not_the_users_is_said_in_the_first_line(fuzzycnc, part):
+    said = 'machine constant 0.000215 s² of the built-in simulated mill, not of your machine'
+    options = ('schedule', part, '--tolerance', '10um', '--out', 'out.ngc', '--in-place')
+    assert fuzzycnc(*options).out.startswith(said)
+    own = Path('own.yaml')
+    own.write_text('machine: own\naxes: {X: {limits: {velocity: 200 mm/s}}}\n')
+    assert fuzzycnc(*options, '--machine-file', own).out.startswith(said)
+    own.write_text('machine: own\ncontour_constant: {XY: 1e-4, XZ: 1e-4, YZ: 1e-4}\n')
+    assert 'not of your machine' not in fuzzycnc(*options, '--machine-file', own).out
+
+
 def test_the_machine_file_gives_what_the_command_line_leaves_open(fuzzycnc, part):
     Path('machine.yaml').write_text(MACHINE)
     options = ('--machine', 'machine.yaml', '--out', 'out.ngc', '--json', 'figures.json')

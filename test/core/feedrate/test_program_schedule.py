@@ -155,7 +155,7 @@ def test_a_stream_of_small_parts_gives_what_large_ones_give(monkeypatch, method,
     program = read_program(random_program(3, blocks=80) + 'G90\n' + on_circle(150))
     whole = schedule_program(program, made(law, blend=blend))
     for chunk in (11, 40):
-        monkeypatch.setattr(program_run, 'CHUNK', chunk)
+        monkeypatch.setattr(program_run, '_CHUNK', chunk)
         parts = schedule_program(program, made(law, blend=blend))
         assert len(parts.paths) > len(whole.paths)
         assert np.allclose(parts.feeds, whole.feeds, rtol=1e-9, atol=0.0, equal_nan=True)
@@ -166,7 +166,7 @@ def test_a_stream_of_small_parts_gives_what_large_ones_give(monkeypatch, method,
 @pytest.mark.parametrize('blend', [0.0, 1e-5])
 def test_a_long_program_is_read_no_farther_ahead_than_the_scheduler_looks(monkeypatch, blend):
     chunk, taken = 128, 0
-    monkeypatch.setattr(program_run, 'CHUNK', chunk)
+    monkeypatch.setattr(program_run, '_CHUNK', chunk)
     monkeypatch.setattr(program_run, 'GROUP', chunk)
 
     def lines():

@@ -213,13 +213,13 @@ def test_guard_takes_the_feedback_back_and_then_out(monkeypatch):
     rise, target = machine(noise=2e-8)
     free = make(HybridFilterNetwork).fit(rise, target, runs=RUNS)
     assert free.feedback_.sum() > 0.0
-    monkeypatch.setattr(hybrid, 'GAIN_MAX', 0.9 * free.loop_gain_)
+    monkeypatch.setattr(hybrid, '_GAIN_MAX', 0.9 * free.loop_gain_)
     held = make(HybridFilterNetwork).fit(rise, target, runs=RUNS)
     assert 0.0 < held.loop_gain_ < 0.9 * free.loop_gain_
     assert held.feedback_.sum() < free.feedback_.sum()
     assert held.problems_ == ()
     assert not held.recursion_off_
-    monkeypatch.setattr(hybrid, 'GAIN_MAX', 1e-6)
+    monkeypatch.setattr(hybrid, '_GAIN_MAX', 1e-6)
     off = make(HybridFilterNetwork).fit(rise, target, runs=RUNS)
     assert off.feedback_.sum() == off.loop_gain_ == 0.0
     assert off.recursion_off_
