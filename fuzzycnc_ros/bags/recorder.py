@@ -9,9 +9,9 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from fuzzycnc_ros.bags.errors import BagError, BagTopicError, BagTypeError
+from fuzzycnc_ros.bags.errors import BagError, BagTypeError
 from fuzzycnc_ros.bags.metadata import Profiles, Qos
-from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.bags.writer import BagWriter, not_announced
 
 PENDING_MAX = 256 * 1024 * 1024
 """Most bytes that wait for the disk; what comes on top is dropped and counted."""
@@ -344,10 +344,7 @@ class RecordingThread:
         with self._lock:
             counts = self._counts.get(topic)
             if counts is None:
-                raise BagTopicError(
-                    f'{topic}: expected an announced topic, one of '
-                    f'{", ".join(self._counts) or "none"}; call add_topic first'
-                )
+                raise not_announced(topic, self._counts)
             counts.received += 1
             counts.sequence.update(sequence, publisher)
             full = self._pending_bytes + len(payload) > self._pending_max

@@ -7,7 +7,7 @@ import pickle
 import re
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -252,10 +252,7 @@ class BagWriter:
         self._check_open()
         entry = self._topics.get(topic)
         if entry is None:
-            raise BagTopicError(
-                f'{topic}: expected an announced topic, one of '
-                f'{", ".join(self._topics) or "none"}; call add_topic first'
-            )
+            raise not_announced(topic, self._topics)
         if not (0 <= log_time <= _TIME_MAX and 0 <= publish_time <= _TIME_MAX):
             raise BagError(
                 f'{topic}: expected times within 0 and 2^63 - 1 ns '
@@ -383,6 +380,14 @@ class BagWriter:
             'start a new bag'
         )
         return BagWriteError(self._failure)
+
+
+def not_announced(topic: str, known: Iterable[str]) -> BagTopicError:
+    """Return the refusal of a message on a topic that is none of those known."""
+    return BagTopicError(
+        f'{topic}: expected an announced topic, one of {", ".join(known) or "none"}; call '
+        'add_topic first'
+    )
 
 
 def _make_folder(path: Path) -> Path:
