@@ -23,7 +23,7 @@ from fuzzycnc_ros.core.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True)
-class _AxisModel:
+class AxisModel:
     """Motion per command: dv/dt = gain u - viscous v - coulomb sign(v) - offset.
 
     Forces are divided by the mass, which position and command alone do not tell.
@@ -195,9 +195,9 @@ class Parameter:
     Attributes
     ----------
     name : str
-        Of `_AxisModel`.
+        Of `AxisModel`.
     value : float
-        Its value, in the units of `_AxisModel`.
+        Its value, in the units of `AxisModel`.
     low, high : float
         Ends of its 95 % interval.
     why_not : str
@@ -217,7 +217,7 @@ class AxisFit:
 
     Attributes
     ----------
-    model : _AxisModel
+    model : AxisModel
         The model.
     structure : str
         Of `STRUCTURES`, with what of `FURTHER` was worth it.
@@ -233,7 +233,7 @@ class AxisFit:
         Measured less simulated position of each recording [m].
     """
 
-    model: _AxisModel
+    model: AxisModel
     structure: str
     parameters: tuple[Parameter, ...]
     rms: float
@@ -271,7 +271,7 @@ def fit_axis(recordings: Sequence[AxisRecording], progress: _Progress | None = N
     halves = _halves(recordings)
     plain = _inverse_dynamics(recordings)
     trials: dict[str, float] = {}
-    starts: dict[str, _AxisModel] = {}
+    starts: dict[str, AxisModel] = {}
     structures = dict(STRUCTURES)
     work = len(STRUCTURES) + len(FURTHER) + 1
 
@@ -369,13 +369,13 @@ def _start(one: AxisRecording) -> tuple[float, float]:
     return float(place), float(speed)
 
 
-def _errors(model: _AxisModel, one: AxisRecording) -> Array:
+def _errors(model: AxisModel, one: AxisRecording) -> Array:
     """Return measured less simulated position, open loop from the first sample on [m]."""
     place, speed = _start(one)
     return np.asarray(one.position - model.simulate(one.command, one.period, place, speed))
 
 
-def _inverse_dynamics(recordings: Sequence[AxisRecording]) -> _AxisModel:
+def _inverse_dynamics(recordings: Sequence[AxisRecording]) -> AxisModel:
     """Return a first model: forces explained by smoothed derivatives, by least squares."""
     rows, targets = [], []
     for one in recordings:
@@ -397,7 +397,7 @@ def _inverse_dynamics(recordings: Sequence[AxisRecording]) -> _AxisModel:
             'opposite, or no relation; turn the sign of one column (--reversed), or choose another'
         )
     viscous, coulomb = max(viscous, 1e-3), max(coulomb, 0.0)
-    return _AxisModel(
+    return AxisModel(
         gain=gain,
         viscous_forward=viscous,
         viscous_backward=viscous,
@@ -408,12 +408,12 @@ def _inverse_dynamics(recordings: Sequence[AxisRecording]) -> _AxisModel:
     )
 
 
-def _vector(model: _AxisModel, names: Sequence[str]) -> Array:
+def _vector(model: AxisModel, names: Sequence[str]) -> Array:
     """Return parameters as the search has them: positive ones by their logarithm."""
     return np.array([_to(name, _value(model, name)) for name in names])
 
 
-def _value(model: _AxisModel, name: str) -> float:
+def _value(model: AxisModel, name: str) -> float:
     if name == 'viscous':
         return 0.5 * (model.viscous_forward + model.viscous_backward)
     return float(getattr(model, name))
@@ -426,7 +426,7 @@ def _to(name: str, value: float) -> float:
 _VISCOUS = ('viscous', 'viscous_forward', 'viscous_backward')
 
 
-def _model(point: Array, names: Sequence[str]) -> _AxisModel:
+def _model(point: Array, names: Sequence[str]) -> AxisModel:
     values = {
         name: float(np.exp(value)) if name in ('gain', *_VISCOUS) else float(value)
         for name, value in zip(names, point.tolist(), strict=True)
@@ -434,7 +434,7 @@ def _model(point: Array, names: Sequence[str]) -> _AxisModel:
     viscous = values.pop('viscous', None)
     if viscous is not None:
         values |= {'viscous_forward': viscous, 'viscous_backward': viscous}
-    return _AxisModel(**values)
+    return AxisModel(**values)
 
 
 def _bounds(names: Sequence[str]) -> tuple[Array, Array]:
@@ -457,9 +457,7 @@ def _steps(point: Array, names: Sequence[str], period: float) -> Array:
     )
 
 
-def _fit(
-    recordings: Sequence[AxisRecording], start: _AxisModel, names: Sequence[str]
-) -> _AxisModel:
+def _fit(recordings: Sequence[AxisRecording], start: AxisModel, names: Sequence[str]) -> AxisModel:
     low, high = _bounds(names)
 
     def residual(point: Array) -> Array:
@@ -476,8 +474,8 @@ def _fit(
 
 
 def _fit_horizons(
-    recordings: Sequence[AxisRecording], start: _AxisModel, names: Sequence[str]
-) -> _AxisModel:
+    recordings: Sequence[AxisRecording], start: AxisModel, names: Sequence[str]
+) -> AxisModel:
     """Return the model that fits stretches of several lengths, each set by its own error."""
     low, high = _bounds(names)
     sets = [_cut(recordings, count) for count in _HORIZONS]
@@ -504,13 +502,13 @@ def _fit_horizons(
     return _model(point, names)
 
 
-def _misfit(recordings: Sequence[AxisRecording], model: _AxisModel) -> float:
+def _misfit(recordings: Sequence[AxisRecording], model: AxisModel) -> float:
     """Return the geometric mean of the errors over stretches of each length [m]."""
     errors = [1.0 / _share(model, _cut(recordings, count)) for count in _HORIZONS]
     return float(np.exp(np.mean(np.log(errors))))
 
 
-def _share(model: _AxisModel, parts: Sequence[AxisRecording]) -> float:
+def _share(model: AxisModel, parts: Sequence[AxisRecording]) -> float:
     """Return the weight that makes the squared errors of some stretches sum up to 1 [1/m]."""
     return 1.0 / sqrt(sum(float((_errors(model, one) ** 2).sum()) for one in parts) or 1.0)
 
@@ -536,7 +534,7 @@ def _slopes(
 
 
 def _parameters(
-    recordings: Sequence[AxisRecording], model: _AxisModel, names: Sequence[str]
+    recordings: Sequence[AxisRecording], model: AxisModel, names: Sequence[str]
 ) -> tuple[Parameter, ...]:
     """Return the parameters with 95 % intervals that allow for errors that go together.
 
@@ -583,9 +581,9 @@ def told(fit: AxisFit, name: str) -> bool:
     return any(one.name == name and not one.why_not for one in fit.parameters)
 
 
-def _without_untold(fit: AxisFit) -> _AxisModel:
+def _without_untold(fit: AxisFit) -> AxisModel:
     """Return the model with dead time and lag at 0 where the data cannot tell them."""
-    known = {item.name for item in fields(_AxisModel)}
+    known = {item.name for item in fields(AxisModel)}
     gone = {
         one.name: 0.0
         for one in fit.parameters

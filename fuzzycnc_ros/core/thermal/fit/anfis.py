@@ -5,7 +5,6 @@
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array, Seed
 from fuzzycnc_ros.core.fuzzy.clustering import FuzzyCMeans
@@ -13,7 +12,7 @@ from fuzzycnc_ros.core.fuzzy.takagi_sugeno import Premises, TrainedRules, train_
 from fuzzycnc_ros.core.thermal.domain import RISE_NOISE
 from fuzzycnc_ros.core.thermal.fit.grey import GreyModel
 from fuzzycnc_ros.core.thermal.fit.linear import check_ridge, column_scale
-from fuzzycnc_ros.core.thermal.fit.regressor import ThermalRegressor, check_training
+from fuzzycnc_ros.core.thermal.fit.regressor import ThermalRegressor
 from fuzzycnc_ros.core.thermal.recursions.base import check_interval
 from fuzzycnc_ros.core.thermal.recursions.rules import CorrectedRecursion, RulesRecursion
 
@@ -98,21 +97,7 @@ class Anfis(ThermalRegressor):
         self.interval = interval
         self.random_state = random_state
 
-    def fit(
-        self,
-        X: ArrayLike,  # noqa: N803
-        y: ArrayLike,
-        *,
-        runs: ArrayLike | None = None,
-    ) -> 'Anfis':
-        """Fit rises (n, p) [K] to the thermal error (n,) [m]; NaN targets are ignored.
-
-        Raises
-        ------
-        ValueError
-            If a parameter is out of range, or there are fewer measured samples than rules.
-        """
-        rise, target, _ = check_training(self, X, y, runs)
+    def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         self._check_parameters(rise.shape[1])
         measured = np.isfinite(target)
         rise, target = rise[measured], target[measured]
@@ -137,7 +122,6 @@ class Anfis(ThermalRegressor):
         self.cost_ = trained.cost
         self.support_ = trained.support
         self.problems_ = _problems(trained)
-        return self
 
     def _premises(self, inputs: Array) -> Premises:
         if self.rules == 'grid':
@@ -215,33 +199,11 @@ class GreyAnfis(ThermalRegressor):
         self.interval = interval
         self.random_state = random_state
 
-    def fit(
-        self,
-        X: ArrayLike,  # noqa: N803
-        y: ArrayLike,
-        *,
-        runs: ArrayLike | None = None,
-    ) -> 'GreyAnfis':
-        """Fit rises (n, p) [K] to the thermal error (n,) [m]; NaN targets are ignored.
-
-        Parameters
-        ----------
-        X : array_like, shape (n, p)
-            Rises [K].
-        y : array_like, shape (n,)
-            Thermal error [m].
-        runs : array_like, shape (n,), optional
-            Label of the run that each sample belongs to; the lags start anew with each run.
-
-        Raises
-        ------
-        ValueError
-            If a parameter is out of range, or there are fewer measured samples than rules.
-        """
-        rise, target, _ = check_training(self, X, y, runs)
+    def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         if not (np.isfinite(self.fade) and self.fade > 1.0):
             raise ValueError(f'fade: expected a number above 1, but found {self.fade}')
         self.grey_ = GreyModel('stable', interval=self.interval, ridge=self.ridge)
+        runs = np.repeat(np.arange(len(rows)), [run.stop - run.start for run in rows])
         self.grey_.fit(rise, target, runs=runs)
         residual = target - self.grey_.predict(rise, runs=runs)
         self.anfis_ = Anfis(
@@ -262,7 +224,6 @@ class GreyAnfis(ThermalRegressor):
             outer=np.array([self.fade * limit]),
         )
         self.problems_ = self.grey_.problems_ + self.anfis_.problems_
-        return self
 
 
 def mahalanobis(rise: Array) -> tuple[Array, Array, float]:

@@ -19,7 +19,6 @@ from fuzzycnc_ros.core.thermal.fit.linear import check_ridge, column_scale
 from fuzzycnc_ros.core.thermal.fit.regressor import (
     ThermalRegressor,
     check_sample_count,
-    check_training,
 )
 from fuzzycnc_ros.core.thermal.recursions.base import check_interval
 from fuzzycnc_ros.core.thermal.recursions.kernel import (
@@ -70,23 +69,7 @@ class GaussianProcess(ThermalRegressor):
         self.samples_max = samples_max
         self.interval = interval
 
-    def fit(
-        self,
-        X: ArrayLike,  # noqa: N803
-        y: ArrayLike,
-        *,
-        runs: ArrayLike | None = None,
-    ) -> 'GaussianProcess':
-        """Fit rises (n, p) [K] to the thermal error (n,) [m]; NaN targets are ignored.
-
-        Raises
-        ------
-        ImportError
-            If scikit-learn is not installed.
-        ValueError
-            If fewer than two samples were measured, or `samples_max` is below two.
-        """
-        rise, target, _ = check_training(self, X, y, runs)
+    def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         check_sample_count(target, 1)
         check_interval(self.interval)
         if not self.samples_max >= 2:
@@ -121,7 +104,6 @@ class GaussianProcess(ThermalRegressor):
         self.length_ = bumps['length']
         self.noise_ = float(self.recursion_.noise[0])
         self.problems_: tuple[str, ...] = problems
-        return self
 
     def standard_deviation(self, X: ArrayLike) -> Array:  # noqa: N803
         """Return how far measured displacements lie from the prediction at rises (n, p) [K].
@@ -192,23 +174,7 @@ class Mlp(ThermalRegressor):
         self.interval = interval
         self.random_state = random_state
 
-    def fit(
-        self,
-        X: ArrayLike,  # noqa: N803
-        y: ArrayLike,
-        *,
-        runs: ArrayLike | None = None,
-    ) -> 'Mlp':
-        """Fit rises (n, p) [K] to the thermal error (n,) [m]; NaN targets are ignored.
-
-        Raises
-        ------
-        ImportError
-            If scikit-learn is not installed.
-        ValueError
-            If fewer than two samples were measured, or a parameter is out of range.
-        """
-        rise, target, _ = check_training(self, X, y, runs)
+    def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         check_sample_count(target, 1)
         self._check_parameters()
         measured = np.isfinite(target)
@@ -243,7 +209,6 @@ class Mlp(ThermalRegressor):
             biases=tuple(bias[np.newaxis] for bias in biases),
             activation=self.activation,
         )
-        return self
 
     def _check_parameters(self) -> None:
         check_interval(self.interval)

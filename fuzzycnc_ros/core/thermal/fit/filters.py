@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.fit.linear import column_scale, ridge_solution
-from fuzzycnc_ros.core.thermal.fit.regressor import check_training
 from fuzzycnc_ros.core.thermal.fit.tanh_network import SOLVERS, TanhNetwork
 from fuzzycnc_ros.core.thermal.recursions.filters import DELAY_MAX, FilterNetworkRecursion
 
@@ -101,21 +100,22 @@ class NetworkTraining:
 
 
 def network_training(
-    estimator: object,
-    samples: ArrayLike,
-    target: ArrayLike,
-    runs: ArrayLike | None,
+    rise: Array,
+    values: Array,
+    rows: list[slice],
     output_range: float,
     least: int,
 ) -> NetworkTraining:
-    """Check the arguments of `fit`, drop sensors that stood still and find the output range.
+    """Drop sensors that stood still and find the output range.
 
     Parameters
     ----------
-    estimator : ThermalRegressor
-        Estimator under training.
-    samples, target, runs : array_like
-        Arguments of `fit`.
+    rise : ndarray, shape (n, p)
+        Rises [K].
+    values : ndarray, shape (n,)
+        Deformation [m]; NaN where nothing was measured.
+    rows : list of slice
+        Rows of each run.
     output_range : float
         Wanted output range 1 / C_Y [m]; where the measured deformation takes up more than nine
         tenths of it, twice the largest deformation takes its place.
@@ -125,13 +125,12 @@ def network_training(
     Raises
     ------
     ValueError
-        If lengths disagree, there are too few measured samples, or the range is not positive.
+        If there are too few measured samples, or the range is not positive.
     """
     if not (np.isfinite(output_range) and output_range > 0.0):
         raise ValueError(
             f'output_range: expected a positive number of m, but found {output_range}'
         )
-    rise, values, rows = check_training(estimator, samples, target, runs)
     count = int(np.isfinite(values).sum())
     if count < least:
         raise ValueError(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array, Seed
 from fuzzycnc_ros.core.thermal.fit.filters import (
@@ -259,33 +259,10 @@ class HybridFilterNetwork(ThermalRegressor):
         self.interval = interval
         self.random_state = random_state
 
-    def fit(
-        self,
-        X: ArrayLike,  # noqa: N803
-        y: ArrayLike,
-        *,
-        runs: ArrayLike | None = None,
-    ) -> 'HybridFilterNetwork':
-        """Fit rises (n, p) [K] to the deformation (n,) [m]; rows of NaN targets drive only.
-
-        Parameters
-        ----------
-        X : array_like, shape (n, p)
-            Rises [K].
-        y : array_like, shape (n,)
-            Deformation [m].
-        runs : array_like, shape (n,), optional
-            Label of the run that each sample belongs to; delays and history start anew with
-            each run.
-
-        Raises
-        ------
-        ValueError
-            If a parameter is out of its range or there are too few measured samples.
-        """
+    def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         delays = self._checked()
         least = samples_min(self.history, delays)
-        data = network_training(self, X, y, runs, self.output_range, least)
+        data = network_training(rise, target, rows, self.output_range, least)
         front_size = 1 + (len(delays) if self.moving_average == 'per_lag' else 1)
         rng = np.random.default_rng(self.random_state)
         start = TanhNetwork.drawn(front_size + 1, self.hidden, rng)
@@ -300,7 +277,6 @@ class HybridFilterNetwork(ThermalRegressor):
         self.recursion_ = fit.recursion
         self.recursion_off_ = self.guard and not self.feedback_.any()
         self.problems_ = problems
-        return self
 
     def _checked(self) -> NDArray[np.int64]:
         """Return the delays in use after refusing settings out of their range."""

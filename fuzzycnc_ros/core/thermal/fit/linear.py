@@ -5,14 +5,12 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.fit.regressor import (
     ThermalRegressor,
     check_sample_count,
-    check_training,
 )
 from fuzzycnc_ros.core.thermal.recursions.base import (
     LinearRecursion,
@@ -42,26 +40,11 @@ class LeastSquares(ThermalRegressor):
     def __init__(self, *, interval: float = 60.0) -> None:
         self.interval = interval
 
-    def fit(
-        self,
-        X: ArrayLike,  # noqa: N803
-        y: ArrayLike,
-        *,
-        runs: ArrayLike | None = None,
-    ) -> 'LeastSquares':
-        """Fit rises (n, p) [K] to the thermal error (n,) [m]; NaN targets are ignored.
-
-        Raises
-        ------
-        ValueError
-            If there are not more measured samples than parameters.
-        """
-        rise, target, _ = check_training(self, X, y, runs)
+    def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         check_sample_count(target, rise.shape[1] + 1)
         self.recursion_ = _static_recursion(rise, target, 0.0)
         self.coef_: Array = self.recursion_.direct[0]
         self.intercept_ = float(self.recursion_.offset[0])
-        return self
 
 
 class StaticRidge(ThermalRegressor):
@@ -84,20 +67,11 @@ class StaticRidge(ThermalRegressor):
         self.ridge = ridge
         self.interval = interval
 
-    def fit(
-        self,
-        X: ArrayLike,  # noqa: N803
-        y: ArrayLike,
-        *,
-        runs: ArrayLike | None = None,
-    ) -> 'StaticRidge':
-        """Fit rises (n, p) [K] to the thermal error (n,) [m]; NaN targets are ignored."""
-        rise, target, _ = check_training(self, X, y, runs)
+    def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         check_ridge(self.ridge)
         self.recursion_ = _static_recursion(rise, target, self.ridge)
         self.coef_: Array = self.recursion_.direct[0]
         self.intercept_ = float(self.recursion_.offset[0])
-        return self
 
 
 class LagRidge(ThermalRegressor):
@@ -151,25 +125,7 @@ class LagRidge(ThermalRegressor):
         self.drivers = drivers
         self.driver_lags = driver_lags
 
-    def fit(
-        self,
-        X: ArrayLike,  # noqa: N803
-        y: ArrayLike,
-        *,
-        runs: ArrayLike | None = None,
-    ) -> 'LagRidge':
-        """Fit rises (n, p) [K] to the thermal error (n,) [m]; NaN targets are ignored.
-
-        Parameters
-        ----------
-        X : array_like, shape (n, p)
-            Rises [K].
-        y : array_like, shape (n,)
-            Thermal error [m].
-        runs : array_like, shape (n,), optional
-            Label of the run that each sample belongs to; the lags start anew with each run.
-        """
-        rise, target, rows = check_training(self, X, y, runs)
+    def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         check_ridge(self.ridge)
         if not 0 <= self.drivers < rise.shape[1]:
             raise ValueError(
@@ -185,7 +141,6 @@ class LagRidge(ThermalRegressor):
         coefficient = (1 + len(pole)) * split
         self.coef_: Array = weight[:coefficient].reshape(1 + len(pole), split)
         self.driver_coef_: Array = weight[coefficient:].reshape(1 + len(driver_pole), -1)
-        return self
 
 
 def check_ridge(ridge: float) -> None:

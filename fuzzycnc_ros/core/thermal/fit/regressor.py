@@ -23,11 +23,44 @@ _Self = TypeVar('_Self', bound='ThermalRegressor')
 class ThermalRegressor(RegressionEstimator):
     """Base of the models that map rises to the thermal error of one channel.
 
-    A subclass learns `recursion_` in `fit`; everything else follows from that.
+    A subclass learns `recursion_` in `_fit`; everything else follows from that.
     """
 
     interval: float
     recursion_: Recursion
+
+    def fit(
+        self: _Self,
+        X: ArrayLike,  # noqa: N803
+        y: ArrayLike,
+        *,
+        runs: ArrayLike | None = None,
+    ) -> _Self:
+        """Learn from recorded samples and return the estimator.
+
+        Parameters
+        ----------
+        X : array_like, shape (n, p)
+            Rises [K].
+        y : array_like, shape (n,)
+            Thermal error [m]; NaN where nothing was measured.
+        runs : array_like, shape (n,), optional
+            Label of the run that each sample belongs to; lags, delays and history start anew with
+            each run.  One run if absent.
+
+        Raises
+        ------
+        ValueError
+            If a parameter is out of its range, lengths disagree, or too few samples were measured.
+        ImportError
+            If the estimator needs scikit-learn and that is not installed.
+        """
+        self._fit(*check_training(self, X, y, runs))
+        return self
+
+    def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
+        """Learn `recursion_` from checked rises (n, p), target (n,) and the rows of each run."""
+        raise NotImplementedError
 
     def predict(self, X: ArrayLike, *, runs: ArrayLike | None = None) -> Array:  # noqa: N803
         """Return the thermal error of whole runs, each from its own start.

@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array, Seed
 from fuzzycnc_ros.core.thermal.fit.filters import (
@@ -89,27 +89,13 @@ class Arma(ThermalRegressor):
         self.output_range = output_range
         self.interval = interval
 
-    def fit(
-        self,
-        X: ArrayLike,  # noqa: N803
-        y: ArrayLike,
-        *,
-        runs: ArrayLike | None = None,
-    ) -> 'Arma':
-        """Fit rises (n, p) [K] to the deformation (n,) [m].
-
-        Samples are left out whose deformation, or one of the K before it, is NaN.
-
-        Raises
-        ------
-        ValueError
-            If a parameter is out of its range, or too few samples remain.
-        """
+    def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         delays = check_delays(self.delays, 0)
         if not self.history >= 1:
             raise ValueError(f'history: expected 1 or more, but found {self.history}')
         least = samples_min(self.history, delays)
-        data = network_training(self, X, y, runs, self.output_range, least)
+        data = network_training(rise, target, rows, self.output_range, least)
+        # Left out are samples whose deformation, or one of the K before it, is NaN.
         history = past(data.target, data.rows, self.history)
         known = data.measured & np.isfinite(history).all(axis=1)
         if known.sum() < least:
@@ -138,7 +124,6 @@ class Arma(ThermalRegressor):
                 f'a root of the recursion, {root:.3g}, is not below 1: it runs away until it '
                 'is cut',
             )
-        return self
 
 
 class _PlainNetwork(ThermalRegressor):
@@ -225,21 +210,13 @@ class LinearNetwork(_PlainNetwork):
         self.interval = interval
         self.random_state = random_state
 
-    def fit(
-        self,
-        X: ArrayLike,  # noqa: N803
-        y: ArrayLike,
-        *,
-        runs: ArrayLike | None = None,
-    ) -> 'LinearNetwork':
-        """Fit rises (n, p) [K] to the deformation (n,) [m]; NaN targets are ignored."""
-        data = network_training(self, X, y, runs, self.output_range, samples_min(0, _PRESENT))
+    def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
+        data = network_training(rise, target, rows, self.output_range, samples_min(0, _PRESENT))
         known = data.measured
         check_filter_ridge(self.ridge, data.rise.shape[1], int(known.sum()))
         self.linear_ = fit_filter(data.rise[known], data.target[known], self.ridge, False)
         weight = self.linear_.weight[np.newaxis] / data.scale
         self._train(data, _PRESENT, weight, np.array([self.linear_.offset / data.scale]))
-        return self
 
 
 class StaticNetwork(_PlainNetwork):
@@ -280,17 +257,9 @@ class StaticNetwork(_PlainNetwork):
         self.interval = interval
         self.random_state = random_state
 
-    def fit(
-        self,
-        X: ArrayLike,  # noqa: N803
-        y: ArrayLike,
-        *,
-        runs: ArrayLike | None = None,
-    ) -> 'StaticNetwork':
-        """Fit rises (n, p) [K] to the deformation (n,) [m]; NaN targets are ignored."""
-        data = network_training(self, X, y, runs, self.output_range, samples_min(0, _PRESENT))
+    def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
+        data = network_training(rise, target, rows, self.output_range, samples_min(0, _PRESENT))
         self._train(data, _PRESENT, *_common_scale(data, 1))
-        return self
 
 
 class DynamicNetwork(_PlainNetwork):
@@ -335,19 +304,11 @@ class DynamicNetwork(_PlainNetwork):
         self.interval = interval
         self.random_state = random_state
 
-    def fit(
-        self,
-        X: ArrayLike,  # noqa: N803
-        y: ArrayLike,
-        *,
-        runs: ArrayLike | None = None,
-    ) -> 'DynamicNetwork':
-        """Fit rises (n, p) [K] to the deformation (n,) [m]; NaN targets are ignored."""
+    def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         delays = check_delays(self.delays, 0)
         least = samples_min(0, delays)
-        data = network_training(self, X, y, runs, self.output_range, least)
+        data = network_training(rise, target, rows, self.output_range, least)
         self._train(data, delays, *_common_scale(data, len(delays)))
-        return self
 
 
 def _common_scale(data: NetworkTraining, delays: int) -> tuple[Array, Array]:
