@@ -153,10 +153,11 @@ def test_drives_go_to_zero_when_the_controller_dies(graph, observer):
     observer.watch_diagnostics()
     axes = observer.records('axis_state', AxisState)
     commands = observer.records('axis_command', AxisCommand)
-    servo, machine = start(graph, answer_timeout=KILL_TIMEOUT, move_time=20.0)
-    observer.until(
-        lambda: bool(axes) and axes[-1].position[0] < 0.3 * TARGET, 'the middle of the move'
+    # Far, so that it is still under way when a busy computer has seen it begin.
+    servo, machine = start(
+        graph, answer_timeout=KILL_TIMEOUT, move_time=20.0, moves=[f'X:{4.0 * TARGET}']
     )
+    observer.until(lambda: bool(axes) and axes[-1].position[0] < 0.3 * TARGET, 'the move')
     graph.kill(servo)
     observer.until(
         lambda: any(
