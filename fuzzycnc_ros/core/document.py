@@ -95,14 +95,30 @@ class Node:
         """Return a list of numbers where null stands for infinity, which JSON has not."""
         return np.array([np.inf if n.value is None else n.number() for n in self.list()])
 
+    def array(self, *lengths: int | None) -> Array:
+        """Return nested lists of finite numbers as an array.
+
+        Parameters
+        ----------
+        lengths : int or None
+            Length of each axis; None is any, of inner axes the one that comes first.
+        """
+        length, *inner = lengths
+        nodes = self.list()
+        if length not in (None, len(nodes)):
+            self.refuse(f'{length} {"rows" if inner else "numbers"}')
+        if not inner:
+            return self.vector()
+        rows: list[Array] = []
+        for node in nodes:
+            rows.append(node.array(*inner))
+            inner = list(rows[0].shape)
+        shape = [0 if size is None else size for size in inner]
+        return np.array(rows, dtype=np.float64).reshape(len(rows), *shape)
+
     def matrix(self, columns: int) -> Array:
         """Return a list of rows of `columns` finite numbers each; it may have no row."""
-        rows = []
-        for node in self.list():
-            rows.append(node.numbers())
-            if len(rows[-1]) != columns:
-                node.refuse(f'{columns} numbers')
-        return np.array(rows, dtype=np.float64).reshape(len(rows), columns)
+        return self.array(None, columns)
 
 
 def parse_document(text: str, what: str, size_max: int) -> Node:

@@ -109,7 +109,7 @@ def test_converted_grey_models_follow_the_same_step_response(ratio, exact):
 
 
 def test_alternating_poles_cannot_be_converted():
-    recursion = GreyRecursion(np.array([3.0]), np.ones((1, 1)), np.zeros(1), exact=True)
+    recursion = GreyRecursion(True, np.array([3.0]), np.ones((1, 1)), np.zeros(1))
     with pytest.raises(ValueError, match='fit the model anew'):
         recursion.with_interval(2.0)
 

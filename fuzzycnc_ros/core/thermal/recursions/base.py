@@ -11,10 +11,11 @@ operations and therefore agree to the last digits.
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from importlib import import_module
 from itertools import pairwise
+from math import prod
 from types import MappingProxyType
 from typing import Any, ClassVar, TypeVar
 
@@ -28,29 +29,110 @@ from fuzzycnc_ros.core.document import Node
 _Self = TypeVar('_Self', bound='Recursion')
 
 
+def axes(names: str) -> dict[str, Any]:
+    """Return what a field that is an array of a recursion declares.
+
+    Parameters
+    ----------
+    names : str
+        A name for each axis: `c` is the channels, `p` the inputs, others are the form's own.  A
+        name of several letters is the product of their lengths.
+    """
+    return {'axes': tuple(names.split())}
+
+
+def part(*refused: str, but: str) -> dict[str, Any]:
+    """Return what a field that is a recursion of the same channels and inputs declares.
+
+    Parameters
+    ----------
+    refused : str
+        Forms that it may not have: a document must not nest without end.
+    but : str
+        What it may be instead, for messages.
+    """
+    return {'refused': refused, 'but': but}
+
+
 class Recursion(ABC):
     """A fitted model of one or more channels: numbers only, no training data, no estimator.
 
-    A subclass is a frozen dataclass of arrays.  It refuses arrays that do not fit together in
-    `__post_init__`, since they may come from a file.
+    A subclass is a frozen dataclass.  It declares its arrays by their axes, its parts, and flags;
+    what every form needs follows from that: the refusal of arrays that do not fit together (they
+    may come from a file), the choice of a channel, the union of channels, the document.
     """
 
     FORM: ClassVar[str]
     """Name of the form in model files."""
 
+    GROUP: ClassVar[str] = ''
+    """Member of the document that lists the arrays by channels; empty: each is written whole."""
+
+    STATIC: ClassVar[bool] = False
+    """Whether it holds at any interval, since it has no memory."""
+
+    _sizes: dict[str, int]
+    """Length of each axis, found when the recursion is made."""
+
+    @classmethod
+    def _arrays(cls) -> dict[str, tuple[str, ...]]:
+        """Return the axes of each declared array."""
+        declared = {item.name: item.metadata.get('axes') for item in fields(cls)}  # type: ignore[arg-type]
+        return {name: names for name, names in declared.items() if names}
+
+    @classmethod
+    def _parts(cls) -> dict[str, Mapping[str, Any]]:
+        """Return what is declared of each part."""
+        found = fields(cls)  # type: ignore[arg-type]
+        return {item.name: item.metadata for item in found if 'refused' in item.metadata}
+
+    @classmethod
+    def _flags(cls) -> list[str]:
+        """Return the names of the fields that are neither arrays nor parts."""
+        return [item.name for item in fields(cls) if not item.metadata]  # type: ignore[arg-type]
+
+    def __post_init__(self) -> None:
+        """Refuse arrays and parts that do not fit together, and what `_check` finds.
+
+        Raises
+        ------
+        ValueError
+            The message names the array.
+        """
+        sizes: dict[str, int] = {}
+        for name in self._parts():
+            inner: Recursion = getattr(self, name)
+            sizes = sizes or {'c': inner.channels, 'p': inner.inputs}
+            if (inner.channels, inner.inputs) != (sizes['c'], sizes['p']):
+                raise ValueError(
+                    f'{name}: expected {sizes["c"]} channels and {sizes["p"]} inputs as the base '
+                    f'has, but found {inner.channels} and {inner.inputs}'
+                )
+        for name, names in self._arrays().items():
+            values = getattr(self, name)
+            for axis, length in zip(names, values.shape, strict=False):
+                sizes.setdefault(axis, length)
+            check_shapes(self, **{name: tuple(sizes.get(axis, -1) for axis in names)})
+        object.__setattr__(self, '_sizes', sizes)
+        self._check()
+
+    def _check(self) -> None:  # noqa: B027 (most forms have nothing more to refuse)
+        """Refuse values that mean nothing in this form."""
+
     @property
-    @abstractmethod
     def inputs(self) -> int:
         """Number p of inputs."""
+        return self._sizes['p']
 
     @property
-    @abstractmethod
     def channels(self) -> int:
         """Number c of channels."""
+        return self._sizes['c']
 
-    @abstractmethod
     def initial_state(self) -> Array:
         """Return the state before the first sample of a run, where every rise is zero, flat."""
+        states = [getattr(self, name).initial_state() for name in self._parts()]
+        return np.concatenate([np.zeros(0), *states])
 
     @abstractmethod
     def step(self, rise: Array, state: Array) -> tuple[Array, Array]:
@@ -87,14 +169,28 @@ class Recursion(ABC):
         ValueError
             If the form has no meaning at another interval.
         """
+        if self.STATIC:
+            return self
+        parts = {name: getattr(self, name).with_interval(ratio) for name in self._parts()}
+        if parts:
+            return replace(self, **parts)  # type: ignore[type-var]
         raise ValueError(
             f'interval: expected the interval of the training, but found {ratio:g} times that; '
             f'a model of the form {self.FORM!r} holds for one interval: train it anew'
         )
 
-    @abstractmethod
     def channel(self: _Self, channel: int) -> _Self:
         """Return the recursion of one channel out of several."""
+        own: dict[str, Any] = {
+            name: getattr(self, name)[channel : channel + 1] for name in self._by_channel()
+        }
+        own |= {name: getattr(self, name).channel(channel) for name in self._parts()}
+        return replace(self, **own)  # type: ignore[type-var]
+
+    @classmethod
+    def _by_channel(cls) -> list[str]:
+        """Return the names of the arrays that each channel has its own of."""
+        return [name for name, names in cls._arrays().items() if names[0] == 'c']
 
     @classmethod
     def merge(cls: type[_Self], items: Sequence[_Self]) -> _Self | None:
@@ -102,14 +198,34 @@ class Recursion(ABC):
 
         The inputs are the same.  What cannot be merged runs side by side.
         """
-        return None
+        first, own = items[0], cls._by_channel()
+        alike = [*cls._flags(), *(name for name in cls._arrays() if name not in own)]
+        for item in items[1:]:
+            same = all(np.array_equal(getattr(item, n), getattr(first, n)) for n in alike)
+            if not same or any(
+                getattr(item, n).shape[1:] != getattr(first, n).shape[1:] for n in own
+            ):
+                return None
+        joined: dict[str, Any] = {
+            name: np.concatenate([getattr(item, name) for item in items]) for name in own
+        }
+        for name, declared in cls._parts().items():
+            joined[name] = combine([getattr(item, name) for item in items])
+            if joined[name].FORM in declared['refused']:
+                return None
+        return replace(first, **joined)  # type: ignore[type-var]
 
-    @abstractmethod
     def document(self) -> dict[str, Any]:
         """Return the numbers as JSON values; `read` takes them back."""
+        values: dict[str, Any] = {name: getattr(self, name) for name in self._flags()}
+        values |= {name: write_recursion(getattr(self, name)) for name in self._parts()}
+        arrays = {name: getattr(self, name).tolist() for name in self._arrays()}
+        if self.GROUP:
+            rows = zip(*arrays.values(), strict=True)
+            return {**values, self.GROUP: [dict(zip(arrays, row, strict=True)) for row in rows]}
+        return values | arrays
 
     @classmethod
-    @abstractmethod
     def read(cls: type[_Self], node: Node, inputs: int) -> _Self:
         """Return the recursion of a document, believing nothing in it.
 
@@ -118,6 +234,55 @@ class Recursion(ABC):
         ModelFileError, ValueError
             If a value is missing, of another type or shape, or not finite.
         """
+        values: dict[str, Any] = {}
+        for item in fields(cls):  # type: ignore[arg-type]
+            if not item.metadata:
+                flag = node.get(item.name)
+                values[item.name] = flag.boolean() if item.type is bool else flag.text()
+        for name, declared in cls._parts().items():
+            inner = node.get(name)
+            if inner.get('form').value in declared['refused']:
+                inner.refuse(declared['but'])
+            values[name] = read_recursion(inner, inputs)
+        sizes = {'p': inputs}
+        if not cls.GROUP:
+            for name, names in cls._arrays().items():
+                values[name] = cls._read_array(name, node.get(name), names, sizes)
+            return cls(**values)
+        rows = node.get(cls.GROUP).list()
+        if not rows:
+            node.get(cls.GROUP).refuse('the numbers of at least one channel')
+        for name, names in cls._arrays().items():
+            own = [cls._read_array(name, row.get(name), names[1:], sizes) for row in rows]
+            values[name] = np.array(own)
+        return cls(**values)
+
+    @classmethod
+    def _read_array(
+        cls, name: str, node: Node, names: tuple[str, ...], sizes: dict[str, int]
+    ) -> Array:
+        """Return an array of a document and note the lengths of its axes in `sizes`.
+
+        Parameters
+        ----------
+        name : str
+            Its name.
+        node : Node
+            Its values.
+        names : tuple of str
+            Its axes; none for a single number.
+        sizes : dict of str to int
+            Lengths that are known already.
+        """
+        if not names:
+            return np.array(node.number())
+        known = [
+            sizes.get(axis, prod(sizes[letter] for letter in axis) if len(axis) > 1 else None)
+            for axis in names
+        ]
+        values = node.array(*known)
+        sizes.update(zip(names, values.shape, strict=True))
+        return values
 
 
 class Stream:
@@ -243,35 +408,15 @@ class LinearRecursion(Recursion):
 
     FORM: ClassVar[str] = 'linear'
 
-    pole: Array
-    drive: Array
-    readout: Array
-    direct: Array
-    offset: Array
+    pole: Array = field(metadata=axes('q'))
+    drive: Array = field(metadata=axes('q p'))
+    readout: Array = field(metadata=axes('c q'))
+    direct: Array = field(metadata=axes('c p'))
+    offset: Array = field(metadata=axes('c'))
 
-    def __post_init__(self) -> None:
-        """Refuse shapes that disagree and poles that are not stable."""
-        lags, channels, inputs = len(self.pole), len(self.offset), self.direct.shape[-1]
-        check_shapes(
-            self,
-            pole=(lags,),
-            drive=(lags, inputs),
-            readout=(channels, lags),
-            direct=(channels, inputs),
-            offset=(channels,),
-        )
+    def _check(self) -> None:
         if not ((self.pole >= 0.0) & (self.pole < 1.0)).all():
             raise ValueError(f'pole: expected poles in [0, 1), but found {self.pole}')
-
-    @property
-    def inputs(self) -> int:
-        """Number p of inputs."""
-        return int(self.direct.shape[1])
-
-    @property
-    def channels(self) -> int:
-        """Number c of channels."""
-        return len(self.offset)
 
     def initial_state(self) -> Array:
         """Return the state at the start of a run, where every rise is zero, shape (q,)."""
@@ -323,28 +468,6 @@ class LinearRecursion(Recursion):
             readout=block_diag(*[item.readout for item in items]),
             direct=direct,
             offset=offset,
-        )
-
-    def document(self) -> dict[str, Any]:
-        """Return the numbers as JSON values."""
-        return {
-            'pole': self.pole.tolist(),
-            'drive': self.drive.tolist(),
-            'readout': self.readout.tolist(),
-            'direct': self.direct.tolist(),
-            'offset': self.offset.tolist(),
-        }
-
-    @classmethod
-    def read(cls, node: Node, inputs: int) -> 'LinearRecursion':
-        """Return the recursion of a document."""
-        pole = node.get('pole').vector()
-        return cls(
-            pole=pole,
-            drive=node.get('drive').matrix(inputs),
-            readout=node.get('readout').matrix(len(pole)),
-            direct=node.get('direct').matrix(inputs),
-            offset=node.get('offset').vector(),
         )
 
 
@@ -706,28 +829,12 @@ class BoundedRecursion(Recursion):
 
     FORM: ClassVar[str] = 'bounded'
 
-    base: Recursion
-    bound: Array
+    base: Recursion = field(metadata=part('bounded', but='a recursion that is not bounded'))
+    bound: Array = field(metadata=axes('c'))
 
-    def __post_init__(self) -> None:
-        """Refuse bounds that are not one positive number per channel."""
-        check_shapes(self, bound=(self.base.channels,))
+    def _check(self) -> None:
         if not (self.bound > 0.0).all():
             raise ValueError(f'bound: expected positive numbers, but found {self.bound}')
-
-    @property
-    def inputs(self) -> int:
-        """Number p of inputs."""
-        return self.base.inputs
-
-    @property
-    def channels(self) -> int:
-        """Number c of channels."""
-        return self.base.channels
-
-    def initial_state(self) -> Array:
-        """Return the state of the base."""
-        return self.base.initial_state()
 
     def step(self, rise: Array, state: Array) -> tuple[Array, Array]:
         """Return the thermal errors (c,) [m] and the next state for one sample of rises (p,)."""
@@ -741,33 +848,6 @@ class BoundedRecursion(Recursion):
     def standard_deviation(self, rise: Array) -> Array:
         """Return what the base says of its deviation, shape (..., c) [m]."""
         return self.base.standard_deviation(rise)
-
-    def with_interval(self, ratio: float) -> 'BoundedRecursion':
-        """Return the recursion for an interval `ratio` times as long."""
-        return BoundedRecursion(self.base.with_interval(ratio), self.bound)
-
-    def channel(self, channel: int) -> 'BoundedRecursion':
-        """Return the recursion of one channel out of several."""
-        return BoundedRecursion(self.base.channel(channel), self.bound[channel : channel + 1])
-
-    @classmethod
-    def merge(cls, items: Sequence['BoundedRecursion']) -> 'BoundedRecursion':
-        """Return one recursion for all channels."""
-        return BoundedRecursion(
-            combine([item.base for item in items]), np.concatenate([item.bound for item in items])
-        )
-
-    def document(self) -> dict[str, Any]:
-        """Return base and bounds as JSON values."""
-        return {'base': write_recursion(self.base), 'bound': self.bound.tolist()}
-
-    @classmethod
-    def read(cls, node: Node, inputs: int) -> 'BoundedRecursion':
-        """Return the recursion of a document."""
-        base = node.get('base')
-        if base.get('form').value == cls.FORM:
-            base.refuse('a recursion that is not bounded')
-        return cls(read_recursion(base, inputs), node.get('bound').vector())
 
 
 def bound_of(displacement: Array) -> Array:

@@ -4,9 +4,9 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.document import Node
-from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_shapes, clipped
+from fuzzycnc_ros.core.thermal.recursions.base import Recursion, axes, clipped
 
 _Self = TypeVar('_Self', bound='_DelayedRecursion')
 
@@ -41,12 +41,48 @@ class _DelayedRecursion(Recursion):
     and every output is zero.
     """
 
-    delay: NDArray[np.int64]
+    delay: NDArray[np.int64] = field(metadata=axes('m'))
+
+    def _check(self) -> None:
+        """Refuse delays that are negative, too long, not ascending, or fill the memory."""
+        delay, columns = self.delay, self._sizes['mp']
+        ascending = len(delay) > 0 and bool((np.diff(delay) > 0).all())
+        if not ascending or delay[0] < 0 or delay[-1] > DELAY_MAX:
+            raise ValueError(
+                f'delay: expected ascending delays from 0 to {DELAY_MAX}, but found {delay}'
+            )
+        if columns % len(delay):
+            raise ValueError(
+                f'delay: expected a multiple of {len(delay)} columns, one per delay and input, '
+                f'but found {columns}'
+            )
+        kept = int(delay[-1]) * self.inputs
+        if kept > STATE_MAX:
+            raise ValueError(
+                f'delay: expected a state of at most {STATE_MAX} numbers, but found {kept}'
+            )
 
     @property
-    @abstractmethod
+    def inputs(self) -> int:
+        """Number p of inputs."""
+        return self._sizes['mp'] // len(self.delay)
+
+    @property
     def history(self) -> int:
         """Number K of past outputs that feed back."""
+        return self._sizes['k']
+
+    @classmethod
+    def _read_array(
+        cls, name: str, node: Node, names: tuple[str, ...], sizes: dict[str, int]
+    ) -> Array:
+        """Return an array of a document; delays are whole and do not fill the memory."""
+        values = super()._read_array(name, node, names, sizes)
+        if name != 'delay':
+            return values
+        if (values != np.rint(values)).any() or (np.abs(values) > DELAY_MAX).any():
+            node.refuse(f'whole numbers of at most {DELAY_MAX} samples')
+        return values.astype(np.int64)
 
     @abstractmethod
     def _linear(self) -> tuple[Array, Array]:
@@ -162,36 +198,6 @@ def _own_history_columns(feedback: Array) -> Array:
     return columns.reshape(channels * rows, history * channels)
 
 
-def _check_delay(delay: NDArray[np.int64], columns: int) -> None:
-    """Refuse delays that are negative, too long, not ascending, or ask for too large a state.
-
-    Parameters
-    ----------
-    delay : ndarray of int
-        Delays [samples].
-    columns : int
-        Columns of the map, one per delay and input.
-    """
-    ascending = delay.ndim == 1 and len(delay) > 0 and bool((np.diff(delay) > 0).all())
-    if not ascending or delay[0] < 0 or delay[-1] > DELAY_MAX:
-        raise ValueError(
-            f'delay: expected ascending delays from 0 to {DELAY_MAX}, but found {delay}'
-        )
-    kept = int(delay[-1]) * (columns // len(delay))
-    if kept > STATE_MAX:
-        raise ValueError(
-            f'delay: expected a state of at most {STATE_MAX} numbers, but found {kept}'
-        )
-
-
-def _read_delay(node: Node) -> NDArray[np.int64]:
-    """Return the delays of a document; fractions and delays that fill the memory are refused."""
-    delay = node.vector()
-    if (delay != np.rint(delay)).any() or (np.abs(delay) > DELAY_MAX).any():
-        node.refuse(f'whole numbers of at most {DELAY_MAX} samples')
-    return delay.astype(np.int64)
-
-
 @dataclass(frozen=True, eq=False)
 class MovingAverageRecursion(_DelayedRecursion):
     """Autoregressive model with moving averages of the rises, method sheet 003 section 2.
@@ -216,44 +222,15 @@ class MovingAverageRecursion(_DelayedRecursion):
 
     FORM: ClassVar[str] = 'moving_average'
 
-    drive: Array
-    feedback: Array
-    offset: Array
-    limit: Array
+    drive: Array = field(metadata=axes('c mp'))
+    feedback: Array = field(metadata=axes('c k'))
+    offset: Array = field(metadata=axes('c'))
+    limit: Array = field(metadata=axes('c'))
 
-    def __post_init__(self) -> None:
-        """Refuse shapes that disagree."""
-        channels, columns = self.drive.shape
-        _check_delay(self.delay, columns)
-        if columns % len(self.delay):
-            raise ValueError(
-                f'drive: expected a multiple of {len(self.delay)} columns, one per delay and '
-                f'input, but found {columns}'
-            )
-        check_shapes(
-            self,
-            drive=(channels, columns),
-            feedback=(channels, self.feedback.shape[-1]),
-            offset=(channels,),
-            limit=(channels,),
-        )
+    def _check(self) -> None:
+        super()._check()
         if not (self.limit > 0.0).all():
             raise ValueError(f'limit: expected positive numbers, but found {self.limit}')
-
-    @property
-    def inputs(self) -> int:
-        """Number p of inputs."""
-        return int(self.drive.shape[-1]) // len(self.delay)
-
-    @property
-    def channels(self) -> int:
-        """Number c of channels."""
-        return len(self.limit)
-
-    @property
-    def history(self) -> int:
-        """Number K of past outputs that feed back."""
-        return int(self.feedback.shape[-1])
 
     def _linear(self) -> tuple[Array, Array]:
         past = _own_history_columns(self.feedback[:, np.newaxis, :])
@@ -261,58 +238,6 @@ class MovingAverageRecursion(_DelayedRecursion):
 
     def _output(self, activation: Array) -> Array:
         return clipped(activation, self.limit)
-
-    def channel(self, channel: int) -> 'MovingAverageRecursion':
-        """Return the recursion of one channel out of several."""
-        one = slice(channel, channel + 1)
-        return replace(
-            self,
-            drive=self.drive[one],
-            feedback=self.feedback[one],
-            offset=self.offset[one],
-            limit=self.limit[one],
-        )
-
-    @classmethod
-    def merge(cls, items: Sequence['MovingAverageRecursion']) -> 'MovingAverageRecursion | None':
-        """Return one recursion for all channels, None if delays or sizes differ."""
-        first = items[0]
-        if any(
-            item.history != first.history or not np.array_equal(item.delay, first.delay)
-            for item in items
-        ):
-            return None
-        return cls(
-            delay=first.delay,
-            drive=np.concatenate([item.drive for item in items]),
-            feedback=np.concatenate([item.feedback for item in items]),
-            offset=np.concatenate([item.offset for item in items]),
-            limit=np.concatenate([item.limit for item in items]),
-        )
-
-    def document(self) -> dict[str, Any]:
-        """Return the numbers as JSON values."""
-        return {
-            'delay': self.delay.tolist(),
-            'drive': self.drive.tolist(),
-            'feedback': self.feedback.tolist(),
-            'offset': self.offset.tolist(),
-            'limit': self.limit.tolist(),
-        }
-
-    @classmethod
-    def read(cls, node: Node, inputs: int) -> 'MovingAverageRecursion':
-        """Return the recursion of a document."""
-        delay = _read_delay(node.get('delay'))
-        feedback = node.get('feedback').list()
-        history = len(feedback[0].list()) if feedback else 0
-        return cls(
-            delay=delay,
-            drive=node.get('drive').matrix(len(delay) * inputs),
-            feedback=node.get('feedback').matrix(history),
-            offset=node.get('offset').vector(),
-            limit=node.get('limit').vector(),
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,49 +268,17 @@ class FilterNetworkRecursion(_DelayedRecursion):
 
     FORM: ClassVar[str] = 'filter_network'
 
-    inner: Array
-    feedback: Array
-    bias: Array
-    outer: Array
-    offset: Array
-    scale: Array
+    inner: Array = field(metadata=axes('c h mp'))
+    feedback: Array = field(metadata=axes('c h k'))
+    bias: Array = field(metadata=axes('c h'))
+    outer: Array = field(metadata=axes('c h'))
+    offset: Array = field(metadata=axes('c'))
+    scale: Array = field(metadata=axes('c'))
 
-    def __post_init__(self) -> None:
-        """Refuse shapes that disagree."""
-        _check_delay(self.delay, self.inner.shape[-1])
-        channels, hidden = self.bias.shape
-        columns, history = self.inner.shape[-1], self.feedback.shape[-1]
-        if columns % len(self.delay):
-            raise ValueError(
-                f'inner: expected a multiple of {len(self.delay)} columns, one per delay and '
-                f'input, but found {columns}'
-            )
-        check_shapes(
-            self,
-            inner=(channels, hidden, columns),
-            feedback=(channels, hidden, history),
-            bias=(channels, hidden),
-            outer=(channels, hidden),
-            offset=(channels,),
-            scale=(channels,),
-        )
+    def _check(self) -> None:
+        super()._check()
         if not (self.scale > 0.0).all():
             raise ValueError(f'scale: expected positive numbers, but found {self.scale}')
-
-    @property
-    def inputs(self) -> int:
-        """Number p of inputs."""
-        return int(self.inner.shape[-1]) // len(self.delay)
-
-    @property
-    def channels(self) -> int:
-        """Number c of channels."""
-        return len(self.scale)
-
-    @property
-    def history(self) -> int:
-        """Number K of past outputs that feed back."""
-        return int(self.feedback.shape[-1])
 
     def _linear(self) -> tuple[Array, Array]:
         rises = self.inner.reshape(self.bias.size, -1)
@@ -398,79 +291,3 @@ class FilterNetworkRecursion(_DelayedRecursion):
     def _output(self, activation: Array) -> Array:
         hidden = np.tanh(activation)
         return np.asarray(self.scale * np.tanh(hidden @ self._outer.T + self.offset))
-
-    def channel(self, channel: int) -> 'FilterNetworkRecursion':
-        """Return the recursion of one channel out of several."""
-        one = slice(channel, channel + 1)
-        return replace(
-            self,
-            inner=self.inner[one],
-            feedback=self.feedback[one],
-            bias=self.bias[one],
-            outer=self.outer[one],
-            offset=self.offset[one],
-            scale=self.scale[one],
-        )
-
-    @classmethod
-    def merge(cls, items: Sequence['FilterNetworkRecursion']) -> 'FilterNetworkRecursion | None':
-        """Return one recursion for all channels, None if delays or sizes differ."""
-        first = items[0]
-        if any(
-            item.inner.shape[1:] != first.inner.shape[1:]
-            or item.history != first.history
-            or not np.array_equal(item.delay, first.delay)
-            for item in items
-        ):
-            return None
-        return cls(
-            delay=first.delay,
-            inner=np.concatenate([item.inner for item in items]),
-            feedback=np.concatenate([item.feedback for item in items]),
-            bias=np.concatenate([item.bias for item in items]),
-            outer=np.concatenate([item.outer for item in items]),
-            offset=np.concatenate([item.offset for item in items]),
-            scale=np.concatenate([item.scale for item in items]),
-        )
-
-    def document(self) -> dict[str, Any]:
-        """Return the numbers as JSON values."""
-        return {
-            'delay': self.delay.tolist(),
-            'inner': self.inner.tolist(),
-            'feedback': self.feedback.tolist(),
-            'bias': self.bias.tolist(),
-            'outer': self.outer.tolist(),
-            'offset': self.offset.tolist(),
-            'scale': self.scale.tolist(),
-        }
-
-    @classmethod
-    def read(cls, node: Node, inputs: int) -> 'FilterNetworkRecursion':
-        """Return the recursion of a document."""
-        delay = _read_delay(node.get('delay'))
-        # Each channel has its own matrix; the first tells how many outputs feed back.
-        feedback = node.get('feedback').list()
-        history = len(feedback[0].list()[0].list()) if feedback and feedback[0].list() else 0
-        outer = node.get('outer').list()
-        hidden = len(outer[0].list()) if outer else 0
-        inner = [item.matrix(len(delay) * inputs) for item in node.get('inner').list()]
-        return cls(
-            delay=delay,
-            inner=_stack(inner, len(delay) * inputs),
-            feedback=_stack([item.matrix(history) for item in feedback], history),
-            bias=node.get('bias').matrix(hidden),
-            outer=node.get('outer').matrix(hidden),
-            offset=node.get('offset').vector(),
-            scale=node.get('scale').vector(),
-        )
-
-
-def _stack(matrices: Sequence[Array], columns: int) -> Array:
-    """Return matrices of one shape as one array; others are refused."""
-    if len({matrix.shape for matrix in matrices}) != 1:
-        raise ValueError(
-            f'channels: expected matrices of one shape with {columns} columns, but found '
-            f'{[matrix.shape for matrix in matrices]}'
-        )
-    return np.stack(matrices)

@@ -2,15 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The grey model GM(1,N) at run time: published time response, exact solution, differenced."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.document import Node
-from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_shapes, first_order_lags
+from fuzzycnc_ros.core.thermal.recursions.base import Recursion, axes, first_order_lags
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,15 +17,15 @@ class GreyRecursion(Recursion):
 
     Parameters
     ----------
+    exact : bool
+        True solves eq. (12) as a recursion; False is the published time response (15), which
+        takes the drivers' sum for constant.
     a : ndarray, shape (c,)
         Development coefficient of each channel [-].
     b : ndarray, shape (c, p)
         Driving coefficients [m/K].
     initial : ndarray, shape (c,)
         First value y(1) of each channel [m].
-    exact : bool
-        True solves eq. (12) as a recursion; False is the published time response (15), which
-        takes the drivers' sum for constant.
 
     Notes
     -----
@@ -37,25 +35,10 @@ class GreyRecursion(Recursion):
 
     FORM: ClassVar[str] = 'grey'
 
-    a: Array
-    b: Array
-    initial: Array
     exact: bool
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that disagree."""
-        channels = len(self.a)
-        check_shapes(self, a=(channels,), b=(channels, self.b.shape[-1]), initial=(channels,))
-
-    @property
-    def inputs(self) -> int:
-        """Number p of inputs."""
-        return int(self.b.shape[1])
-
-    @property
-    def channels(self) -> int:
-        """Number c of channels."""
-        return len(self.a)
+    a: Array = field(metadata=axes('c'))
+    b: Array = field(metadata=axes('c p'))
+    initial: Array = field(metadata=axes('c'))
 
     def initial_state(self) -> Array:
         """Return the state before the first sample, shape (1 + 2c,)."""
@@ -125,42 +108,6 @@ class GreyRecursion(Recursion):
             return np.asarray((total - self.a * self.initial) / half)
         return np.asarray(pole_of(self.a) * previous + drive / half)
 
-    def channel(self, channel: int) -> 'GreyRecursion':
-        """Return the recursion of one channel out of several."""
-        one = slice(channel, channel + 1)
-        return replace(self, a=self.a[one], b=self.b[one], initial=self.initial[one])
-
-    @classmethod
-    def merge(cls, items: Sequence['GreyRecursion']) -> 'GreyRecursion | None':
-        """Return one recursion for all channels, None if solutions are mixed."""
-        if len({item.exact for item in items}) > 1:
-            return None
-        return GreyRecursion(
-            a=np.concatenate([item.a for item in items]),
-            b=np.concatenate([item.b for item in items]),
-            initial=np.concatenate([item.initial for item in items]),
-            exact=items[0].exact,
-        )
-
-    def document(self) -> dict[str, Any]:
-        """Return the numbers as JSON values."""
-        return {
-            'exact': self.exact,
-            'a': self.a.tolist(),
-            'b': self.b.tolist(),
-            'initial': self.initial.tolist(),
-        }
-
-    @classmethod
-    def read(cls, node: Node, inputs: int) -> 'GreyRecursion':
-        """Return the recursion of a document."""
-        return cls(
-            a=node.get('a').vector(),
-            b=node.get('b').matrix(inputs),
-            initial=node.get('initial').vector(),
-            exact=node.get('exact').boolean(),
-        )
-
 
 def pole_of(a: Array) -> Array:
     """Return the pole (1 - a/2) / (1 + a/2) of a grey model, method sheet 001 section 3.1."""
@@ -182,6 +129,8 @@ class DifferencedGreyRecursion(Recursion):
 
     Parameters
     ----------
+    averaged : bool
+        Whether a driver acts as the mean of two samples, as the trapezium rule has it.
     pole : ndarray, shape (c,)
         Pole of each channel [-].
     gain : ndarray, shape (c, p)
@@ -192,8 +141,6 @@ class DifferencedGreyRecursion(Recursion):
         What the second sample has beside its drivers [m].
     initial : ndarray, shape (c,)
         First value y(1) [m].
-    averaged : bool
-        Whether a driver acts as the mean of two samples, as the trapezium rule has it.
 
     Notes
     -----
@@ -203,34 +150,12 @@ class DifferencedGreyRecursion(Recursion):
 
     FORM: ClassVar[str] = 'differenced_grey'
 
-    pole: Array
-    gain: Array
-    constant: Array
-    start: Array
-    initial: Array
     averaged: bool
-
-    def __post_init__(self) -> None:
-        """Refuse shapes that disagree."""
-        one = (len(self.pole),)
-        check_shapes(
-            self,
-            pole=one,
-            gain=(len(self.pole), self.gain.shape[-1]),
-            constant=one,
-            start=one,
-            initial=one,
-        )
-
-    @property
-    def inputs(self) -> int:
-        """Number p of inputs."""
-        return int(self.gain.shape[1])
-
-    @property
-    def channels(self) -> int:
-        """Number c of channels."""
-        return len(self.pole)
+    pole: Array = field(metadata=axes('c'))
+    gain: Array = field(metadata=axes('c p'))
+    constant: Array = field(metadata=axes('c'))
+    start: Array = field(metadata=axes('c'))
+    initial: Array = field(metadata=axes('c'))
 
     def initial_state(self) -> Array:
         """Return the state before the first sample, shape (1 + c,)."""
@@ -286,55 +211,4 @@ class DifferencedGreyRecursion(Recursion):
             gain=self.gain * (share * spread)[:, np.newaxis],
             constant=constant,
             start=constant + (self.start - self.constant) * pole / self.pole,
-        )
-
-    def channel(self, channel: int) -> 'DifferencedGreyRecursion':
-        """Return the recursion of one channel out of several."""
-        one = slice(channel, channel + 1)
-        return replace(
-            self,
-            pole=self.pole[one],
-            gain=self.gain[one],
-            constant=self.constant[one],
-            start=self.start[one],
-            initial=self.initial[one],
-        )
-
-    @classmethod
-    def merge(
-        cls, items: Sequence['DifferencedGreyRecursion']
-    ) -> 'DifferencedGreyRecursion | None':
-        """Return one recursion for all channels, None if only some average their drivers."""
-        if len({item.averaged for item in items}) > 1:
-            return None
-        return DifferencedGreyRecursion(
-            pole=np.concatenate([item.pole for item in items]),
-            gain=np.concatenate([item.gain for item in items]),
-            constant=np.concatenate([item.constant for item in items]),
-            start=np.concatenate([item.start for item in items]),
-            initial=np.concatenate([item.initial for item in items]),
-            averaged=items[0].averaged,
-        )
-
-    def document(self) -> dict[str, Any]:
-        """Return the numbers as JSON values."""
-        return {
-            'averaged': self.averaged,
-            'pole': self.pole.tolist(),
-            'gain': self.gain.tolist(),
-            'constant': self.constant.tolist(),
-            'start': self.start.tolist(),
-            'initial': self.initial.tolist(),
-        }
-
-    @classmethod
-    def read(cls, node: Node, inputs: int) -> 'DifferencedGreyRecursion':
-        """Return the recursion of a document."""
-        return cls(
-            pole=node.get('pole').vector(),
-            gain=node.get('gain').matrix(inputs),
-            constant=node.get('constant').vector(),
-            start=node.get('start').vector(),
-            initial=node.get('initial').vector(),
-            averaged=node.get('averaged').boolean(),
         )

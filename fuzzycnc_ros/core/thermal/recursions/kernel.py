@@ -3,7 +3,7 @@
 """Gaussian process and layered network at run time."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -12,7 +12,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.document import Node
-from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_shapes
+from fuzzycnc_ros.core.thermal.recursions.base import Recursion, axes
 
 SAMPLES_AT_ONCE = 512
 """Samples of a run that are worked out together."""
@@ -49,55 +49,27 @@ class KernelRecursion(Recursion):
     """
 
     FORM: ClassVar[str] = 'kernel'
+    STATIC: ClassVar[bool] = True
 
-    points: Array
-    center: Array
-    weight: Array
-    direct: Array
-    offset: Array
-    length: Array
-    amplitude: Array
-    constant: Array
-    noise: Array
-    slope: Array
+    points: Array = field(metadata=axes('m p'))
+    center: Array = field(metadata=axes('p'))
+    weight: Array = field(metadata=axes('c m'))
+    direct: Array = field(metadata=axes('c p'))
+    offset: Array = field(metadata=axes('c'))
+    length: Array = field(metadata=axes('c p'))
+    amplitude: Array = field(metadata=axes('c'))
+    constant: Array = field(metadata=axes('c'))
+    noise: Array = field(metadata=axes('c'))
+    slope: Array = field(metadata=axes('c p'))
 
-    def __post_init__(self) -> None:
-        """Refuse shapes that disagree and scales that are none."""
-        points, inputs = self.points.shape
-        channels = len(self.offset)
+    def _check(self) -> None:
+        points = len(self.points)
         if points > POINTS_MAX:
             raise ValueError(f'points: expected at most {POINTS_MAX} samples, but found {points}')
-        check_shapes(
-            self,
-            points=(points, inputs),
-            center=(inputs,),
-            weight=(channels, points),
-            direct=(channels, inputs),
-            offset=(channels,),
-            length=(channels, inputs),
-            amplitude=(channels,),
-            constant=(channels,),
-            noise=(channels,),
-            slope=(channels, inputs),
-        )
         if not (self.length > 0.0).all():
             raise ValueError(f'length: expected positive lengths in K, but found {self.length}')
         if not (self.noise > 0.0).all():
             raise ValueError(f'noise: expected positive numbers of m, but found {self.noise}')
-
-    @property
-    def inputs(self) -> int:
-        """Number p of inputs."""
-        return int(self.points.shape[1])
-
-    @property
-    def channels(self) -> int:
-        """Number c of channels."""
-        return len(self.offset)
-
-    def initial_state(self) -> Array:
-        """Return the state, of which there is none."""
-        return np.zeros(0)
 
     @cached_property
     def _exponent(self) -> tuple[Array, Array, Array]:
@@ -124,7 +96,7 @@ class KernelRecursion(Recursion):
     def run(self, rise: Array) -> Array:
         """Return the thermal errors (n, c) [m] of a whole run of rises (n, p) [K]."""
         values = rise @ self.direct.T + self.offset
-        for part in _parts(len(rise)):
+        for part in _blocks(len(rise)):
             values[part] += np.einsum('nci,ci->nc', self._bumps(rise[part]), self.weight)
         return np.asarray(values)
 
@@ -143,7 +115,7 @@ class KernelRecursion(Recursion):
         """
         samples = rise.reshape(-1, self.inputs)
         variance = np.empty((len(samples), self.channels))
-        for part in _parts(len(samples)):
+        for part in _blocks(len(samples)):
             slopes = (samples[part] - self.center) ** 2 @ (self.slope**2).T
             prior = self.constant**2 + self.amplitude**2 + slopes
             across = self._covariance(samples[part]).transpose(1, 2, 0)
@@ -184,67 +156,11 @@ class KernelRecursion(Recursion):
             inverse.append(solve_triangular(factor, unit, lower=True))
         return np.stack(inverse)
 
-    def with_interval(self, ratio: float) -> 'KernelRecursion':
-        """Return the recursion itself: a static model holds at any interval."""
-        return self
 
-    def channel(self, channel: int) -> 'KernelRecursion':
-        """Return the recursion of one channel out of several."""
-        one = slice(channel, channel + 1)
-        return replace(self, **{name: getattr(self, name)[one] for name in _PER_CHANNEL})
-
-    @classmethod
-    def merge(cls, items: Sequence['KernelRecursion']) -> 'KernelRecursion | None':
-        """Return one recursion for all channels, None if they keep different samples."""
-        first = items[0]
-        for item in items[1:]:
-            same = np.array_equal(item.points, first.points)
-            if not (same and np.array_equal(item.center, first.center)):
-                return None
-        joined = {
-            name: np.concatenate([getattr(item, name) for item in items]) for name in _PER_CHANNEL
-        }
-        return replace(first, **joined)
-
-    def document(self) -> dict[str, Any]:
-        """Return the numbers as JSON values."""
-        return {name: getattr(self, name).tolist() for name in ('points', 'center', *_PER_CHANNEL)}
-
-    @classmethod
-    def read(cls, node: Node, inputs: int) -> 'KernelRecursion':
-        """Return the recursion of a document."""
-        points = node.get('points').matrix(inputs)
-        return cls(
-            points=points,
-            center=node.get('center').vector(),
-            weight=node.get('weight').matrix(len(points)),
-            direct=node.get('direct').matrix(inputs),
-            offset=node.get('offset').vector(),
-            length=node.get('length').matrix(inputs),
-            amplitude=node.get('amplitude').vector(),
-            constant=node.get('constant').vector(),
-            noise=node.get('noise').vector(),
-            slope=node.get('slope').matrix(inputs),
-        )
-
-
-def _parts(samples: int) -> list[slice]:
+def _blocks(samples: int) -> list[slice]:
     """Return the rows that are worked out together; all bumps at once would fill the memory."""
     starts = range(0, samples, SAMPLES_AT_ONCE)
     return [slice(first, first + SAMPLES_AT_ONCE) for first in starts]
-
-
-_PER_CHANNEL = (
-    'weight',
-    'direct',
-    'offset',
-    'length',
-    'amplitude',
-    'constant',
-    'noise',
-    'slope',
-)
-"""Numbers that each channel has its own of; the samples are shared."""
 
 
 def _rectified(values: Array) -> Array:
@@ -270,6 +186,7 @@ class LayersRecursion(Recursion):
     """
 
     FORM: ClassVar[str] = 'layers'
+    STATIC: ClassVar[bool] = True
 
     weights: tuple[Array, ...]
     biases: tuple[Array, ...]
@@ -310,10 +227,6 @@ class LayersRecursion(Recursion):
         """Number c of channels."""
         return int(self.weights[0].shape[0])
 
-    def initial_state(self) -> Array:
-        """Return the state, of which there is none."""
-        return np.zeros(0)
-
     def step(self, rise: Array, state: Array) -> tuple[Array, Array]:
         """Return the thermal errors (c,) [m] and the empty state for one sample of rises (p,)."""
         activation = ACTIVATIONS[self.activation]
@@ -331,10 +244,6 @@ class LayersRecursion(Recursion):
         for weight, bias in zip(self.weights[1:], self.biases[1:], strict=True):
             values = activation(values) @ weight.transpose(0, 2, 1) + bias[:, np.newaxis]
         return np.asarray(values[:, :, 0].T)
-
-    def with_interval(self, ratio: float) -> 'LayersRecursion':
-        """Return the recursion itself: a static model holds at any interval."""
-        return self
 
     def channel(self, channel: int) -> 'LayersRecursion':
         """Return the recursion of one channel out of several."""

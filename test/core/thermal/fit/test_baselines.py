@@ -218,7 +218,7 @@ def spoilt(document, path, value):
         (MODELS[0], ['length', 0, 0], 0.0, 'length: expected positive'),
         (MODELS[0], ['noise', 0], -1.0, 'noise: expected positive'),
         (MODELS[0], ['weight', 0, 0], None, r'weight\[0\]\[0\]: expected a number'),
-        (MODELS[0], ['offset'], [0.0], 'weight: expected finite numbers of shape'),
+        (MODELS[0], ['offset'], [0.0], 'offset: expected 2 numbers'),
         (MODELS[1], ['activation'], 'step', 'activation: expected one of tanh, relu'),
         (MODELS[1], ['layers'], [], 'layers: expected at least one layer'),
         (MODELS[1], ['layers', 0, 'bias', 0], [0.0], 'bias: expected the biases'),
