@@ -27,9 +27,9 @@ import numpy as np
 
 from fuzzycnc_ros.core.thermal.fit.filters import NetworkTraining, past
 from fuzzycnc_ros.core.thermal.fit.hybrid import Feedback, Front, HybridFilterNetwork
-from fuzzycnc_ros.core.thermal.fit.rivals import Arma, DynamicNetwork, LinearNetwork, StaticNetwork
 from fuzzycnc_ros.core.thermal.fit.tanh_network import TanhNetwork, train_network
 from fuzzycnc_ros.core.thermal.recursions.base import Stream, combine
+from fuzzycnc_ros.papers.networks import Arma, DynamicNetwork, LinearNetwork, StaticNetwork
 from fuzzycnc_ros.simulation.thermal.grinder_runs import record_grinder
 
 HIDDEN, SCALE = 30, 50e-6

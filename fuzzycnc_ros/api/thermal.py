@@ -30,6 +30,7 @@ from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.fit.comparison import HeldOut, judge, splits
 from fuzzycnc_ros.core.thermal.model import ThermalModel, load_model
 from fuzzycnc_ros.core.thermal.run import ThermalRun
+from fuzzycnc_ros.papers.thermal import ALL_CONTENDERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -122,14 +123,15 @@ def compare(
     runs : sequence of ThermalRun
         Runs of one machine; a single one is cut into stretches.
     candidates : iterable of str
-        Names, as `fuzzycnc_ros.core.thermal.candidate.CANDIDATES` lists them.
+        Names, as `fuzzycnc_ros.papers.names.COMPARED` lists them.
 
     Returns
     -------
     list of HeldOut
         What was held out, and the residuals of each candidate and of no compensation there.
     """
-    return [judge(split, candidates=tuple(candidates)) for split in splits(runs)]
+    names = tuple(candidates)
+    return [judge(split, candidates=names, contenders=ALL_CONTENDERS) for split in splits(runs)]
 
 
 def residual(model: ThermalModel, run: ThermalRun, candidate: str | None = None) -> Array:

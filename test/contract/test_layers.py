@@ -19,6 +19,7 @@ MODULES = sorted(PACKAGE.rglob('*.py'))
 RINGS = {
     'core': set(),
     'simulation': {'core'},
+    'papers': {'core'},
     'runtime': {'core'},
     'components': {'runtime', 'simulation', 'core'},
     'machine_file': {'bags', 'core'},
@@ -26,7 +27,16 @@ RINGS = {
     'ros': {'machine_file', 'bags', 'registry', 'components', 'runtime', 'core'},
     'adapters': {'ros', 'bags', 'components', 'runtime', 'core'},
     'registry': {'adapters', 'components', 'runtime'},
-    'studies': {'machine_file', 'bags', 'registry', 'components', 'runtime', 'simulation', 'core'},
+    'studies': {
+        'machine_file',
+        'bags',
+        'registry',
+        'components',
+        'runtime',
+        'simulation',
+        'papers',
+        'core',
+    },
     'nodes': {
         'adapters',
         'ros',
@@ -48,9 +58,10 @@ RINGS = {
         'components',
         'runtime',
         'simulation',
+        'papers',
         'core',
     },
-    'api': {'machine_file', 'bags', 'simulation', 'core'},
+    'api': {'machine_file', 'bags', 'simulation', 'papers', 'core'},
     '': {'api'},  # the package itself, which loads its doors on use
     'start': set(),
 }
@@ -70,6 +81,7 @@ ROS = {
 WITHOUT_ROS = (
     'core',
     'simulation',
+    'papers',
     'runtime',
     'components',
     'registry',
@@ -78,7 +90,7 @@ WITHOUT_ROS = (
     'studies',
     'api',
 )
-PURE = ('core', 'simulation', 'runtime', 'components')
+PURE = ('core', 'simulation', 'papers', 'runtime', 'components')
 LOADED_ON_USE = {
     'asyncua',
     'cryptography',

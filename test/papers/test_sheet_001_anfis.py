@@ -18,6 +18,7 @@ from fuzzycnc_ros.core.thermal.fit import (
     select_sensors,
 )
 from fuzzycnc_ros.core.thermal.fit.anfis import Anfis, GreyAnfis
+from fuzzycnc_ros.papers.grey import GreyVariant
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 pytestmark = pytest.mark.paper
@@ -31,9 +32,9 @@ MODELS = {
     'static_ridge': StaticRidge,
     'lag_ridge': LagRidge,
     'classical': lambda interval: GreyModel('classical', interval=interval),
-    'convolution': lambda interval: GreyModel('convolution', interval=interval),
-    'optimised': lambda interval: GreyModel('optimised', interval=interval),
-    'discrete': lambda interval: GreyModel('discrete', interval=interval),
+    'convolution': lambda interval: GreyVariant('convolution', interval=interval),
+    'optimised': lambda interval: GreyVariant('optimised', interval=interval),
+    'discrete': lambda interval: GreyVariant('discrete', interval=interval),
     'stable': lambda interval: GreyModel('stable', interval=interval),
     'anfis': Anfis,
     'grey_anfis': GreyAnfis,

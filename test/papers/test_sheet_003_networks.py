@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.thermal.fit.hybrid import HybridFilterNetwork
-from fuzzycnc_ros.core.thermal.fit.rivals import Arma, LinearNetwork, StaticNetwork
+from fuzzycnc_ros.papers.networks import Arma, LinearNetwork, StaticNetwork
 from fuzzycnc_ros.simulation.thermal.grinder_runs import record_flux_case, record_grinder
 
 SEEDS = range(10)

@@ -48,7 +48,8 @@ from fuzzycnc_ros.cli.options import (
     Start,
     names_of,
 )
-from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, SPEED_SUFFIX
+from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
+from fuzzycnc_ros.papers.names import COMPARED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -100,7 +101,7 @@ def compare(
         list[str],
         typer.Option(
             metavar='NAME,...',
-            help=f'Models to compare, or {ALL}: {", ".join(CANDIDATES)}. '
+            help=f'Models to compare, or {ALL}: {", ".join(COMPARED)}. '
             'A simulated machine has a list of its own.',
         ),
     ] = [ALL],  # noqa: B006 - typer copies it
@@ -160,7 +161,7 @@ def compare(
         return
     if not bags:
         raise ValueError(f'expected bags or --machine {"|".join(MACHINES)} but found neither')
-    names = names_of('--models', models, CANDIDATES)
+    names = names_of('--models', models, COMPARED)
     windows = [_window(text) for text in hold_out or []]
     wanted = sensors_but(drop_sensor, [bag.path for bag in find_bags(bags)])
     work = partial(usable_run, interval=interval, start=start, stop=end, sensors=wanted)
@@ -282,9 +283,10 @@ def judge_split(split: 'Split', progress: 'Progress', **options: Any) -> 'HeldOu
     """Judge one held-out run; what is wrong names it."""
     from fuzzycnc_ros.core.thermal.fit.comparison import judge
     from fuzzycnc_ros.core.thermal.run import ThermalDataError
+    from fuzzycnc_ros.papers.thermal import ALL_CONTENDERS
 
     try:
-        return judge(split, progress=progress, **options)
+        return judge(split, contenders=ALL_CONTENDERS, progress=progress, **options)
     except ThermalDataError as error:
         held_out = NamedBag(Path(split.held_out.name), split.name)
         return BadBag(held_out, f'{split.name} held out: {error}')

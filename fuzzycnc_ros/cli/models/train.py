@@ -39,8 +39,9 @@ from fuzzycnc_ros.cli.options import (
     Speed,
     Start,
     names_of,
+    words,
 )
-from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, STANDARD
+from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, COMPARED_ONLY, STANDARD
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.model import ThermalModel
@@ -110,6 +111,13 @@ def train(
         check_new(out, remedy='add --force')
     for path in (out, json_file):
         check_folder(path)
+    for option, texts in (('--model', [model]), ('--models', models or [])):
+        for name in words(texts):
+            if name in COMPARED_ONLY:
+                raise ValueError(
+                    f'{option}: expected a model that runs on machines but found {name!r}, which '
+                    f'is only compared: fuzzycnc compare --models {name}'
+                )
     names = names_of('--models', models or list(STANDARD), CANDIDATES)
     wanted = sensors_but(drop_sensor, bags)
     phrase = FitCounter()

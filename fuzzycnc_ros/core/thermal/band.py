@@ -161,25 +161,21 @@ class Band:
     deviation: Array
     growth: float
 
-    def at(self, distance: Array, claimed: Array | None = None) -> Array:
+    def at(self, distance: Array) -> Array:
         """Return the standard deviation of predictions.
 
         Parameters
         ----------
         distance : ndarray, shape (...)
             Distance of each sample from the training, 1 at the border of the domain [-].
-        claimed : ndarray, shape (..., c), optional
-            What the model itself says, as a Gaussian process does [m]; NaN where it says
-            nothing.
 
         Returns
         -------
         ndarray, shape (..., c)
-            Standard deviation [m], the larger one of both.
+            Standard deviation [m].
         """
         ratio = np.asarray(distance, dtype=np.float64)[..., np.newaxis]
-        own = _widening(ratio, self.growth) * self.deviation
-        return np.asarray(own if claimed is None else np.fmax(own, claimed))
+        return np.asarray(_widening(ratio, self.growth) * self.deviation)
 
 
 def _widening(distance: Array, growth: float) -> Array:

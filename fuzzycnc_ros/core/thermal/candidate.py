@@ -16,35 +16,32 @@ UNCOMPENSATED = 'uncompensated'
 BASELINES = ('least_squares', 'static_ridge', 'lag_ridge')
 """Plain models that every table shows beside the others."""
 
-NETWORKS = (
+CANDIDATES = (
+    *BASELINES,
+    'lag_ridge_speed',
+    'classical_grey',
+    'stable_grey',
     'anfis',
     'grey_anfis',
+    'hybrid_network',
+    'hybrid_network_speed',
+)
+"""Names of the candidates that a model file may hold, in the order of tables."""
+
+COMPARED_ONLY = (
+    'convolution_grey',
+    'optimised_grey',
+    'discrete_grey',
     'arma',
     'static_network',
     'dynamic_network',
     'linear_network',
-    'hybrid_network',
-    'hybrid_network_speed',
     'gaussian_process',
     'gaussian_process_speed',
     'mlp',
     'mlp_speed',
 )
-"""Models that are not linear in their inputs: chosen only if they win beyond chance."""
-
-CANDIDATES = (
-    'least_squares',
-    'static_ridge',
-    'lag_ridge',
-    'lag_ridge_speed',
-    'classical_grey',
-    'convolution_grey',
-    'optimised_grey',
-    'discrete_grey',
-    'stable_grey',
-    *NETWORKS,
-)
-"""Names of all candidates, in the order of tables."""
+"""Names of models that are compared, but run on no machine; model files held them once."""
 
 STANDARD = (
     *BASELINES,
@@ -54,10 +51,7 @@ STANDARD = (
     'grey_anfis',
     'hybrid_network',
 )
-"""Candidates that training fits unless told otherwise; a comparison fits all."""
-
-COMPARED_ONLY = ('classical_grey', 'convolution_grey', 'optimised_grey', 'discrete_grey', 'arma')
-"""Published forms that may diverge: fitted for tables, never chosen by themselves."""
+"""Candidates that training fits unless told otherwise."""
 
 SPEED_SUFFIX = '_speed'
 """What the name of a candidate that reads the spindle speed ends in."""
@@ -73,7 +67,7 @@ class Candidate:
     Parameters
     ----------
     name : str
-        One of `CANDIDATES`.
+        One of `CANDIDATES`, or of what they are compared with.
     settings : tuple of dict, length c
         Settings of each channel, chosen on held-out samples, or fixed ones.
     recursion : Recursion

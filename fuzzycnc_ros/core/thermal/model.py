@@ -19,6 +19,7 @@ from fuzzycnc_ros.core.document import ModelFileError, Node, parse_document, tex
 from fuzzycnc_ros.core.thermal.band import Band
 from fuzzycnc_ros.core.thermal.candidate import (
     CANDIDATES,
+    COMPARED_ONLY,
     SPEED_SUFFIX,
     UNCOMPENSATED,
     Candidate,
@@ -397,12 +398,11 @@ class ThermalModel:
         Returns
         -------
         ndarray, shape (..., c)
-            That of the held-out residual, wider with the distance from the training, or of the
-            model itself, whichever is larger [m]; see `Band`.
+            That of the held-out residual, wider with the distance from the training [m]; see
+            `Band`.
         """
         samples = np.asarray(rise, dtype=np.float64)
-        said = self._default_recursion.standard_deviation(samples)
-        return self.band.at(self.distance(samples), said)
+        return self.band.at(self.distance(samples))
 
     def with_interval(self, interval: float) -> 'ThermalModel':
         """Return the model for another sampling interval [s], with the same time constants.
@@ -558,6 +558,9 @@ domain, one growth of the band for all models, and neither cold starts nor finge
 GROWTH_BEFORE = 2.0
 """Growth of the band in files of earlier versions [-]."""
 
+NOT_KEPT = 'a model that is only compared; `fuzzycnc compare` fits it'
+"""Why a model file leaves a candidate out."""
+
 UNITS = {'time': 's', 'rise': 'K', 'displacement': 'm'}
 """Units of the numbers in a model file."""
 
@@ -567,6 +570,14 @@ SIZE_MAX = 16 * 1024 * 1024
 
 def _write_document(model: 'ThermalModel') -> str:
     """Return the model as a JSON document; equal models give equal text."""
+    for name in model.default:
+        if name in COMPARED_ONLY:
+            raise ValueError(
+                f'default: expected a model that runs on machines, but found {name!r}, which is '
+                'only compared'
+            )
+    kept = {name: item for name, item in model.candidates.items() if name not in COMPARED_ONLY}
+    left_out = dict.fromkeys(model.candidates.keys() - kept.keys(), NOT_KEPT)
     document = {
         'schema': _SCHEMA,
         'schema_version': _SCHEMA_VERSION,
@@ -593,8 +604,8 @@ def _write_document(model: 'ThermalModel') -> str:
             )
         ],
         'training_runs': list(model.runs),
-        'candidates': {name: _candidate(item) for name, item in model.candidates.items()},
-        'omitted': dict(model.omitted),
+        'candidates': {name: _candidate(item) for name, item in kept.items()},
+        'omitted': {**model.omitted, **dict(sorted(left_out.items()))},
         'selection': _selection(model.selection),
         'band_growth': model.band.growth,
         'domain': {
@@ -690,6 +701,9 @@ def _selection(selection: SensorSelection) -> dict[str, Any]:
 
 
 def _fields(root: Node) -> dict[str, Any]:
+    found = root.get('candidates').items()
+    kept = {name: node for name, node in found.items() if name not in COMPARED_ONLY}
+    left_out = {name: NOT_KEPT for name in found if name not in kept}
     inputs = root.get('inputs').texts()
     channels = root.get('channels').list()
     version = root.get('schema_version').value
@@ -702,11 +716,8 @@ def _fields(root: Node) -> dict[str, Any]:
         channel=tuple(node.get('name').text() for node in channels),
         axis=tuple(node.get('axis').text() for node in channels),
         runs=root.get('training_runs').texts(),
-        candidates={
-            name: _read_candidate(name, node, width)
-            for name, node in root.get('candidates').items().items()
-        },
-        default=tuple(node.get('default').text() for node in channels),
+        candidates={name: _read_candidate(name, node, width) for name, node in kept.items()},
+        default=tuple(_read_default(node.get('default')) for node in channels),
         selection=_read_selection(root.get('selection')),
         domain=(_read_ellipsoid if version < 3 else _read_domain)(
             root.get('domain'), len(inputs), first
@@ -717,7 +728,8 @@ def _fields(root: Node) -> dict[str, Any]:
         ),
         drivers=drivers,
         bound=_read_bound(channels, first),
-        omitted={name: node.text() for name, node in root.get('omitted').items().items()},
+        omitted=left_out
+        | {name: node.text() for name, node in root.get('omitted').items().items()},
         reference=root.get('reference').text(),
         watch=None if first else _read_watch(root.get('watch')),
         cold_start=None if version < 3 else _read_start(root.get('cold_start')),
@@ -775,6 +787,12 @@ def _positive(node: Node) -> float:
     if value < 0.0:
         node.refuse('a number of 0 or more')
     return value
+
+
+def _read_default(node: Node) -> str:
+    if (name := node.text()) in COMPARED_ONLY:
+        node.refuse(f'a model that runs on machines, since {name} is only compared; train anew')
+    return name
 
 
 def _read_candidate(name: str, node: Node, inputs: int) -> Candidate:

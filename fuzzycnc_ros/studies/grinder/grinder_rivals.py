@@ -8,19 +8,16 @@ from typing import Any
 
 from fuzzycnc_ros.core.thermal.fit import (
     Anfis,
-    Arma,
-    DynamicNetwork,
-    GaussianProcess,
     GreyAnfis,
     GreyModel,
     HybridFilterNetwork,
     LagRidge,
     LeastSquares,
-    LinearNetwork,
-    Mlp,
-    StaticNetwork,
     StaticRidge,
 )
+from fuzzycnc_ros.papers.grey import GreyVariant
+from fuzzycnc_ros.papers.learners import GaussianProcess, Mlp
+from fuzzycnc_ros.papers.networks import Arma, DynamicNetwork, LinearNetwork, StaticNetwork
 
 
 @dataclass(frozen=True)
@@ -55,9 +52,9 @@ RIVALS: tuple[Rival, ...] = (
     Rival('lag_ridge', lambda seed: LagRidge(ridge=1e-3), 'LagRidge, 1e-3'),
     Rival('lag_ridge_strong', lambda seed: LagRidge(ridge=1e-2), 'LagRidge, 1e-2'),
     Rival('classical_grey', lambda seed: GreyModel('classical')),
-    Rival('convolution_grey', lambda seed: GreyModel('convolution')),
-    Rival('optimised_grey', lambda seed: GreyModel('optimised')),
-    Rival('discrete_grey', lambda seed: GreyModel('discrete')),
+    Rival('convolution_grey', lambda seed: GreyVariant('convolution')),
+    Rival('optimised_grey', lambda seed: GreyVariant('optimised')),
+    Rival('discrete_grey', lambda seed: GreyVariant('discrete')),
     Rival('stable_grey', lambda seed: GreyModel('stable')),
     Rival('anfis', lambda seed: Anfis(random_state=seed)),
     Rival('grey_anfis', lambda seed: GreyAnfis(random_state=seed)),

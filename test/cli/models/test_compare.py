@@ -11,8 +11,9 @@ import pytest
 
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.cli.models.compare import read_runs, speed_missing
-from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, SPEED_SUFFIX
+from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, COMPARED_ONLY, SPEED_SUFFIX
 from fuzzycnc_ros.core.thermal.fit.comparison import judge, splits
+from fuzzycnc_ros.papers.names import COMPARED
 
 LINEAR = ('least_squares', 'static_ridge', 'lag_ridge', 'stable_grey')
 QUICK = ('--models', ','.join(LINEAR))
@@ -250,7 +251,8 @@ def test_grinder(fuzzycnc):
 
 
 def test_help_names_every_model(fuzzycnc):
-    for command in ('compare', 'train'):
+    assert set(COMPARED) == {*CANDIDATES, *COMPARED_ONLY}
+    for command, names in (('compare', COMPARED), ('train', CANDIDATES)):
         text = ''.join(fuzzycnc(command, '--help').out.split())
-        assert ','.join(CANDIDATES) in text
+        assert ','.join(names) in text
     assert any(name.endswith(SPEED_SUFFIX) for name in CANDIDATES)

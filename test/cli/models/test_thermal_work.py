@@ -157,13 +157,29 @@ def test_what_is_not_to_be_trusted_is_said(model):
 
 def test_train_considers_the_asked_models(fuzzycnc, bag):
     outcome = fuzzycnc(
-        'train', bag(), '--out', 'm.json', '--models', 'mlp,static_ridge', '--models', 'lag_ridge'
+        'train',
+        bag(),
+        '--out',
+        'm.json',
+        '--models',
+        'anfis,static_ridge',
+        '--models',
+        'lag_ridge',
     )
     assert outcome.code == 0, outcome
     model = load_model(Path('m.json'))
-    assert list(model.candidates) == ['uncompensated', 'static_ridge', 'lag_ridge', 'mlp']
+    assert list(model.candidates) == ['uncompensated', 'static_ridge', 'lag_ridge', 'anfis']
     assert set(model.default) <= set(model.candidates)
     assert 'spindle speed: not used' in outcome.out
+
+
+@pytest.mark.parametrize('option', ['--model', '--models'])
+def test_train_refuses_what_is_only_compared(fuzzycnc, bag, option):
+    outcome = fuzzycnc('train', bag(), '--out', 'm.json', option, 'mlp')
+    assert outcome.code == 2
+    assert f"{option}: expected a model that runs on machines but found 'mlp'" in outcome.err
+    assert 'fuzzycnc compare --models mlp' in outcome.err
+    assert not Path('m.json').exists()
 
 
 def test_evaluate_prints_what_the_core_finds(fuzzycnc, bag, model):

@@ -3,6 +3,7 @@
 import copy
 import hashlib
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from fuzzycnc_ros.core.document import ModelFileError, text_hash
 from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel, load_model
 from fuzzycnc_ros.core.thermal.run import ThermalRun
+from fuzzycnc_ros.papers.thermal import ALL_CONTENDERS
 
 
 def machine_run(name, seed, samples=200):
@@ -127,6 +129,29 @@ def test_distance_grows_away_from_the_mean(model, factor):
     step = np.array([1.0, -2.0, 0.5])
     near = model.domain.distance(model.domain.mean + step)
     assert model.domain.distance(model.domain.mean + factor * step) == pytest.approx(factor * near)
+
+
+def test_what_is_only_compared_stays_out_of_the_file():
+    runs = [machine_run('a', 0), machine_run('b', 1)]
+    names = ('static_ridge', 'static_network')
+    model = train_model(runs, candidates=names[:1], compared=names[1:], contenders=ALL_CONTENDERS)
+    again = ThermalModel.from_json(model.to_json())
+    assert set(model.candidates) == {'uncompensated', *names}
+    assert set(again.candidates) == {'uncompensated', 'static_ridge'}
+    assert 'only compared' in again.omitted['static_network']
+    with pytest.raises(ValueError, match=r'only compared$'):
+        replace(model, default=('static_network',) * 2).to_json()
+
+
+def test_files_of_before_load_without_what_is_only_compared(model):
+    document = json.loads(model.to_json())
+    document['candidates']['mlp'] = document['candidates']['static_ridge']
+    again = ThermalModel.from_json(json.dumps(document))
+    assert 'mlp' not in again.candidates
+    assert 'fuzzycnc compare' in again.omitted['mlp']
+    document['channels'][0]['default'] = 'mlp'
+    with pytest.raises(ModelFileError, match='since mlp is only compared; train anew'):
+        ThermalModel.from_json(json.dumps(document))
 
 
 def test_conversion_to_another_interval(model):

@@ -3,30 +3,22 @@
 """Learning of thermal models: sensors, estimators, choice by held-out runs, comparison."""
 
 from fuzzycnc_ros.core.thermal.fit.anfis import Anfis, GreyAnfis
-from fuzzycnc_ros.core.thermal.fit.baselines import GaussianProcess, Mlp
 from fuzzycnc_ros.core.thermal.fit.evaluation import Evaluation, evaluate
 from fuzzycnc_ros.core.thermal.fit.grey import GreyModel
 from fuzzycnc_ros.core.thermal.fit.hybrid import HybridFilterNetwork
 from fuzzycnc_ros.core.thermal.fit.linear import LagRidge, LeastSquares, StaticRidge
-from fuzzycnc_ros.core.thermal.fit.rivals import Arma, DynamicNetwork, LinearNetwork, StaticNetwork
 from fuzzycnc_ros.core.thermal.fit.selection import SensorCount, select_sensors, sensor_count_curve
 from fuzzycnc_ros.core.thermal.fit.training import train_model
 
 __all__ = [
     'Anfis',
-    'Arma',
-    'DynamicNetwork',
     'Evaluation',
-    'GaussianProcess',
     'GreyAnfis',
     'GreyModel',
     'HybridFilterNetwork',
     'LagRidge',
     'LeastSquares',
-    'LinearNetwork',
-    'Mlp',
     'SensorCount',
-    'StaticNetwork',
     'StaticRidge',
     'evaluate',
     'select_sensors',

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The models that compete for a machine, fitted and judged on held-out samples."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +13,12 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.band import better, log_residual, mean_of_square, worth_using
 from fuzzycnc_ros.core.thermal.candidate import (
-    NETWORKS,
     SPEED_SUFFIX,
     UNCOMPENSATED,
     Candidate,
     Settings,
 )
 from fuzzycnc_ros.core.thermal.fit.anfis import Anfis, GreyAnfis
-from fuzzycnc_ros.core.thermal.fit.baselines import GaussianProcess, Mlp
 from fuzzycnc_ros.core.thermal.fit.folds import independent_folds
 from fuzzycnc_ros.core.thermal.fit.grey import GreyModel, stable_poles
 from fuzzycnc_ros.core.thermal.fit.hybrid import HybridFilterNetwork
@@ -32,7 +32,6 @@ from fuzzycnc_ros.core.thermal.fit.linear import (
     poles_of_lags,
 )
 from fuzzycnc_ros.core.thermal.fit.regressor import ThermalRegressor
-from fuzzycnc_ros.core.thermal.fit.rivals import Arma, DynamicNetwork, LinearNetwork, StaticNetwork
 from fuzzycnc_ros.core.thermal.fit.training_set import TrainingSet
 from fuzzycnc_ros.core.thermal.moments import (
     Moments,
@@ -53,33 +52,33 @@ from fuzzycnc_ros.core.thermal.run import ThermalDataError
 SPEED_LAGS = (1200.0, 3600.0, 14400.0)
 """Lags of the heat of the spindle [s]: its housing, the head, the column."""
 
-GREY_KINDS = {
-    'classical_grey': 'classical',
-    'convolution_grey': 'convolution',
-    'optimised_grey': 'optimised',
-    'discrete_grey': 'discrete',
-    'stable_grey': 'stable',
-}
-"""Form of the grey model behind a candidate."""
 
-_ESTIMATORS: dict[str, Callable[..., ThermalRegressor]] = {
-    'least_squares': LeastSquares,
-    'static_ridge': StaticRidge,
-    'lag_ridge': LagRidge,
-    'anfis': Anfis,
-    'grey_anfis': GreyAnfis,
-    'arma': Arma,
-    'static_network': StaticNetwork,
-    'dynamic_network': DynamicNetwork,
-    'linear_network': LinearNetwork,
-    'hybrid_network': HybridFilterNetwork,
-    'gaussian_process': GaussianProcess,
-    'mlp': Mlp,
-}
+@dataclass(frozen=True)
+class Contender:
+    """How a candidate is fitted and takes part in a choice.
+
+    Parameters
+    ----------
+    make : callable
+        Returns the unfitted estimator for a sampling interval, a keyword [s].
+    network : bool
+        Whether it is not linear in its inputs: it is chosen only if it wins beyond chance.
+    chosen : bool
+        False for a published form that may diverge: it is fitted for tables, never chosen.
+    held_out : callable, optional
+        Returns settings and held-out predictions from sums of products; the estimator is fitted
+        anew for each fold if absent.
+    """
+
+    make: Callable[..., ThermalRegressor]
+    network: bool = False
+    chosen: bool = True
+    held_out: Callable[[TrainingSet], tuple[list[Settings], list[Array]]] | None = None
 
 
 def _fit_recursion(
     name: str,
+    contender: Contender,
     settings: Settings,
     data: TrainingSet,
     target: Array,
@@ -90,7 +89,9 @@ def _fit_recursion(
     Parameters
     ----------
     name : str
-        One of `CANDIDATES`.
+        Name of the candidate; with its suffix it reads the spindle speed.
+    contender : Contender
+        How it is fitted.
     settings : dict
         Parameters of its estimator.
     data : TrainingSet
@@ -108,14 +109,14 @@ def _fit_recursion(
         Why the fit is not to be trusted; empty if it is.
     """
     inputs = data.rise.shape[1] + data.drive.shape[1]
-    if name in GREY_KINDS:
-        grey = GreyModel(GREY_KINDS[name], interval=data.interval)
-        grey.fit(data.rise, target, runs=data.label, use=use)
-        return leading(grey.recursion_, inputs), grey.problems_
+    model = contender.make(interval=data.interval)
+    if isinstance(model, GreyModel):
+        model.fit(data.rise, target, runs=data.label, use=use)
+        return leading(model.recursion_, inputs), model.problems_
     if use is not None:
         target = np.where(use, target, np.nan)
     kind = name.removesuffix(SPEED_SUFFIX)
-    model = _ESTIMATORS[kind](interval=data.interval).set_params(**settings)
+    model.set_params(**settings)
     if kind == name:
         model.fit(data.rise, target, runs=data.label)
         recursion = leading(model.recursion_, inputs)
@@ -165,14 +166,16 @@ STABLE_GREY_RIDGE = 1e-3
 
 
 def _held_out_predictions(
-    name: str, data: TrainingSet, step: Callable[[], None]
+    name: str, contender: Contender, data: TrainingSet, step: Callable[[], None]
 ) -> tuple[list[Settings], list[Array]]:
     """Return the settings of a candidate and what it predicts on samples that it never saw.
 
     Parameters
     ----------
     name : str
-        One of `CANDIDATES`.
+        Name of the candidate.
+    contender : Contender
+        How it is fitted.
     data : TrainingSet
         Training samples with their folds.
     step : callable
@@ -192,12 +195,14 @@ def _held_out_predictions(
     The linear models are fitted from sums of products; every other candidate is fitted anew for
     each fold and channel, with the settings of its estimator.
     """
-    if name in _LINEAR:
-        return _LINEAR[name](data)
-    return [{}] * data.displacement.shape[1], _refitted(name, data, step)
+    if contender.held_out is not None:
+        return contender.held_out(data)
+    return [{}] * data.displacement.shape[1], _refitted(name, contender, data, step)
 
 
-def _refitted(name: str, data: TrainingSet, step: Callable[[], None]) -> list[Array]:
+def _refitted(
+    name: str, contender: Contender, data: TrainingSet, step: Callable[[], None]
+) -> list[Array]:
     predicted = []
     for number, fold in enumerate(data.folds):
         seen = data.seen_by(number)
@@ -205,7 +210,7 @@ def _refitted(name: str, data: TrainingSet, step: Callable[[], None]) -> list[Ar
         use, tested = np.isin(data.block, fold.train), data.tested(fold)
         fits = []
         for target in data.displacement.T:
-            fits.append(_fit_recursion(name, {}, seen, target, use)[0])
+            fits.append(_fit_recursion(name, contender, {}, seen, target, use)[0])
             step()
         recursion = combine(fits)
         values = np.full(data.displacement.shape, np.nan)
@@ -359,13 +364,21 @@ class _Bank:
         return ridge_from_sums(sums, moments.inputs, ridge, self._intercept)
 
 
-_LINEAR: dict[str, Callable[[TrainingSet], tuple[list[Settings], list[Array]]]] = {
-    'least_squares': _judge_least_squares,
-    'static_ridge': _judge_static_ridge,
-    'stable_grey': _judge_stable_grey,
-    'lag_ridge': lambda data: _judge_lag_ridge(data, driven=False),
-    'lag_ridge_speed': lambda data: _judge_lag_ridge(data, driven=True),
-}
+CONTENDERS: Mapping[str, Contender] = MappingProxyType(
+    {
+        'least_squares': Contender(LeastSquares, held_out=_judge_least_squares),
+        'static_ridge': Contender(StaticRidge, held_out=_judge_static_ridge),
+        'lag_ridge': Contender(LagRidge, held_out=partial(_judge_lag_ridge, driven=False)),
+        'lag_ridge_speed': Contender(LagRidge, held_out=partial(_judge_lag_ridge, driven=True)),
+        'classical_grey': Contender(partial(GreyModel, 'classical'), chosen=False),
+        'stable_grey': Contender(partial(GreyModel, 'stable'), held_out=_judge_stable_grey),
+        'anfis': Contender(Anfis, network=True),
+        'grey_anfis': Contender(GreyAnfis, network=True),
+        'hybrid_network': Contender(HybridFilterNetwork, network=True),
+        'hybrid_network_speed': Contender(HybridFilterNetwork, network=True),
+    }
+)
+"""How each of `CANDIDATES` is fitted, in the order of tables."""
 
 
 DIVERGED = 3.0
@@ -384,15 +397,19 @@ class JudgedCandidate:
         Held-out mean square error of each fold [m^2].
     residual : list of ndarray, shape (tested, c)
         Measured minus predicted of the samples that each fold held out [m].
+    contender : Contender, optional
+        How it was fitted; none for the uncompensated machine.
     """
 
     candidate: Candidate
     fold_error: Array
     residual: list[Array]
+    contender: Contender | None = None
 
 
 def fit_candidate(
     name: str,
+    contender: Contender,
     data: TrainingSet,
     step: Callable[[], None] = lambda: None,
     *,
@@ -403,7 +420,9 @@ def fit_candidate(
     Parameters
     ----------
     name : str
-        One of `CANDIDATES`.
+        Name of the candidate.
+    contender : Contender
+        How it is fitted.
     data : TrainingSet
         Training samples.
     step : callable
@@ -418,12 +437,12 @@ def fit_candidate(
     """
     try:
         if held_out:
-            settings, predicted = _held_out_predictions(name, data, step)
+            settings, predicted = _held_out_predictions(name, contender, data, step)
         else:
             settings, predicted = [{}] * data.displacement.shape[1], []
         fits = []
         for own, target in zip(settings, data.displacement.T, strict=True):
-            fits.append(_fit_recursion(name, own, data, target))
+            fits.append(_fit_recursion(name, contender, own, data, target))
             step()
     except ValueError as error:
         raise ThermalDataError(f'model {name!r}: {error}') from error
@@ -437,8 +456,8 @@ def fit_candidate(
     if not held_out:
         unknown = np.full(data.displacement.shape[1], np.nan)
         candidate = Candidate(name, tuple(settings), recursion, tuple(problems), unknown, unknown)
-        return JudgedCandidate(candidate, np.empty((0, len(unknown))), [])
-    return _judged(name, settings, recursion, problems, data, predicted)
+        return JudgedCandidate(candidate, np.empty((0, len(unknown))), [], contender)
+    return _judged(name, contender, settings, recursion, problems, data, predicted)
 
 
 def uncompensated(data: TrainingSet) -> JudgedCandidate:
@@ -452,11 +471,12 @@ def uncompensated(data: TrainingSet) -> JudgedCandidate:
         offset=np.zeros(channels),
     )
     predicted = [np.zeros((int(data.tested(fold).sum()), channels)) for fold in data.folds]
-    return _judged(UNCOMPENSATED, [{}] * channels, nothing, [], data, predicted)
+    return _judged(UNCOMPENSATED, None, [{}] * channels, nothing, [], data, predicted)
 
 
 def _judged(
     name: str,
+    contender: Contender | None,
     settings: Sequence[Settings],
     recursion: Recursion,
     problems: list[str],
@@ -485,7 +505,7 @@ def _judged(
         held_out_rms=rms,
         held_out_max=largest,
     )
-    return JudgedCandidate(candidate, fold_error, residuals)
+    return JudgedCandidate(candidate, fold_error, residuals, contender)
 
 
 def preferred(
@@ -521,7 +541,9 @@ def preferred(
     level = log_residual(square)
     rivals = max(1, len(models) - 1)
     overall = np.nanmean(level, axis=1)
-    linear = [n for n, name in enumerate(names) if name not in NETWORKS]
+    linear = [
+        n for n, item in enumerate(models) if not (item.contender and item.contender.network)
+    ]
     best = min(linear or range(len(names)), key=lambda n: float(overall[n]))
     rival = int(np.argmin(overall))
     if rival != best and better(square[rival], square[best], independent, rivals):
@@ -585,8 +607,11 @@ def unseen_residual(
     by_name = {item.candidate.name: item.residual for item in judged}
     if nested is not None:
         measured = [data.displacement[data.tested(fold)] for fold in data.folds]
+        contenders = {item.candidate.name: item.contender for item in models}
         for name in {name for names in chosen for name in names} - {UNCOMPENSATED}:
-            _, predicted = _held_out_predictions(name, nested, lambda: None)
+            if (contender := contenders[name]) is None:
+                continue
+            _, predicted = _held_out_predictions(name, contender, nested, lambda: None)
             by_name[name] = [m - p for m, p in zip(measured, predicted, strict=True)]
     return [
         np.stack([by_name[name][fold][:, c] for c, name in enumerate(names)], axis=1)

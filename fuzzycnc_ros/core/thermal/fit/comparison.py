@@ -13,7 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, STANDARD
+from fuzzycnc_ros.core.thermal.candidate import STANDARD
+from fuzzycnc_ros.core.thermal.fit.candidates import CONTENDERS, Contender
 from fuzzycnc_ros.core.thermal.fit.evaluation import Evaluation, evaluate, pooled_rms
 from fuzzycnc_ros.core.thermal.fit.folds import thermal_cycles
 from fuzzycnc_ros.core.thermal.fit.refinement import Progress
@@ -160,7 +161,8 @@ def splits(
 def judge(
     split: Split,
     *,
-    candidates: Sequence[str] = CANDIDATES,
+    candidates: Sequence[str] | None = None,
+    contenders: Mapping[str, Contender] = CONTENDERS,
     interval: float = 60.0,
     sensors: str = 'auto',
     n_clusters: int = 5,
@@ -175,8 +177,10 @@ def judge(
     split : Split
         What to train on and what to judge on.
     candidates : sequence of str
-        Candidates to fit.  The automatic choice is made among those that training considers by
-        itself; the others are for comparison.
+        Candidates to fit, all of `contenders` if absent.  The automatic choice is made among those
+        that training considers by itself; the others are for comparison.
+    contenders : mapping of str to Contender
+        What the names mean, in the order of tables.
     interval, sensors, n_clusters, spindle_speed, random_state, progress
         As in `train_model`.
 
@@ -185,10 +189,12 @@ def judge(
     ThermalDataError
         If the runs cannot be used.
     """
+    candidates = tuple(contenders) if candidates is None else candidates
     model = train_model(
         split.training,
         candidates=[name for name in STANDARD if name in candidates] or candidates,
         compared=candidates,
+        contenders=contenders,
         interval=interval,
         sensors=sensors,
         n_clusters=n_clusters,

@@ -1,19 +1,13 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Grey models GM(1,N) of the thermal error: as published, in its variants, and made stable.
+"""Grey model GM(1,N) of the thermal error: as published, solved exactly, and made stable.
 
-References
-----------
-.. [1] T.-L. Tien, "A research on the grey prediction model GM(1,n)", 2012: GMC(1,N).
-.. [2] B. Zeng, C. Luo, S. Liu, Y. Bai, C. Li, "Development of an optimization method for the
-   GM(1,N) model", 2016: OGM(1,N).
-.. [3] N.-M. Xie, S.-F. Liu, "Discrete grey forecasting model and its optimization", 2009:
-   DGM(1,N).
+Its variants with constants are in `fuzzycnc_ros.papers.grey`.
 """
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,122 +27,10 @@ from fuzzycnc_ros.core.thermal.fit.regressor import (
 )
 from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_interval
 from fuzzycnc_ros.core.thermal.recursions.grey import (
-    DifferencedGreyRecursion,
     GreyRecursion,
     development_of,
     pole_of,
 )
-
-CONSTANTS = {'classical': 0, 'derived': 0, 'convolution': 1, 'optimised': 2, 'discrete': 2}
-"""Kinds that accumulate their target, and how many constants each has beside a and b."""
-
-
-@dataclass(frozen=True, eq=False)
-class GreyCoefficients:
-    """What a regression in accumulated series gives.
-
-    Parameters
-    ----------
-    kind : str
-        One of `CONSTANTS`.
-    a : float
-        Development coefficient [-].
-    b : ndarray, shape (p,)
-        Driving coefficients [m/K].
-    constants : ndarray, shape (0,), (1,) or (2,)
-        u of the convolution form, h1 and h2 of the optimised and discrete ones [m].
-    """
-
-    kind: str
-    a: float
-    b: Array
-    constants: Array
-
-    @staticmethod
-    def of(kind: str, solution: Array, unit: float) -> 'GreyCoefficients':
-        """Take the solution of `regression` for a target divided by `unit`."""
-        lead, others = float(solution[0]), solution[1:] * unit
-        drivers = len(others) - CONSTANTS[kind]
-        if kind == 'discrete':
-            # Its equation is the optimised one, divided by 1 + a/2.
-            with np.errstate(divide='ignore'):
-                lead = float(development_of(np.array(lead)))
-            others = others * (1.0 + lead / 2.0)
-        return GreyCoefficients(kind, lead, others[:drivers], others[drivers:])
-
-    @property
-    def pole(self) -> float:
-        """Pole of the recursion [-]: exp(-a) of the convolution form, (1-a/2)/(1+a/2) else."""
-        if self.kind == 'convolution':
-            return float(np.exp(-self.a))
-        return float(pole_of(np.array(self.a)))
-
-    def recursion(self, initial: float) -> Recursion:
-        """Return the model of one channel at run time, from a first value y(1) [m]."""
-        if self.kind in ('classical', 'derived'):
-            return GreyRecursion(
-                a=np.array([self.a]),
-                b=self.b[np.newaxis],
-                initial=np.array([initial]),
-                exact=self.kind == 'derived',
-            )
-        pole = self.pole
-        if self.kind == 'convolution':
-            gain, constant = self.b / 2.0, 0.0
-            start = initial * (pole - 1.0) + self.constants[0] * (1.0 + pole) / 2.0
-        else:
-            half = 1.0 + self.a / 2.0
-            gain, constant = self.b / half, float(self.constants[0]) / half
-            start = (self.constants.sum() - self.a * initial) / half
-        return DifferencedGreyRecursion(
-            pole=np.array([pole]),
-            gain=gain[np.newaxis],
-            constant=np.array([constant]),
-            start=np.array([start]),
-            initial=np.array([initial]),
-            averaged=self.kind == 'convolution',
-        )
-
-
-def regression(
-    kind: str, drivers: Array, target: Array, rows: Sequence[slice], used: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """Return B and Y of eq. (14) or of its variants, method sheet 001 section 3.2.
-
-    Parameters
-    ----------
-    kind : str
-        One of `CONSTANTS`.
-    drivers : ndarray, shape (n, p)
-        Drivers [K].
-    target : ndarray, shape (n,)
-        Target.
-    rows : sequence of slice
-        Rows of each run; each accumulates from its own start.
-    used : ndarray of bool, shape (n,)
-        Samples whose equation is fitted.
-
-    Returns
-    -------
-    matrix, left : ndarray
-        The used rows of k = 2..n of every run, stacked.
-    """
-    blocks = []
-    for run in rows:
-        total = np.cumsum(target[run])
-        driver = np.cumsum(drivers[run], axis=0)
-        if kind == 'convolution':
-            driver = (driver + np.concatenate([driver[:1], driver[:-1]])) / 2.0
-        if kind == 'discrete':
-            past, left = total[:-1], total[1:]
-        else:
-            past, left = -0.5 * (total[1:] + total[:-1]), target[run][1:]
-        number = np.arange(1.0, len(total))
-        constants = (number, np.ones_like(number))[2 - CONSTANTS[kind] :]
-        keep = used[run][1:]
-        blocks.append((np.column_stack([past, driver[1:], *constants])[keep], left[keep]))
-    return np.concatenate([b for b, _ in blocks]), np.concatenate([y for _, y in blocks])
-
 
 POLES_PER_MINUTE = (0.0, 0.2, 0.4, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0.98, 0.985, 0.99)
 """Poles that the stable form tries at 1 min; other intervals use the same time constants."""
@@ -156,21 +38,15 @@ POLES_PER_MINUTE = (0.0, 0.2, 0.4, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97, 0
 _CONDITION_MAX = 1e6
 """Condition number of the scaled regression matrix above which a classical fit is refused."""
 
-KINDS = (*CONSTANTS, 'stable')
-"""Forms of the grey model; all but the stable one accumulate their target."""
-
 
 class GreyModel(ThermalRegressor):
-    """Grey model GM(1,N), method sheet 001 eqs. (10)-(16) and section 3.2.
+    """Grey model GM(1,N), method sheet 001 eqs. (10)-(16) and section 3.1.
 
     Parameters
     ----------
-    kind : {'classical', 'derived', 'convolution', 'optimised', 'discrete', 'stable'}
+    kind : {'classical', 'derived', 'stable'}
         'classical' fits eq. (14) and predicts by the published time response (15)-(16);
         'derived' has the same coefficients, but solves eq. (12) exactly as a recursion;
-        'convolution' is GMC(1,N): averaged drivers, a constant, solved by the trapezium rule;
-        'optimised' is OGM(1,N): eq. (12) plus h1 (k-1) + h2, solved exactly;
-        'discrete' is DGM(1,N): the next accumulated value is regressed on the present one;
         'stable' fits the output error of the derived recursion, its pole bounded below 1.
     interval : float
         Sampling interval of the training samples [s].
@@ -185,11 +61,8 @@ class GreyModel(ThermalRegressor):
         Development coefficient [-].
     b_ : ndarray, shape (p,)
         Driving coefficients, target unit per driver unit [m/K].
-    constants_ : ndarray
-        Constants beside them: u of the convolution form, h1 and h2 of the optimised and discrete
-        ones, none else [m].
     phi_ : float
-        Pole of the recursion [-]: exp(-a) of the convolution form, (1 - a/2) / (1 + a/2) else.
+        Pole of the recursion [-]: (1 - a/2) / (1 + a/2).
     condition_ : float
         Condition number of the scaled regression matrix [-].
     stable_ : bool
@@ -216,6 +89,9 @@ class GreyModel(ThermalRegressor):
     [2.874, 3.232, 3.355, 3.482, 3.614]
     """
 
+    CONSTANTS: ClassVar[dict[str, int]] = {'classical': 0, 'derived': 0}
+    """Kinds that accumulate their target, and how many constants each has beside a and b."""
+
     def __init__(
         self,
         kind: str = 'stable',
@@ -228,6 +104,11 @@ class GreyModel(ThermalRegressor):
         self.interval = interval
         self.ridge = ridge
         self.poles = poles
+
+    @classmethod
+    def kinds(cls) -> tuple[str, ...]:
+        """Return the kinds that there are; all but the stable one accumulate their target."""
+        return (*cls.CONSTANTS, 'stable')
 
     def fit(
         self,
@@ -259,8 +140,10 @@ class GreyModel(ThermalRegressor):
             If `kind` is unknown, there are too few samples, or a form that accumulates the
             target meets NaN.
         """
-        if self.kind not in KINDS:
-            raise ValueError(f'kind: expected one of {", ".join(KINDS)}, but found {self.kind!r}')
+        if self.kind not in self.kinds():
+            raise ValueError(
+                f'kind: expected one of {", ".join(self.kinds())}, but found {self.kind!r}'
+            )
         if X is None:
             if self.kind not in ('classical', 'derived') or runs is not None:
                 raise ValueError(
@@ -310,14 +193,62 @@ class GreyModel(ThermalRegressor):
         if self.kind == 'stable':
             raise ValueError(f'initial: expected 0 for the stable form, but found {initial}')
         raised = copy.copy(self)
-        coefficients = GreyCoefficients(self.kind, self.a_, self.b_, self.constants_)
-        raised.recursion_ = coefficients.recursion(initial)
+        raised.recursion_ = self.solution(initial)
         return ThermalRegressor.predict(raised, X, runs=runs)
+
+    def equations(
+        self, drivers: Array, target: Array, rows: Sequence[slice], used: NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
+        """Return B and Y of eq. (14), or of the equation of the kind.
+
+        Parameters
+        ----------
+        drivers : ndarray, shape (n, p)
+            Drivers [K].
+        target : ndarray, shape (n,)
+            Target.
+        rows : sequence of slice
+            Rows of each run; each accumulates from its own start.
+        used : ndarray of bool, shape (n,)
+            Samples whose equation is fitted.
+
+        Returns
+        -------
+        matrix, left : ndarray
+            The used rows of k = 2..n of every run, stacked.
+        """
+        blocks = []
+        for run in rows:
+            columns, left = self._run_equations(drivers[run], target[run])
+            keep = used[run][1:]
+            blocks.append((columns[keep], left[keep]))
+        return np.concatenate([b for b, _ in blocks]), np.concatenate([y for _, y in blocks])
+
+    def _run_equations(self, drivers: Array, target: Array) -> tuple[Array, Array]:
+        """Return the columns (n - 1, ...) and the left side (n - 1,) of one run's equations."""
+        total = np.cumsum(target)
+        driver = np.cumsum(drivers, axis=0)
+        return np.column_stack([-0.5 * (total[1:] + total[:-1]), driver[1:]]), target[1:]
+
+    def _take(self, solution: Array, unit: float) -> None:
+        """Take a, b and the pole from the solution for a target divided by `unit`."""
+        self.a_ = float(solution[0])
+        self.b_: Array = solution[1:] * unit
+        self.phi_ = float(pole_of(np.array(self.a_)))
+
+    def solution(self, initial: float) -> Recursion:
+        """Return a fitted form that accumulates, from a first value y(1) [m]."""
+        return GreyRecursion(
+            exact=self.kind == 'derived',
+            a=np.array([self.a_]),
+            b=self.b_[np.newaxis],
+            initial=np.array([initial]),
+        )
 
     def _fit_accumulated(
         self, drivers: Array, target: Array, rows: Sequence[slice], used: NDArray[np.bool_]
     ) -> None:
-        check_sample_count(target, drivers.shape[1] + 1 + CONSTANTS[self.kind])
+        check_sample_count(target, drivers.shape[1] + 1 + self.CONSTANTS[self.kind])
         rows = [run for run in rows if np.isfinite(target[run]).any()]
         missing = sum(int(np.isnan(target[run]).sum()) for run in rows)
         if missing:
@@ -327,18 +258,14 @@ class GreyModel(ThermalRegressor):
             )
         check_interval(self.interval)
         unit = float(np.nanmax(np.abs(target))) or 1.0
-        matrix, left = regression(self.kind, drivers, target / unit, rows, used)
+        matrix, left = self.equations(drivers, target / unit, rows, used)
         # Unit columns, so that the condition number tells collinearity and not units.
         norm = np.linalg.norm(matrix, axis=0)
         norm[norm == 0.0] = 1.0
         solution, _, _, singular = np.linalg.lstsq(matrix / norm, left, rcond=None)
         self.condition_ = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else np.inf
-        fitted = GreyCoefficients.of(self.kind, solution / norm, unit)
-        self.a_ = fitted.a
-        self.b_: Array = fitted.b
-        self.constants_: Array = fitted.constants
-        self.phi_ = fitted.pole
-        self.recursion_: Recursion = fitted.recursion(0.0)
+        self._take(solution / norm, unit)
+        self.recursion_: Recursion = self.solution(0.0)
         self.problems_ = self._accumulated_problems()
 
     def _accumulated_problems(self) -> tuple[str, ...]:
@@ -381,7 +308,6 @@ class GreyModel(ThermalRegressor):
         self.phi_ = float(poles[index])
         self.a_ = float(development_of(poles[index]))
         self.b_ = weight * (1.0 - self.phi_) * (1.0 + self.a_ / 2.0)
-        self.constants_ = np.empty(0)
         self.condition_ = float(np.linalg.cond(features / column_scale(features)))
         self.recursion_ = linear_recursion(weight, poles[index : index + 1], False, 0.0)
         # A pole of 0 is a static machine; at the other end the best one may lie beyond.

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Train a thermal model: sensors, candidates, choice on held-out runs, domain."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -10,8 +10,6 @@ import numpy as np
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.band import fitted_band
 from fuzzycnc_ros.core.thermal.candidate import (
-    CANDIDATES,
-    COMPARED_ONLY,
     SPEED_SUFFIX,
     STANDARD,
     UNCOMPENSATED,
@@ -20,6 +18,8 @@ from fuzzycnc_ros.core.thermal.cold_start import ColdStart
 from fuzzycnc_ros.core.thermal.domain import trained_domain
 from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
 from fuzzycnc_ros.core.thermal.fit.candidates import (
+    CONTENDERS,
+    Contender,
     JudgedCandidate,
     fit_candidate,
     preferred,
@@ -80,6 +80,7 @@ def train_model(
     n_clusters: int = 5,
     candidates: Sequence[str] = STANDARD,
     compared: Sequence[str] = (),
+    contenders: Mapping[str, Contender] = CONTENDERS,
     spindle_speed: bool = True,
     random_state: int = 0,
     progress: Progress | None = None,
@@ -104,6 +105,8 @@ def train_model(
         Candidates to fit, to judge on held-out samples and to choose from, beside `model`.
     compared : sequence of str
         Further candidates, which are only fitted: they are in the model for a comparison.
+    contenders : mapping of str to Contender
+        What all these names mean, in the order of tables.
     spindle_speed : bool
         Whether candidates may read the spindle speed, where all runs have it.
     random_state : int
@@ -124,7 +127,7 @@ def train_model(
     ValueError
         If `model` or `sensors` is unknown.
     """
-    names = _names(model, candidates, compared)
+    names = _names(model, candidates, compared, contenders)
     even = [at_interval(run, interval) for run in runs]
     check_training_runs(even)
     fingerprints = tuple(Fingerprint.of(run) for run in runs)
@@ -151,6 +154,7 @@ def train_model(
         try:
             judged[name] = fit_candidate(
                 name,
+                contenders[name],
                 data,
                 _step(progress, name, done, len(names)),
                 held_out=name in candidates or name == model,
@@ -204,19 +208,24 @@ def at_interval(run: ThermalRun, interval: float) -> ThermalRun:
     return run.resample(interval)
 
 
-def _names(model: str, candidates: Sequence[str], compared: Sequence[str]) -> tuple[str, ...]:
+def _names(
+    model: str,
+    candidates: Sequence[str],
+    compared: Sequence[str],
+    contenders: Mapping[str, Contender],
+) -> tuple[str, ...]:
     """Return the candidates to fit, in the order of tables."""
-    known = ', '.join(CANDIDATES)
-    if model not in ('auto', *CANDIDATES):
+    known = ', '.join(contenders)
+    if model not in ('auto', *contenders):
         raise ValueError(f'model: expected auto or one of {known}, but found {model!r}')
     for field, names in (('candidates', candidates), ('compared', compared)):
         for name in names:
-            if name not in CANDIDATES:
+            if name not in contenders:
                 raise ValueError(f'{field}: expected some of {known}, but found {name!r}')
     if model == 'auto' and not candidates:
         raise ValueError(f'candidates: expected some of {known} to choose from, but found none')
     wanted = {model, *candidates, *compared}
-    return tuple(name for name in CANDIDATES if name in wanted)
+    return tuple(name for name in contenders if name in wanted)
 
 
 def _step(progress: Progress | None, name: str, done: int, total: int) -> Callable[[], None]:
@@ -300,7 +309,9 @@ def _sound(
             raise ThermalDataError(f'model {model!r} is refused: {"; ".join(problems)}')
         return [judged[model]]
     able = [
-        item for name, item in judged.items() if name in candidates and name not in COMPARED_ONLY
+        item
+        for name, item in judged.items()
+        if name in candidates and item.contender is not None and item.contender.chosen
     ]
     if not able:
         reasons = [f'{name}: for comparison only' for name in judged if name != UNCOMPENSATED]

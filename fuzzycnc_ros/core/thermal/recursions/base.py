@@ -146,21 +146,6 @@ class Recursion(ABC):
             values[k], state = self.step(sample, state)
         return values
 
-    def standard_deviation(self, rise: Array) -> Array:
-        """Return what the form itself says of its deviation.
-
-        Parameters
-        ----------
-        rise : ndarray, shape (..., p)
-            Rises [K].
-
-        Returns
-        -------
-        ndarray, shape (..., c)
-            Standard deviation [m]; NaN where it says nothing, as most forms do.
-        """
-        return np.full((*rise.shape[:-1], self.channels), np.nan)
-
     def with_interval(self: _Self, ratio: float) -> _Self:
         """Return the recursion for an interval `ratio` times as long.
 
@@ -499,14 +484,10 @@ FORMS: Mapping[str, str] = MappingProxyType(
     {
         'linear': 'base.LinearRecursion',
         'grey': 'grey.GreyRecursion',
-        'differenced_grey': 'grey.DifferencedGreyRecursion',
         'series': 'base.SeriesRecursion',
         'corrected': 'rules.CorrectedRecursion',
         'rules': 'rules.RulesRecursion',
-        'kernel': 'kernel.KernelRecursion',
-        'layers': 'kernel.LayersRecursion',
         'filter_network': 'filters.FilterNetworkRecursion',
-        'moving_average': 'filters.MovingAverageRecursion',
         'bounded': 'base.BoundedRecursion',
         'parallel': 'base.ParallelRecursion',
     }
@@ -577,11 +558,6 @@ class ParallelRecursion(Recursion):
     def run(self, rise: Array) -> Array:
         """Return the thermal errors (n, c) [m] of a whole run of rises (n, p) [K]."""
         return np.concatenate([part.run(rise) for part in self.parts], axis=1)[:, self.order]
-
-    def standard_deviation(self, rise: Array) -> Array:
-        """Return what each part says of its channels, shape (..., c) [m]; NaN where nothing."""
-        said = [part.standard_deviation(rise) for part in self.parts]
-        return np.asarray(np.concatenate(said, axis=-1)[..., self.order])
 
     def with_interval(self, ratio: float) -> 'ParallelRecursion':
         """Return the recursions for an interval `ratio` times as long."""
@@ -747,12 +723,6 @@ class SeriesRecursion(Recursion):
         """Return the thermal errors (n, c) [m] of a whole run of inputs (n, p)."""
         return self.model.run(self.bank.run(rise))
 
-    def standard_deviation(self, rise: Array) -> Array:
-        """Return what the model says of its deviation, NaN behind lags, shape (..., c) [m]."""
-        if len(self.bank.pole):
-            return super().standard_deviation(rise)
-        return self.model.standard_deviation(rise @ self.bank.direct.T + self.bank.offset)
-
     def with_interval(self, ratio: float) -> 'SeriesRecursion':
         """Return the recursion for an interval `ratio` times as long."""
         return SeriesRecursion(self.bank.with_interval(ratio), self.model.with_interval(ratio))
@@ -844,10 +814,6 @@ class BoundedRecursion(Recursion):
     def run(self, rise: Array) -> Array:
         """Return the thermal errors (n, c) [m] of a whole run of rises (n, p) [K]."""
         return clipped(self.base.run(rise), self.bound)
-
-    def standard_deviation(self, rise: Array) -> Array:
-        """Return what the base says of its deviation, shape (..., c) [m]."""
-        return self.base.standard_deviation(rise)
 
 
 def bound_of(displacement: Array) -> Array:

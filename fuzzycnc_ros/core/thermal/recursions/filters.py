@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Models on delayed rises and on their own past outputs at run time: moving average, network."""
+"""Models on delayed rises and on their own past outputs at run time."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -14,9 +14,9 @@ from scipy.linalg import block_diag
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.document import Node
-from fuzzycnc_ros.core.thermal.recursions.base import Recursion, axes, clipped
+from fuzzycnc_ros.core.thermal.recursions.base import Recursion, axes
 
-_Self = TypeVar('_Self', bound='_DelayedRecursion')
+_Self = TypeVar('_Self', bound='DelayedRecursion')
 
 DELAY_MAX = 1440
 """Longest delay [samples], a day of minutes; all rises since then are part of the state."""
@@ -26,7 +26,7 @@ STATE_MAX = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class _DelayedRecursion(Recursion):
+class DelayedRecursion(Recursion):
     """Delayed rises and past outputs, mapped linearly and then by whatever the form adds.
 
     Parameters
@@ -178,7 +178,7 @@ def delayed_rises(rise: Array, rows: Sequence[slice], delay: NDArray[np.int64]) 
     return delayed.reshape(samples, -1)
 
 
-def _own_history_columns(feedback: Array) -> Array:
+def own_history_columns(feedback: Array) -> Array:
     """Return the part of the linear map that reads the history.
 
     Parameters
@@ -199,49 +199,7 @@ def _own_history_columns(feedback: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class MovingAverageRecursion(_DelayedRecursion):
-    """Autoregressive model with moving averages of the rises, method sheet 003 section 2.
-
-    y(n) = drive x + feedback y(n-1..n-K) + offset, cut at the limit, where x holds the rises at
-    all delays.  The cut output is what feeds back: nothing else bounds a recursion that is not
-    stable.
-
-    Parameters
-    ----------
-    delay : ndarray of int, shape (m,)
-        Delays of the rises, ascending, 0 is the present sample [samples].
-    drive : ndarray, shape (c, m p)
-        Weight of each delayed rise [m/K].
-    feedback : ndarray, shape (c, K)
-        Weight of each past output [-].
-    offset : ndarray, shape (c,)
-        Constant [m].
-    limit : ndarray, shape (c,)
-        Largest output [m].
-    """
-
-    FORM: ClassVar[str] = 'moving_average'
-
-    drive: Array = field(metadata=axes('c mp'))
-    feedback: Array = field(metadata=axes('c k'))
-    offset: Array = field(metadata=axes('c'))
-    limit: Array = field(metadata=axes('c'))
-
-    def _check(self) -> None:
-        super()._check()
-        if not (self.limit > 0.0).all():
-            raise ValueError(f'limit: expected positive numbers, but found {self.limit}')
-
-    def _linear(self) -> tuple[Array, Array]:
-        past = _own_history_columns(self.feedback[:, np.newaxis, :])
-        return np.hstack([self.drive, past]), self.offset
-
-    def _output(self, activation: Array) -> Array:
-        return clipped(activation, self.limit)
-
-
-@dataclass(frozen=True, eq=False)
-class FilterNetworkRecursion(_DelayedRecursion):
+class FilterNetworkRecursion(DelayedRecursion):
     """Network with one hidden layer on delayed rises and past outputs, method sheet 003, 3.
 
     y(n) = scale tanh(outer tanh(inner x + feedback y(n-1..n-K) + bias) + offset), where x holds
@@ -282,7 +240,7 @@ class FilterNetworkRecursion(_DelayedRecursion):
 
     def _linear(self) -> tuple[Array, Array]:
         rises = self.inner.reshape(self.bias.size, -1)
-        return np.hstack([rises, _own_history_columns(self.feedback)]), self.bias.ravel()
+        return np.hstack([rises, own_history_columns(self.feedback)]), self.bias.ravel()
 
     @cached_property
     def _outer(self) -> Array:

@@ -10,7 +10,12 @@ import pytest
 from fuzzycnc_ros.core.thermal.band import better, worth_using
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED, Candidate
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
-from fuzzycnc_ros.core.thermal.fit.candidates import JudgedCandidate, preferred, unseen_residual
+from fuzzycnc_ros.core.thermal.fit.candidates import (
+    CONTENDERS,
+    JudgedCandidate,
+    preferred,
+    unseen_residual,
+)
 from fuzzycnc_ros.core.thermal.fit.comparison import judge, splits
 from fuzzycnc_ros.core.thermal.fit.training_set import TrainingSet
 from fuzzycnc_ros.core.thermal.moments import Fold
@@ -57,7 +62,8 @@ def judged(name, fold_error):
     )
     rms = np.sqrt(errors.mean(axis=0))
     candidate = Candidate(name, ({}, {}), recursion, (), rms, rms)
-    return JudgedCandidate(candidate, errors, [np.tile(np.sqrt(row), (4, 1)) for row in errors])
+    residual = [np.tile(np.sqrt(row), (4, 1)) for row in errors]
+    return JudgedCandidate(candidate, errors, residual, CONTENDERS.get(name))
 
 
 def test_the_overall_best_is_kept_unless_a_rival_is_better_beyond_chance():

@@ -15,16 +15,18 @@ import warnings
 import numpy as np
 import pytest
 
-import fuzzycnc_ros.core.thermal as thermal
+from fuzzycnc_ros import papers
+from fuzzycnc_ros.core import thermal
 from fuzzycnc_ros.core.estimator import check_target
 from fuzzycnc_ros.core.thermal.fit import hybrid
 from fuzzycnc_ros.core.thermal.fit.anfis import Anfis, GreyAnfis
-from fuzzycnc_ros.core.thermal.fit.baselines import GaussianProcess, Mlp
-from fuzzycnc_ros.core.thermal.fit.grey import KINDS, GreyModel
+from fuzzycnc_ros.core.thermal.fit.grey import GreyModel
 from fuzzycnc_ros.core.thermal.fit.hybrid import HybridFilterNetwork
 from fuzzycnc_ros.core.thermal.fit.linear import LagRidge, LeastSquares, StaticRidge
 from fuzzycnc_ros.core.thermal.fit.regressor import ThermalRegressor
-from fuzzycnc_ros.core.thermal.fit.rivals import Arma, DynamicNetwork, LinearNetwork, StaticNetwork
+from fuzzycnc_ros.papers.grey import GreyVariant
+from fuzzycnc_ros.papers.learners import GaussianProcess, Mlp
+from fuzzycnc_ros.papers.networks import Arma, DynamicNetwork, LinearNetwork, StaticNetwork
 
 checks = pytest.importorskip('sklearn.utils.estimator_checks')
 exceptions = pytest.importorskip('sklearn.exceptions')
@@ -34,7 +36,8 @@ ESTIMATORS = [
     LeastSquares(),
     StaticRidge(),
     LagRidge(),
-    *(GreyModel(kind) for kind in KINDS),
+    *(GreyModel(kind) for kind in GreyModel.kinds()),
+    *(GreyVariant(kind) for kind in GreyVariant.kinds()),
     Anfis(),
     GreyAnfis(),
     GaussianProcess(samples_max=20),
@@ -81,7 +84,7 @@ def expected_failures(estimator):
     match estimator:
         case GreyModel(kind='stable'):
             return {}  # on the samples of the checks its best pole is 0, which is static
-        case GreyModel(kind='classical' | 'discrete'):
+        case GreyModel(kind='classical') | GreyVariant(kind='discrete'):
             return IN_ORDER
         case GreyModel():
             return IN_ORDER | {'check_regressors_train': UNORDERED}
@@ -140,12 +143,13 @@ def test_too_few_samples_are_all_that_keeps_the_hybrid_from_passing(monkeypatch)
 
 
 def test_no_estimator_is_left_out():
-    for module in pkgutil.walk_packages(thermal.__path__, f'{thermal.__name__}.'):
-        importlib.import_module(module.name)
+    for package in (thermal, papers):
+        for module in pkgutil.walk_packages(package.__path__, f'{package.__name__}.'):
+            importlib.import_module(module.name)
     found, todo = set(), [ThermalRegressor]
     while todo:
         todo.extend(children := todo.pop().__subclasses__())
-        found.update(kind for kind in children if {'fit', '_fit'} & set(vars(kind)))
+        found.update(kind for kind in children if {'fit', '_fit', '_take'} & set(vars(kind)))
     tested = {type(estimator) for estimator in ESTIMATORS}
     assert {kind.__name__ for kind in found} == {kind.__name__ for kind in tested}
 

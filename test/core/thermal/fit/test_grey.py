@@ -1,13 +1,17 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.thermal.fit import GreyModel
-from fuzzycnc_ros.core.thermal.fit.grey import KINDS
 from fuzzycnc_ros.core.thermal.recursions.base import first_order_lags
+from fuzzycnc_ros.papers.grey import GreyVariant
+
+EVERY_KIND = [partial(form, kind) for form in (GreyModel, GreyVariant) for kind in form.kinds()]
 
 
 def dynamic_data(pole=0.9, samples=150, inputs=2, seed=0, noise=0.0):
@@ -125,18 +129,18 @@ def test_poles_keep_their_time_constants_at_another_interval():
     assert fast.interval == 60.0
 
 
-@pytest.mark.parametrize('kind', KINDS)
-def test_scaling_units_scales_the_prediction(kind):
+@pytest.mark.parametrize('make', EVERY_KIND)
+def test_scaling_units_scales_the_prediction(make):
     rise, target, runs, _ = dynamic_data(noise=1e-8)
-    one = GreyModel(kind).fit(rise, target, runs=runs).predict(rise, runs=runs)
-    other = GreyModel(kind).fit(rise, 1e6 * target, runs=runs).predict(rise, runs=runs)
+    one = make().fit(rise, target, runs=runs).predict(rise, runs=runs)
+    other = make().fit(rise, 1e6 * target, runs=runs).predict(rise, runs=runs)
     assert np.allclose(1e6 * one, other, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize('kind', KINDS)
-def test_each_run_starts_anew(kind):
+@pytest.mark.parametrize('make', EVERY_KIND)
+def test_each_run_starts_anew(make):
     rise, target, runs, _ = dynamic_data()
-    model = GreyModel(kind).fit(rise, target, runs=runs)
+    model = make().fit(rise, target, runs=runs)
     together = model.predict(rise, runs=runs)
     apart = np.concatenate([model.predict(rise[runs == run]) for run in (0, 1)])
     assert np.array_equal(together, apart)
@@ -146,9 +150,9 @@ def test_samples_out_of_use_do_not_matter():
     rise, target, runs, _ = dynamic_data(noise=1e-7)
     use = runs == 0
     disturbed = np.where(use, target, 1e-3)
-    for kind in KINDS:
-        one = GreyModel(kind).fit(rise, disturbed, runs=runs, use=use)
-        other = GreyModel(kind).fit(rise[use], target[use])
+    for make in EVERY_KIND:
+        one = make().fit(rise, disturbed, runs=runs, use=use)
+        other = make().fit(rise[use], target[use])
         assert one.a_ == pytest.approx(other.a_)
         assert np.allclose(one.b_, other.b_)
 

@@ -21,9 +21,9 @@ from fuzzycnc_ros.core.thermal.recursions.base import (
 )
 from fuzzycnc_ros.core.thermal.recursions.filters import (
     FilterNetworkRecursion,
-    MovingAverageRecursion,
     delayed_rises,
 )
+from fuzzycnc_ros.papers.networks import MovingAverageRecursion
 
 INPUTS = 3
 
@@ -283,7 +283,9 @@ def test_unlike_channels_run_side_by_side():
         assert np.allclose(combine(pair).run(rises()), expected, rtol=1e-12, atol=0.0)
 
 
-@pytest.mark.parametrize('recursion', RECURSIONS)
+@pytest.mark.parametrize(
+    'recursion', [item for item in RECURSIONS if not isinstance(item, MovingAverageRecursion)]
+)
 def test_documents_hold_every_number(recursion):
     document = write_recursion(recursion)
     again = read_recursion(Node(document, 'test'), INPUTS)

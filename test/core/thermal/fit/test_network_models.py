@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from fuzzycnc_ros.core.estimator import NotFittedError
 from fuzzycnc_ros.core.thermal.fit import hybrid
 from fuzzycnc_ros.core.thermal.fit.hybrid import Feedback, HybridFilterNetwork
-from fuzzycnc_ros.core.thermal.fit.rivals import Arma, DynamicNetwork, LinearNetwork, StaticNetwork
+from fuzzycnc_ros.papers.networks import Arma, DynamicNetwork, LinearNetwork, StaticNetwork
 
 ESTIMATORS = [Arma, DynamicNetwork, HybridFilterNetwork, LinearNetwork, StaticNetwork]
 RUNS = np.repeat([0, 1], 150)
@@ -364,8 +364,8 @@ def test_networks_work_the_same_without_scikit_learn():
 import sys
 sys.modules['sklearn'] = None
 import numpy as np
-from fuzzycnc_ros.core.thermal.fit.rivals import Arma
 from fuzzycnc_ros.core.thermal.fit.hybrid import HybridFilterNetwork
+from fuzzycnc_ros.papers.networks import Arma
 time = np.arange(100.0)
 rise = np.column_stack([time / 10.0, np.sin(time / 20.0)])
 target = 1e-6 * rise[:, 0]

@@ -14,12 +14,12 @@ from random_streams import largest_output, random_streams
 
 from fuzzycnc_ros.core.thermal.fit import select_sensors, train_model
 from fuzzycnc_ros.core.thermal.fit.anfis import Anfis, GreyAnfis
-from fuzzycnc_ros.core.thermal.fit.baselines import GaussianProcess, Mlp
 from fuzzycnc_ros.core.thermal.fit.grey import GreyModel
 from fuzzycnc_ros.core.thermal.fit.hybrid import HybridFilterNetwork
 from fuzzycnc_ros.core.thermal.fit.linear import LagRidge, LeastSquares, StaticRidge
-from fuzzycnc_ros.core.thermal.fit.rivals import Arma, DynamicNetwork, LinearNetwork, StaticNetwork
 from fuzzycnc_ros.core.thermal.recursions.base import BoundedRecursion, bound_of, combine
+from fuzzycnc_ros.papers.learners import GaussianProcess, Mlp
+from fuzzycnc_ros.papers.networks import Arma, DynamicNetwork, LinearNetwork, StaticNetwork
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 from fuzzycnc_ros.simulation.thermal.grinder_runs import record_flux_case, record_grinder
 

@@ -27,6 +27,7 @@ from fuzzycnc_ros.core.thermal.model import ModelMismatchError
 from fuzzycnc_ros.core.thermal.ranking import grey_relational_grade
 from fuzzycnc_ros.core.thermal.recursions.base import first_order_lags
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
+from fuzzycnc_ros.papers.thermal import ALL_CONTENDERS
 
 PARTS = (300.0, 1800.0, 14400.0)
 SENSORS = (*(f'{part}{number}' for part in 'ABC' for number in range(4)), 'cold')
@@ -374,7 +375,13 @@ def test_evaluation_refusals(runs, unseen):
 
 
 def test_a_model_that_does_not_hold_where_it_was_not_fitted_is_refused(runs):
-    model = train_model(runs, candidates=('lag_ridge', 'arma'), sensors='clusters', n_clusters=3)
+    model = train_model(
+        runs,
+        candidates=('lag_ridge', 'arma'),
+        contenders=ALL_CONTENDERS,
+        sensors='clusters',
+        n_clusters=3,
+    )
     for name, item in model.candidates.items():
         bare = max(float(np.abs(run.displacement).max()) for run in runs)
         diverged = not (item.held_out_max < DIVERGED * bare).all()

@@ -3,6 +3,8 @@
 """What the hybrid filter network is compared with: ARMA, plain networks, and LR with a network."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +27,12 @@ from fuzzycnc_ros.core.thermal.fit.tanh_network import (
     TanhNetwork,
     train_network,
 )
-from fuzzycnc_ros.core.thermal.recursions.filters import MovingAverageRecursion, delayed_rises
+from fuzzycnc_ros.core.thermal.recursions.base import axes, clipped
+from fuzzycnc_ros.core.thermal.recursions.filters import (
+    DelayedRecursion,
+    delayed_rises,
+    own_history_columns,
+)
 
 EARLY_STOP = 1e-7
 """Fall of the cost, as a part of that of no output at all, at which L-BFGS ends [-].
@@ -33,6 +40,48 @@ EARLY_STOP = 1e-7
 With more weights than samples the last of the way only learns the noise of the training run."""
 
 _PRESENT = np.array([0])
+
+
+@dataclass(frozen=True, eq=False)
+class MovingAverageRecursion(DelayedRecursion):
+    """Autoregressive model with moving averages of the rises, method sheet 003 section 2.
+
+    y(n) = drive x + feedback y(n-1..n-K) + offset, cut at the limit, where x holds the rises at
+    all delays.  The cut output is what feeds back: nothing else bounds a recursion that is not
+    stable.
+
+    Parameters
+    ----------
+    delay : ndarray of int, shape (m,)
+        Delays of the rises, ascending, 0 is the present sample [samples].
+    drive : ndarray, shape (c, m p)
+        Weight of each delayed rise [m/K].
+    feedback : ndarray, shape (c, K)
+        Weight of each past output [-].
+    offset : ndarray, shape (c,)
+        Constant [m].
+    limit : ndarray, shape (c,)
+        Largest output [m].
+    """
+
+    FORM: ClassVar[str] = 'moving_average'
+
+    drive: Array = field(metadata=axes('c mp'))
+    feedback: Array = field(metadata=axes('c k'))
+    offset: Array = field(metadata=axes('c'))
+    limit: Array = field(metadata=axes('c'))
+
+    def _check(self) -> None:
+        super()._check()
+        if not (self.limit > 0.0).all():
+            raise ValueError(f'limit: expected positive numbers, but found {self.limit}')
+
+    def _linear(self) -> tuple[Array, Array]:
+        past = own_history_columns(self.feedback[:, np.newaxis, :])
+        return np.hstack([self.drive, past]), self.offset
+
+    def _output(self, activation: Array) -> Array:
+        return clipped(activation, self.limit)
 
 
 class Arma(ThermalRegressor):
