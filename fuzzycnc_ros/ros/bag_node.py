@@ -11,12 +11,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from fuzzycnc_ros.bags.errors import BagError
-from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.ros.health import diagnostic_array
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
 from fuzzycnc_ros.runtime.component import Health
+from fuzzycnc_ros.runtime.host import ExecutorConfig
 
-C = TypeVar('C', bound=Config)
+C = TypeVar('C', bound=ExecutorConfig)
 
 
 class Closing(Protocol):
@@ -43,6 +43,7 @@ class BagNode(Generic[C]):
         self.node = node
         (config,) = declare(node, record)
         self._config = config
+        self.executor = config.executor
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
 
     def _publish_health(self, health: Sequence[Health]) -> None:

@@ -83,6 +83,7 @@ class ComponentNode:
         self.node = node
         host, config = declare(node, HostConfig, component_type.CONFIG)
         self.settings = host
+        self.executor = host.executor
         try:
             self.component = component_type(config)
         except ValueError as error:

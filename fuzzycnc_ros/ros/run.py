@@ -15,6 +15,7 @@ from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 from fuzzycnc_ros.bags.uninterrupted import uninterrupted
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros.arguments import initialise
+from fuzzycnc_ros.ros.executor import LeanExecutor
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.presence import Presence
 from fuzzycnc_ros.ros.processes import (
@@ -57,13 +58,15 @@ class Served(Protocol):
 
     node: Node
     exit_code: int
+    executor: str
+    """Name of the executor that is to call the node, see `ExecutorConfig`."""
 
     @property
     def done(self) -> bool:
         """Whether the node has nothing left to do and its process may end."""
 
     def start(self) -> None:
-        """Begin; all nodes of the process exist by now or follow."""
+        """Begin; all nodes of the process exist by now."""
 
     def stop(self) -> None:
         """Release what the node holds beside its part of the middleware."""
@@ -99,18 +102,20 @@ def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -
 def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: Wish) -> int:
     """Run nodes until a wish to end is heard or one is done; return the exit code."""
     hosts: list[Served] = []
-    # The multi-threaded and the events executor stalled or hung in trials on Jazzy.
     executor: SingleThreadedExecutor | None = None
     refused = 0
     presence = Presence()
     try:
         with uninterrupted():  # what is half made could not be stopped
             initialise(arguments)
-            executor = SingleThreadedExecutor()
             for make in makers:
                 host = make()
                 hosts.append(host)
                 presence.hold(host.node.get_namespace(), host.node.get_name())
+            # The multi-threaded and the events executor stalled or hung in trials on Jazzy.
+            lean = all(host.executor == 'lean' for host in hosts)
+            executor = LeanExecutor() if lean else SingleThreadedExecutor()
+            for host in hosts:
                 executor.add_node(host.node)
                 host.start()
             # They wake an executor that waits, and end the context.
@@ -134,10 +139,10 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
         code = max([refused, *(host.exit_code for host in hosts)])
         sys.stdout.flush()
         with ending_within(LETTING_GO, code):
-            for host in reversed(hosts):
-                host.node.destroy_node()
             if executor is not None:
                 executor.shutdown()
+            for host in reversed(hosts):
+                host.node.destroy_node()
             rclpy.try_shutdown()
             presence.leave()
     return code

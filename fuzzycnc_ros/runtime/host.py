@@ -91,7 +91,20 @@ class RecorderProgress(Record):
 
 
 @dataclass(frozen=True, kw_only=True)
-class HostConfig(Config):
+class ExecutorConfig(Config):
+    """Parameters of every node."""
+
+    executor: str = param(
+        'lean',
+        '-',
+        "What calls the node: the package's own executor, or rclpy's SingleThreadedExecutor, "
+        'slower, for comparison; one node that asks for it decides for its process',
+        choices=('lean', 'rclpy'),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class HostConfig(ExecutorConfig):
     """Parameters of every node that serves a component."""
 
     machine: str = param(
@@ -114,7 +127,7 @@ class HostConfig(Config):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecorderConfig(Config):
+class RecorderConfig(ExecutorConfig):
     """Parameters of `recorder`."""
 
     output: str = param('', '-', 'Directory of the new bag; must not exist')
@@ -132,7 +145,7 @@ class RecorderConfig(Config):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlayerConfig(Config):
+class PlayerConfig(ExecutorConfig):
     """Parameters of `player`."""
 
     bag: str = param('', '-', 'Bag to play: a directory of rosbag2, or a single .mcap file')
