@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 from itertools import groupby
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -17,6 +16,7 @@ import typer
 
 from fuzzycnc_ros.bags.atomic import write_text as write_whole
 from fuzzycnc_ros.core.names import visible
+from fuzzycnc_ros.studies.page.document import to_document
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -138,9 +138,9 @@ def progress_bar(title: str) -> Iterator[Tell]:
 
 
 def write_json(path: Path | None, document: Any) -> None:
-    """Write figures to a file; numbers that JSON does not know become null."""
+    """Write figures to a file, as `to_document` gives them."""
     if path is not None:
-        write_text(path, json.dumps(_plain(document), indent=2, allow_nan=False) + '\n')
+        write_text(path, json.dumps(to_document(document), indent=2, allow_nan=False) + '\n')
 
 
 def write_text(path: Path, text: str) -> None:
@@ -216,17 +216,3 @@ def check_at_least(option: str, value: float | None, low: float) -> None:
 def words(texts: list[str]) -> tuple[str, ...]:
     """Return the parts of options that may be repeated or hold several, with commas between."""
     return tuple(part.strip() for text in texts for part in text.split(',') if part.strip())
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if hasattr(value, 'tolist'):  # numpy
-        return _plain(value.tolist())
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, float) and not isfinite(value):
-        return None
-    return value

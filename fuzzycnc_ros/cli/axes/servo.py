@@ -273,7 +273,6 @@ def stability(
     """
     from fuzzycnc_ros.core.servo.stability import stability_report
     from fuzzycnc_ros.studies.servo.positioning_rules import (
-        stability_document,
         stability_page,
         stability_table,
     )
@@ -302,7 +301,7 @@ def stability(
         page = stability_page(found, course, table, facts)
         write_text(report, render_page(page))
         say(f'{report}: the report; open it in a browser')
-    write_json(json_file, stability_document(found))
+    write_json(json_file, found)
 
 
 def _built_in(axis: str, controller: str, params: Path | None) -> Any:

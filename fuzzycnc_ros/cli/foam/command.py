@@ -88,7 +88,7 @@ def demo(
         }
         write_text(report, render_page(shown.comparison_page(found, facts)))
         say(f'{report}: the report; open it in a browser')
-    write_json(json_file, shown.comparison_document(found))
+    write_json(json_file, found)
 
 
 def train(

@@ -198,7 +198,7 @@ class Job:
             'refused': self.refused,
             'limited': self.limited,
             'largest_offset': self.largest,
-            'lines': [vars(item) for item in self.flags],
+            'lines': self.flags,
         }
 
 

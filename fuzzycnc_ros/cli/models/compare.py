@@ -32,7 +32,6 @@ from fuzzycnc_ros.cli.models.many_bags import (
 from fuzzycnc_ros.cli.models.recorded_runs import (
     bridged_gaps,
     doubt_lines,
-    gap_document,
     gap_lines,
     sensors_but,
 )
@@ -215,7 +214,7 @@ def compare(
             'overall': overall_document([item.evaluation for item in comparison.held_out]),
             'left_out': {item.bag.name: item.reason for item in bad},
             'warnings': doubts,
-            'bridged': {name: gap_document(gaps) for name, gaps in bridged.items()},
+            'bridged': bridged,
         },
     )
     if bad:

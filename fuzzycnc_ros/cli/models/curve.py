@@ -23,7 +23,6 @@ from fuzzycnc_ros.cli.console import (
 from fuzzycnc_ros.cli.models.compare import read_runs
 from fuzzycnc_ros.cli.models.recorded_runs import (
     bridged_gaps,
-    gap_document,
     gap_lines,
     sensors_but,
 )
@@ -114,7 +113,7 @@ def curve(
         say(f'{report}: the report; open it in a browser')
     document: dict[str, Any] = sensor_curve_document(curves)
     document['left_out'] = [count for count in numbers if count not in kept]
-    document['bridged'] = {name: gap_document(gaps) for name, gaps in bridged.items()}
+    document['bridged'] = bridged
     write_json(json_file, document)
 
 

@@ -31,7 +31,6 @@ from fuzzycnc_ros.cli.models.many_bags import (
 from fuzzycnc_ros.cli.models.recorded_runs import (
     Bridged,
     as_predicted,
-    gap_document,
     gap_lines,
 )
 from fuzzycnc_ros.cli.options import End, Report, Start
@@ -244,7 +243,7 @@ def _document(
             result.run: dict(zip(result.channel, result.samples, strict=True)) for result in judged
         },
         'in_domain': {result.run: result.in_domain for result in judged},
-        'bridged': {item.evaluation.run: gap_document(item.bridged) for item in found.results},
+        'bridged': {item.evaluation.run: item.bridged for item in found.results},
         'probed': probed_document(probed) if probed else None,
         'left_out': {item.bag.name: item.reason for item in found.bad},
     }

@@ -23,7 +23,6 @@ from fuzzycnc_ros.cli.models.fit_progress import FitCounter
 from fuzzycnc_ros.cli.models.recorded_runs import (
     bridged_gaps,
     doubt_lines,
-    gap_document,
     gap_lines,
     sensors_but,
 )
@@ -162,7 +161,7 @@ def train(
             **_document(trained, out, trained.hash),
             'holes': holed,
             'warnings': doubts,
-            'bridged': {name: gap_document(gaps) for name, gaps in bridged.items()},
+            'bridged': bridged,
         },
     )
 

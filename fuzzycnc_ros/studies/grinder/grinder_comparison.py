@@ -3,8 +3,8 @@
 """Every thermal model on the simulated grinder, judged on runs it has not seen."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import inf, isfinite
+from dataclasses import dataclass, field
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.simulation.thermal.grinder import GRINDER_AXES
 from fuzzycnc_ros.simulation.thermal.grinder_runs import record_flux_case, record_grinder
 from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS, Rival
+from fuzzycnc_ros.studies.page.document import shown_as, to_document
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.thermal.comparison import MARK, best_of
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
@@ -53,8 +54,8 @@ class Trial:
 class Score:
     """What is left of the thermal error: root mean square and largest absolute value [m]."""
 
-    rms: float
-    largest: float
+    rms: float = field(metadata=shown_as('rms_um', 1e6))
+    largest: float = field(metadata=shown_as('max_um', 1e6))
 
 
 @dataclass(frozen=True)
@@ -76,11 +77,11 @@ class TrialResult:
         without problems are left out.
     """
 
-    name: str
+    name: str = field(metadata=shown_as(None))
     title: str
     trained_on: tuple[str, ...]
     sensors: int
-    scores: Mapping[str, Mapping[str, Score]]
+    scores: Mapping[str, Mapping[str, Score]] = field(metadata=shown_as('models'))
     problems: Mapping[str, tuple[str, ...]]
 
 
@@ -118,28 +119,8 @@ class GrinderComparison:
             `seed`, and `trials` by name with `title`, `trained_on`, `sensors`, `models` (model
             -> column -> `rms_um` and `max_um`; None where it diverged) and `problems`.
         """
-        return {
-            'seed': self.seed,
-            'trials': {
-                result.name: {
-                    'title': result.title,
-                    'trained_on': list(result.trained_on),
-                    'sensors': result.sensors,
-                    'models': {
-                        model: {
-                            column: {
-                                'rms_um': _json_micrometres(score.rms),
-                                'max_um': _json_micrometres(score.largest),
-                            }
-                            for column, score in columns.items()
-                        }
-                        for model, columns in result.scores.items()
-                    },
-                    'problems': {model: list(text) for model, text in result.problems.items()},
-                }
-                for result in self.trials
-            },
-        }
+        trials = {result.name: to_document(result) for result in self.trials}
+        return {'seed': self.seed, 'trials': trials}
 
     def tables(self) -> tuple[Table, ...]:
         """Return one table per trial: rms and largest residual [um] of every model.
@@ -293,10 +274,6 @@ def _scores(trial: Trial, predict: Any) -> dict[str, Score]:
         for axis, value, largest in zip(run.axis, rms, np.abs(residual).max(axis=0), strict=True):
             scores[f'{heading} {axis}'] = Score(float(value), float(largest))
     return scores
-
-
-def _json_micrometres(length: float) -> float | None:
-    return 1e6 * length if isfinite(length) else None
 
 
 def _table(result: TrialResult) -> Table:

@@ -3,15 +3,17 @@
 """What a comparison of scheduling methods found: time against contour error."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from fuzzycnc_ros.studies.page.document import shown_as
 
 
 @dataclass(frozen=True)
 class ParetoPoint:
     """A schedule: its largest contour error [m] and its time [s]."""
 
-    error: float
-    duration: float
+    error: float = field(metadata=shown_as('error_mm', 1e3))
+    duration: float = field(metadata=shown_as('time_s'))
 
 
 @dataclass(frozen=True)

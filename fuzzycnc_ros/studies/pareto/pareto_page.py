@@ -124,13 +124,7 @@ def pareto_document(pareto: Pareto) -> dict[str, Any]:
         -> method -> time [s], None where the error cannot be reached.
     """
     return {
-        'methods': {
-            name: [
-                {'error_mm': 1e3 * point.error, 'time_s': point.duration}
-                for point in method.points
-            ]
-            for name, method in pareto.methods.items()
-        },
+        'methods': {name: method.points for name, method in pareto.methods.items()},
         'equal_error': {
             millimetres(error): {
                 name: method.at_error[error] for name, method in pareto.methods.items()

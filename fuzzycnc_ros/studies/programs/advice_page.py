@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any, Protocol
 
+from fuzzycnc_ros.studies.page.document import shown_as
 from fuzzycnc_ros.studies.page.drawing import ACCENT, INK, MUTED, new_figure, plot_style
 from fuzzycnc_ros.studies.page.html import Figure
 from fuzzycnc_ros.studies.page.remark import Remark
@@ -41,9 +42,6 @@ class Figures(Protocol):
     def smooth_error(self) -> float:
         """Largest one elsewhere [m]."""
 
-    def document(self) -> dict[str, float]:
-        """Return all figures."""
-
 
 @dataclass(frozen=True)
 class AdviceRow:
@@ -67,7 +65,7 @@ class AdviceRow:
     acceleration: tuple[float, float, float]
     mode: str
     simulated: Figures
-    measured: Figures | None = None
+    measured: Figures | None = field(default=None, metadata=shown_as('linuxcnc'))
 
     @property
     def judged(self) -> Figures:
@@ -184,16 +182,7 @@ def advice_document(figures: AdviceFigures) -> dict[str, Any]:
         'kept': figures.kept,
         'best': figures.best,
         'ini': settings_lines(figures),
-        'remedies': [
-            {
-                'name': row.name,
-                'acceleration': list(row.acceleration),
-                'mode': row.mode,
-                'simulated': row.simulated.document(),
-                'linuxcnc': None if row.measured is None else row.measured.document(),
-            }
-            for row in figures.rows
-        ],
+        'remedies': figures.rows,
     }
 
 

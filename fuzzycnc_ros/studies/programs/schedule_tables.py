@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -34,9 +34,6 @@ class Driven(Protocol):
     @property
     def line(self) -> int:
         """Line of the largest one."""
-
-    def document(self) -> dict[str, float]:
-        """Return all figures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,19 +225,14 @@ def schedule_document(figures: ScheduleFigures) -> dict[str, Any]:
             'feed_step': settings.feed_step,
             'settle': settings.settle,
             'machine_constant': settings.machine_constant,
-            'limits': asdict(settings.limits),
+            'limits': settings.limits,
         },
         'times': figures.times.document(),
-        'driven': {
-            name: None if one is None else one.document()
-            for name, one in (('programmed', figures.driven_before), ('scheduled', figures.driven))
-        },
+        'driven': {'programmed': figures.driven_before, 'scheduled': figures.driven},
         'driven_stretch': figures.stretch,
         'tolerance_kept': figures.kept,
         'feed_words': {'added': figures.added, 'changed': figures.changed},
-        'notes': [
-            {'line': note.line, 'count': note.count, 'text': note.text} for note in figures.notes
-        ],
+        'notes': figures.notes,
     }
 
 

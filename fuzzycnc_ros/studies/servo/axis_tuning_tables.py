@@ -113,7 +113,7 @@ def axis_tuning_document(found: AxisTuning) -> dict[str, Any]:
     return {
         'winner': found.winner.name,
         'best': found.best.name,
-        'cases': [asdict(case) for case in found.held_out],
+        'cases': found.held_out,
         'controllers': [
             asdict(one) | {'against_best': one.against(found.best)} for one in found.controllers
         ],

@@ -116,7 +116,7 @@ def axis_fit_document(
     """Return all figures in SI."""
     return {
         'structure': fit.structure,
-        'parameters': [asdict(one) for one in fit.parameters],
+        'parameters': fit.parameters,
         'rms': fit.rms,
         'held_out_rms': fit.held_out_rms,
         'structures': fit.trials,

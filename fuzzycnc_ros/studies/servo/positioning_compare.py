@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -116,11 +115,11 @@ def comparison_document(comparison: ServoComparison) -> dict[str, Any]:
         'random_moves': comparison.moves,
         'controllers': {
             name: {
-                'steps': {case: asdict(move) for case, move in found.steps.items()},
+                'steps': found.steps,
                 'load': {'dip': found.dip, 'recovery': found.recovery},
                 'sine': {'max': found.sine[0], 'rms': found.sine[1]},
                 'circle': {'max': found.circle[0], 'rms': found.circle[1]},
-                'random': {kind: asdict(some) for kind, some in found.random.items()},
+                'random': found.random,
             }
             for name, found in comparison.figures.items()
         },

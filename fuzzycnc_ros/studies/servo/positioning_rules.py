@@ -90,11 +90,6 @@ def stability_table(report: StabilityReport, title: str) -> Table:
     return Table(title, (Column('Quantity', numeric=False), Column('value')), tuple(rows))
 
 
-def stability_document(report: StabilityReport) -> dict[str, Any]:
-    """Return all figures in SI, angles in rad."""
-    return asdict(report)
-
-
 def stability_page(
     report: StabilityReport,
     course: Mapping[float, float],

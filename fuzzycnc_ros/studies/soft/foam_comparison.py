@@ -176,7 +176,7 @@ def compare_foam(
                 learning={name: _learning(case, paths[name], seeds) for name in (NONE, NTS)},
             )
         )
-    return FoamComparison(found, seed, runs)
+    return FoamComparison(seed, runs, found)
 
 
 def _figures(case: TrackCase, path: CompensatedPath, seeds: Sequence[int]) -> MethodFigures:

@@ -5,8 +5,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+
+from fuzzycnc_ros.studies.page.document import INLINE
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.arrays import Array
@@ -40,18 +42,18 @@ class MethodFigures:
         Mean of the runs, SI.
     angle_spread : float
         Standard deviation of the angle error over the runs [rad].
-    commanded, stitched : ndarray, shape (n + 1, 2)
-        Commanded points, and the stitches of the first run [m].
     refused, limited : int
         Steps that the model was not asked for, and that a limit was at work on.
+    commanded, stitched : ndarray, shape (n + 1, 2)
+        Commanded points, and the stitches of the first run [m].
     """
 
-    mean: TrackQuality
+    mean: TrackQuality = field(metadata=INLINE)
     angle_spread: float
-    commanded: Array
-    stitched: Array
     refused: int
     limited: int
+    commanded: Array
+    stitched: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,15 +89,15 @@ class FoamComparison:
 
     Attributes
     ----------
-    tracks : sequence of TrackFigures
-        The tracks.
     seed, runs : int
         Seed of samples and runs, and runs of each track and method.
+    tracks : sequence of TrackFigures
+        The tracks.
     """
 
-    tracks: Sequence[TrackFigures]
     seed: int
     runs: int
+    tracks: Sequence[TrackFigures]
 
 
 @dataclass(frozen=True, eq=False)

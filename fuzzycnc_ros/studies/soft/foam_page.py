@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from fuzzycnc_ros.studies.soft.foam_model import METHODS, NONE, NTS, PUBLISHED_M
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from fuzzycnc_ros.simulation.soft.foam_tracks import TrackQuality
     from fuzzycnc_ros.studies.soft.foam_model import FoamComparison, FoamTraining, TrackFigures
 
 _STARTS = {NONE: 'from nothing', NTS: 'from the model (NTS)'}
@@ -128,39 +126,6 @@ def comparison_remarks(found: FoamComparison) -> list[str]:
         ]
         lines.append(f'{track.name}: the default takes away {", ".join(cut)}')
     return lines
-
-
-def comparison_document(found: FoamComparison) -> dict[str, Any]:
-    """Return all figures in SI, angles in rad, with the points of the first runs."""
-    return {
-        'seed': found.seed,
-        'runs': found.runs,
-        'tracks': [
-            {
-                'name': track.name,
-                'angle': track.angle,
-                'thickness': track.thickness,
-                'depth': track.depth,
-                'nominal': track.nominal,
-                'methods': {
-                    name: _quality(figures.mean)
-                    | {
-                        'angle_spread': figures.angle_spread,
-                        'refused': figures.refused,
-                        'limited': figures.limited,
-                        'commanded': figures.commanded,
-                        'stitched': figures.stitched,
-                    }
-                    for name, figures in track.methods.items()
-                },
-                'learning': {
-                    name: [_quality(quality) for quality in course]
-                    for name, course in track.learning.items()
-                },
-            }
-            for track in found.tracks
-        ],
-    }
 
 
 def comparison_page(found: FoamComparison, facts: Mapping[str, str]) -> Page:
@@ -286,7 +251,7 @@ def training_document(found: FoamTraining) -> dict[str, Any]:
     return {
         'folds': found.folds,
         'groups': found.groups,
-        'coverage': [asdict(item) for item in found.coverage],
+        'coverage': found.coverage,
         'errors': {
             item.name: {
                 'rms': per_feed * item.rms,
@@ -322,10 +287,6 @@ def training_page(found: FoamTraining, lines: Sequence[str], facts: Mapping[str,
         ],
         facts=facts,
     )
-
-
-def _quality(quality: TrackQuality) -> dict[str, float]:
-    return quality._asdict()
 
 
 def _way(track: TrackFigures) -> Any:
