@@ -101,7 +101,7 @@ def compare(
         compare_machine_axis(machine_file, axis, seed, json_file)
         return
     from fuzzycnc_ros.studies.servo import positioning_compare as shown
-    from fuzzycnc_ros.studies.servo.positioning_model import LABELS
+    from fuzzycnc_ros.studies.servo.positioning_page import LABELS
     from fuzzycnc_ros.studies.servo.servo_cases import compare_controllers
 
     names = names_of('--controllers', controllers, tuple(LABELS))

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time against contour error of scheduling methods: table, figure, page, document."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fuzzycnc_ros.studies.page.drawing import (
     ACCENT,
@@ -18,7 +20,9 @@ from fuzzycnc_ros.studies.page.drawing import (
 from fuzzycnc_ros.studies.page.html import Figure
 from fuzzycnc_ros.studies.page.sections import Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.pareto.pareto_model import Pareto
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.studies.pareto.pareto import Pareto
 
 DEFAULT, PUBLISHED, REFINED = 'log_fuzzy', 'fuzzy', 'refined'
 """The default method, the published one, and the practical bound."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from fuzzycnc_ros.studies.page.document import shown_as
 from fuzzycnc_ros.studies.page.drawing import ACCENT, INK, MUTED, new_figure, plot_style
@@ -16,31 +16,10 @@ from fuzzycnc_ros.studies.page.remark import Remark
 from fuzzycnc_ros.studies.page.sections import Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 
+if TYPE_CHECKING:
+    from fuzzycnc_ros.studies.programs.program_judge import Judged
+
 MICRO, MILLI = 1e6, 1e3
-
-
-class Figures(Protocol):
-    """What a program does on a controller (SI)."""
-
-    @property
-    def duration(self) -> float:
-        """Time [s]."""
-
-    @property
-    def error(self) -> float:
-        """Largest contour error [m]."""
-
-    @property
-    def rms(self) -> float:
-        """Its root of the mean square [m]."""
-
-    @property
-    def corner_error(self) -> float:
-        """Largest one at corners [m]."""
-
-    @property
-    def smooth_error(self) -> float:
-        """Largest one elsewhere [m]."""
 
 
 @dataclass(frozen=True)
@@ -55,20 +34,20 @@ class AdviceRow:
         Of X, Y and Z [m/s^2].
     mode : str
         Path mode in words of a program.
-    simulated : Figures
+    simulated : Judged
         On the simulated controller.
-    measured : Figures or None
+    measured : Judged or None
         On LinuxCNC, where it ran.
     """
 
     name: str
     acceleration: tuple[float, float, float]
     mode: str
-    simulated: Figures
-    measured: Figures | None = field(default=None, metadata=shown_as('linuxcnc'))
+    simulated: Judged
+    measured: Judged | None = field(default=None, metadata=shown_as('linuxcnc'))
 
     @property
-    def judged(self) -> Figures:
+    def judged(self) -> Judged:
         """What counts: LinuxCNC where it ran, else the simulated controller."""
         return self.measured or self.simulated
 
@@ -152,7 +131,7 @@ def _rise(acceleration: tuple[float, float, float]) -> str:
     return '/'.join(dict.fromkeys(f'{MILLI * value:.0f}' for value in acceleration))
 
 
-def _triple(one: Figures | None) -> list[str]:
+def _triple(one: Judged | None) -> list[str]:
     if one is None:
         return ['-', '-', '-']
     return [f'{one.duration:.2f}', _micro(one.error), _micro(one.rms)]

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.programs.schedule_tables import MINUTE
 
 if TYPE_CHECKING:
+    from fuzzycnc_ros.studies.programs.program_drive import Drive
     from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
 
 FLAT = 0.02
@@ -23,26 +24,6 @@ COLUMNS = 1500
 """Columns into which a curve over time is gathered."""
 
 _AXES = 'XYZ'
-
-
-class Samples(Protocol):
-    """Motion along a path, n samples."""
-
-    @property
-    def time(self) -> NDArray[np.float64]:
-        """Time [s]."""
-
-    @property
-    def speed(self) -> NDArray[np.float64]:
-        """Speed [m/s]."""
-
-    @property
-    def acceleration(self) -> NDArray[np.float64]:
-        """Change of speed [m/s^2]."""
-
-    @property
-    def jerk(self) -> NDArray[np.float64]:
-        """Change of that [m/s^3]."""
 
 
 def plot_path(trace: PathTrace) -> Any:
@@ -75,7 +56,7 @@ def plot_path(trace: PathTrace) -> Any:
         return figure
 
 
-def plot_motion(chosen: Samples, programmed: Samples | None, names: tuple[str, str]) -> Any:
+def plot_motion(chosen: Drive, programmed: Drive | None, names: tuple[str, str]) -> Any:
     """Plot feed, acceleration and jerk along the path over time, with those as programmed."""
     quantities = (
         ('feed\n[mm/min]', 'speed', 1e3 * MINUTE),

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.pareto.pareto_page import LABELS, millimetres
@@ -16,24 +16,9 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Note
     from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
     from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramSettings, ProgramTimes
+    from fuzzycnc_ros.studies.programs.program_judge import Judged
 
 MINUTE = 60.0
-
-
-class Driven(Protocol):
-    """What the simulated controller left (SI)."""
-
-    @property
-    def error(self) -> float:
-        """Largest contour error [m]."""
-
-    @property
-    def corner_error(self) -> float:
-        """Largest one at corners [m]."""
-
-    @property
-    def line(self) -> int:
-        """Line of the largest one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +41,7 @@ class ScheduleFigures:
         What was passed through.
     added, changed : int
         Feed words that were added, and that were there and changed.
-    driven_before, driven : Driven or None
+    driven_before, driven : Judged or None
         The first lines on the simulated controller, as they were and as they are; None where
         they were not driven.
     stretch : str
@@ -71,8 +56,8 @@ class ScheduleFigures:
     notes: Sequence[Note]
     added: int
     changed: int
-    driven_before: Driven | None = None
-    driven: Driven | None = None
+    driven_before: Judged | None = None
+    driven: Judged | None = None
     stretch: str = 'the whole program'
 
     @property

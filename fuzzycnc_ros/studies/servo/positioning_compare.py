@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 from fuzzycnc_ros.studies.page.html import Figure
 from fuzzycnc_ros.studies.page.sections import Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.servo.positioning_model import DEFAULT, LABELS
-from fuzzycnc_ros.studies.servo.positioning_page import microns, seconds
+from fuzzycnc_ros.studies.servo.positioning_page import DEFAULT, LABELS, microns, seconds
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.studies.servo.positioning_model import RandomFigures, ServoComparison
+    from fuzzycnc_ros.studies.servo.servo_cases import RandomFigures, ServoComparison
 
 SELECTING = '-50'
 """Case that a controller has to settle in to be drawn."""

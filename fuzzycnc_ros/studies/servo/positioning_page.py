@@ -11,10 +11,24 @@ from typing import TYPE_CHECKING, Any
 from fuzzycnc_ros.studies.page.html import Figure
 from fuzzycnc_ros.studies.page.sections import Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.servo.positioning_model import LABELS
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.simulation.servo.positioning import PositioningRun
+
+LABELS = {
+    'variable_universe_paper': 'as published',
+    'variable_universe_static': 'published, floors raised',
+    'fixed_universe_paper': 'fixed universe, published',
+    'pid': 'PID',
+    'variable_universe_model_free': 'variable, integral',
+    'variable_universe': 'variable, observer (default)',
+    'fixed_universe': 'fixed, observer',
+    'cascade': 'P-PI cascade',
+}
+"""Controllers by name, as tables and plots call them, in the order of a comparison."""
+
+DEFAULT = 'variable_universe'
+"""Name of the controller in use."""
 
 TOLERANCE = 2e-6
 """Distance to the target within which an axis is settled [m]."""

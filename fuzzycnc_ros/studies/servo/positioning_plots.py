@@ -23,7 +23,7 @@ from fuzzycnc_ros.studies.page.drawing import (
 )
 from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.programs.schedule_plots import envelope
-from fuzzycnc_ros.studies.servo.positioning_model import DEFAULT, LABELS
+from fuzzycnc_ros.studies.servo.positioning_page import DEFAULT, LABELS
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.arrays import Array

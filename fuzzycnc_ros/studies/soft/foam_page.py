@@ -12,12 +12,13 @@ import numpy as np
 from fuzzycnc_ros.studies.page.html import Figure
 from fuzzycnc_ros.studies.page.sections import Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.soft.foam_model import METHODS, NONE, NTS, PUBLISHED_MEANS
+from fuzzycnc_ros.studies.soft.foam_comparison import METHODS, NONE, NTS, PUBLISHED_MEANS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from fuzzycnc_ros.studies.soft.foam_model import FoamComparison, FoamTraining, TrackFigures
+    from fuzzycnc_ros.studies.soft.foam_comparison import FoamComparison, TrackFigures
+    from fuzzycnc_ros.studies.soft.foam_training import FoamTraining
 
 _STARTS = {NONE: 'from nothing', NTS: 'from the model (NTS)'}
 

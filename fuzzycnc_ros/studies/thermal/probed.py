@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,11 @@ from fuzzycnc_ros.studies.page.html import Figure
 from fuzzycnc_ros.studies.page.sections import Section
 from fuzzycnc_ros.studies.page.table import Table
 from fuzzycnc_ros.studies.thermal.comparison import LEFT, residual_document, residual_table
-from fuzzycnc_ros.studies.thermal.many_runs import Residuals, overall_document, overall_table
+from fuzzycnc_ros.studies.thermal.many_runs import overall_document, overall_table
 from fuzzycnc_ros.studies.thermal.summary import candidate_label
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.studies.thermal.probed_evaluation import ProbedEvaluation
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -41,39 +44,7 @@ RULE = (
 """What counts, for whoever reads the figures."""
 
 
-class Probed(Residuals, Protocol):
-    """A probed run, such as `scenario.probed_evaluation.ProbedEvaluation`; lengths in m."""
-
-    @property
-    def run(self) -> str:
-        """Name of the run."""
-
-    @property
-    def every(self) -> float:
-        """Least time between two probes of a channel [s]."""
-
-    @property
-    def samples(self) -> Counts:
-        """Samples of each channel that count."""
-
-    @property
-    def probes(self) -> Counts:
-        """Probes of each channel."""
-
-    @property
-    def doubted(self) -> Mapping[str, Counts]:
-        """Probes of each channel that a row did not believe."""
-
-    @property
-    def time(self) -> Floats:
-        """Time of each sample [s]."""
-
-    @property
-    def residual(self) -> Mapping[str, Floats]:
-        """What each row leaves, shape (n, c)."""
-
-
-def probed_table(probed: Sequence[Probed]) -> Table:
+def probed_table(probed: Sequence[ProbedEvaluation]) -> Table:
     """Return what is left of a run in each way to use its probes, or over all of several runs."""
     first = probed[0]
     if len(probed) > 1:
@@ -84,7 +55,7 @@ def probed_table(probed: Sequence[Probed]) -> Table:
     )
 
 
-def probed_lines(probed: Sequence[Probed]) -> list[str]:
+def probed_lines(probed: Sequence[ProbedEvaluation]) -> list[str]:
     """Return what else is to be said below the table, a line each."""
     lines = [RULE]
     for item in probed:
@@ -103,7 +74,7 @@ def probed_lines(probed: Sequence[Probed]) -> list[str]:
     return lines
 
 
-def probed_document(probed: Sequence[Probed]) -> dict[str, Any]:
+def probed_document(probed: Sequence[ProbedEvaluation]) -> dict[str, Any]:
     """Return all figures of probed runs.
 
     Returns
@@ -128,7 +99,7 @@ def probed_document(probed: Sequence[Probed]) -> dict[str, Any]:
     }
 
 
-def probed_section(item: Probed) -> Section:
+def probed_section(item: ProbedEvaluation) -> Section:
     """Return a section on a probed run, for a page."""
     return Section(
         f'Run {item.run}, {_every(item)}',
@@ -146,7 +117,7 @@ def probed_section(item: Probed) -> Section:
     )
 
 
-def plot_probed(item: Probed) -> Any:
+def plot_probed(item: ProbedEvaluation) -> Any:
     """Plot what is left unprobed, with the last probe held, and with the corrected model."""
     with plot_style():
         count = len(item.channel)
@@ -166,14 +137,14 @@ def plot_probed(item: Probed) -> Any:
         return figure
 
 
-def _no_better_than_held(item: Probed) -> list[str]:
+def _no_better_than_held(item: ProbedEvaluation) -> list[str]:
     """Return the channels on which probes say as much without the model as with it."""
     with_model = np.fmin(item.rms['offset'], item.rms['kalman'])
     worse = with_model >= item.rms['held']
     return [name for name, beaten in zip(item.channel, worse, strict=True) if beaten]
 
 
-def _every(item: Probed) -> str:
+def _every(item: ProbedEvaluation) -> str:
     return f'probed every {item.every / 60.0:g} min'
 
 
@@ -183,5 +154,5 @@ def _range(count: Counts) -> str:
     return str(low) if low == high else f'{low} to {high}'
 
 
-def _by_channel(item: Probed, count: Counts) -> dict[str, int]:
+def _by_channel(item: ProbedEvaluation, count: Counts) -> dict[str, int]:
     return {name: int(number) for name, number in zip(item.channel, count, strict=True)}

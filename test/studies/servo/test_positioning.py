@@ -13,18 +13,16 @@ from fuzzycnc_ros.studies.page.document import to_document
 from fuzzycnc_ros.studies.page.sections import render_page
 from fuzzycnc_ros.studies.servo import positioning_compare
 from fuzzycnc_ros.studies.servo import positioning_page as positioning
-from fuzzycnc_ros.studies.servo.positioning_model import (
-    LABELS,
-    ControllerFigures,
-    RandomFigures,
-    ServoComparison,
-    StepFigures,
-)
+from fuzzycnc_ros.studies.servo.positioning_page import LABELS
 from fuzzycnc_ros.studies.servo.positioning_plots import plot_run
 from fuzzycnc_ros.studies.servo.positioning_rules import rules_table, stability_table
 from fuzzycnc_ros.studies.servo.servo_cases import (
     CONTROLLERS,
     RADIUS,
+    ControllerFigures,
+    RandomFigures,
+    ServoComparison,
+    StepFigures,
     drive_many,
     servo_cases,
     step_names,
