@@ -21,7 +21,7 @@ from fuzzycnc_ros.studies.page.document import to_document
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from fuzzycnc_ros.studies.page.remark import Remark
+    from fuzzycnc_ros.studies.page.html import Page, Remark
     from fuzzycnc_ros.studies.page.table import Column, Table
 
 JsonFile = Annotated[
@@ -153,6 +153,20 @@ def write_text(path: Path, text: str) -> None:
     """
     check_folder(path)
     write_whole(path, text)
+
+
+def write_report(path: Path, page: 'Page') -> None:
+    """Write the page of a report, and say so.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If matplotlib or jinja2 is not installed; the message says how to install it.
+    """
+    from fuzzycnc_ros.studies.page.html import render_page
+
+    write_text(path, render_page(page))
+    say(f'{path}: the report; open it in a browser')
 
 
 def check_ros(what: str) -> None:

@@ -145,7 +145,7 @@ def check(file: File, json_file: JsonFile = None) -> None:
     """
     from fuzzycnc_ros.machine_file.doubts import machine_doubts
     from fuzzycnc_ros.machine_file.reader import read_machine_file
-    from fuzzycnc_ros.studies.page.remark import Remark
+    from fuzzycnc_ros.studies.page.html import Remark
 
     check_folder(json_file)
     machine = read_machine_file(file)

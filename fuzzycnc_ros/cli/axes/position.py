@@ -28,7 +28,7 @@ from fuzzycnc_ros.cli.console import (
     say,
     show,
     write_json,
-    write_text,
+    write_report,
 )
 from fuzzycnc_ros.cli.options import MachineFile, Report
 from fuzzycnc_ros.cli.quantities import LENGTHS, SHARES, quantity
@@ -190,8 +190,6 @@ def position(
         say(line)
     given = {name: value for name, (_, value) in knobs.items()}
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
         facts = {
             'Axis': axis,
             'Reference': 'jerk-limited profile' if profile else 'step',
@@ -199,8 +197,7 @@ def position(
             **{name.replace('_', ' '): str(value) for name, value in given.items()},
         }
         page = shown.positioning_page(run, controller, table, facts)
-        write_text(report, render_page(page))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, page)
     settings = {'axis': axis, 'profile': profile, 'params': params, **given}
     write_json(json_file, shown.positioning_document(run, controller, settings))
     if run.fault:

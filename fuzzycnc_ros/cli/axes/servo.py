@@ -32,7 +32,7 @@ from fuzzycnc_ros.cli.console import (
     show,
     words,
     write_json,
-    write_text,
+    write_report,
 )
 from fuzzycnc_ros.cli.models.many_bags import Jobs, jobs_of
 from fuzzycnc_ros.cli.options import ALL, MachineFile, Report, names_of
@@ -120,8 +120,6 @@ def compare(
     for line in lines:
         say(line)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
         facts = {
             'Axis': 'lathe, simulated: 286 mm/s at full duty, grating of 0.625 um, noise 0.1 um',
             'Control period': '1 ms',
@@ -129,8 +127,7 @@ def compare(
             'Random moves': f'{moves} with moderate and {moves} with hard friction',
             'Seed': str(seed),
         }
-        write_text(report, render_page(shown.comparison_page(found, tables, lines, facts)))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, shown.comparison_page(found, tables, lines, facts))
     write_json(json_file, shown.comparison_document(found))
 
 
@@ -293,14 +290,11 @@ def stability(
     table = stability_table(found, f'{controller} on the {axis} axis')
     show(table)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
         fine = sorted({*(0.05 * k for k in range(2, 51)), *factors})
         course = stability_report(chosen, gains=fine).spectral_radius
         facts = {'Axis': axis, 'Settings': str(params) if params else 'built-in defaults'}
         page = stability_page(found, course, table, facts)
-        write_text(report, render_page(page))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, page)
     write_json(json_file, found)
 
 

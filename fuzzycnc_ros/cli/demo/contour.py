@@ -73,7 +73,7 @@ def _run(out: Path, seed: int, progress: Steps) -> tuple[ContourResult, Any]:
     from fuzzycnc_ros.studies.contour.contouring import SETTLE, run_contouring
     from fuzzycnc_ros.studies.contour.contouring_log import ContouringLog
     from fuzzycnc_ros.studies.contour.contouring_page import contouring_page, contouring_table
-    from fuzzycnc_ros.studies.page.sections import render_page
+    from fuzzycnc_ros.studies.page.html import render_page
 
     own_domain()
     scheduler = FeedrateSchedulerConfig(tolerance=TOLERANCE, settle=SETTLE)

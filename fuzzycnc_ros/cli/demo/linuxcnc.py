@@ -102,10 +102,11 @@ def _run(out: Path, seed: int, rate: float, progress: Steps) -> tuple[ClosedLoop
     from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
     from fuzzycnc_ros.core.thermal.fit import train_model
     from fuzzycnc_ros.studies.linuxcnc_duty import ClosedLoopLog
+    from fuzzycnc_ros.studies.page.html import render_page
     from fuzzycnc_ros.studies.shift.shift_log import compensation_runs
     from fuzzycnc_ros.studies.shift.shift_report import shift_report
     from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
-    from fuzzycnc_ros.studies.thermal.report_page import render_html
+    from fuzzycnc_ros.studies.thermal.report_page import report_page
     from fuzzycnc_ros.studies.thermal.summary import summary_document, summary_table
 
     own_domain()
@@ -139,7 +140,7 @@ def _run(out: Path, seed: int, rate: float, progress: Steps) -> tuple[ClosedLoop
                 f'{rate:g} times real time',
             },
         )
-        (out / 'report.html').write_text(render_html(page), encoding='utf-8')
+        (out / 'report.html').write_text(render_page(report_page(page)), encoding='utf-8')
     result = ClosedLoopResult(
         runs=summary_document(runs),
         linuxcnc=version,

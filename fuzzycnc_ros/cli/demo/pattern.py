@@ -70,7 +70,7 @@ def pattern_demo(console: Console, out: Path, seed: int) -> None:
 def _run(out: Path, seed: int, progress: Steps) -> tuple[PatternResult, Any]:
     from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
-    from fuzzycnc_ros.studies.page.sections import render_page
+    from fuzzycnc_ros.studies.page.html import render_page
     from fuzzycnc_ros.studies.soft.pattern import run_patterns
     from fuzzycnc_ros.studies.soft.pattern_log import PatternLog
     from fuzzycnc_ros.studies.soft.pattern_page import PUBLISHED_OF, pattern_page, pattern_table

@@ -100,7 +100,7 @@ def _run(
     out: Path, seed: int, program: str, progress: Steps
 ) -> tuple[ShiftResult, tuple[Any, ...]]:
     from fuzzycnc_ros.core.thermal.model import load_model
-    from fuzzycnc_ros.studies.page.sections import render_page
+    from fuzzycnc_ros.studies.page.html import render_page
     from fuzzycnc_ros.studies.shift.whole_shift import ShiftSettings, judged_shift
     from fuzzycnc_ros.studies.shift.whole_shift_log import ShiftLogs
     from fuzzycnc_ros.studies.shift.whole_shift_page import job_table, shift_page

@@ -153,9 +153,10 @@ def _write_report(
     result: ThermalResult,
     notes: list[str],
 ) -> None:
+    from fuzzycnc_ros.studies.page.html import render_page
     from fuzzycnc_ros.studies.shift.shift_report import shift_report
     from fuzzycnc_ros.studies.thermal.report_data import Latency
-    from fuzzycnc_ros.studies.thermal.report_page import render_html
+    from fuzzycnc_ros.studies.thermal.report_page import report_page
 
     data = shift_report(
         runs,
@@ -176,7 +177,7 @@ def _write_report(
             'Canonical hash': result.hash,
         },
     )
-    (out / 'report.html').write_text(render_html(data), encoding='utf-8')
+    (out / 'report.html').write_text(render_page(report_page(data)), encoding='utf-8')
 
 
 def _print_facts(console: Console, out: Path, result: ThermalResult) -> None:

@@ -17,6 +17,7 @@ from fuzzycnc_ros.cli.console import (
     say,
     show,
     write_json,
+    write_report,
     write_text,
 )
 from fuzzycnc_ros.cli.foam.compensate import compensate
@@ -77,8 +78,6 @@ def demo(
     for line in shown.comparison_remarks(found):
         say(line)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
         facts = {
             'Sheets': f'simulated foam, {1e3 * SIZE[0]:g} x {1e3 * SIZE[1]:g} mm, clamped all '
             'around; friction and modulus scatter from run to run',
@@ -86,8 +85,7 @@ def demo(
             '35 mm',
             'Seed': str(seed),
         }
-        write_text(report, render_page(shown.comparison_page(found, facts)))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, shown.comparison_page(found, facts))
     write_json(json_file, found)
 
 
@@ -214,8 +212,6 @@ def _train(
     write_text(out, text)
     say(f'{out}: written, hash {text_hash(text)[:16]}')
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
         facts = {
             'Consequents': names[used],
             'Inputs': settings['features'],
@@ -223,8 +219,7 @@ def _train(
             'Penalty': f'{network.ridge_:g}',
             'Seed': str(settings['random_state']),
         }
-        write_text(report, render_page(shown.training_page(found, lines, facts)))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, shown.training_page(found, lines, facts))
     document = shown.training_document(found)
     write_json(
         json_file,

@@ -17,7 +17,7 @@ from fuzzycnc_ros.cli.console import (
     say,
     show,
     write_json,
-    write_text,
+    write_report,
 )
 from fuzzycnc_ros.cli.models.many_bags import (
     BadBag,
@@ -193,7 +193,6 @@ def compare(
     bad = (*read.bad, *failed)
     say_bad(bad)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
         from fuzzycnc_ros.studies.thermal.comparison_page import comparison_page
 
         facts = {
@@ -202,8 +201,7 @@ def compare(
             'Spindle speed': f'not used, {no_speed}' if no_speed else 'used where named',
             'Seed': str(seed),
         }
-        write_text(report, render_page(comparison_page(comparison, facts)))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, comparison_page(comparison, facts))
     from fuzzycnc_ros.studies.thermal.comparison import comparison_document
     from fuzzycnc_ros.studies.thermal.many_runs import overall_document
 
@@ -380,10 +378,7 @@ def _compare_on_grinder(
         for line in (*grinder_remarks(result), ''):
             say(line)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
-        write_text(report, render_page(grinder_page(comparison)))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, grinder_page(comparison))
     write_json(json_file, comparison.document())
 
 

@@ -18,7 +18,7 @@ from fuzzycnc_ros.cli.console import (
     show,
     words,
     write_json,
-    write_text,
+    write_report,
 )
 from fuzzycnc_ros.cli.models.compare import read_runs
 from fuzzycnc_ros.cli.models.recorded_runs import (
@@ -102,15 +102,12 @@ def curve(
     for line in lines:
         say(line)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
         facts = {
             'Runs': ', '.join(run.name for run in runs),
             'Sampling interval': f'{interval:g} s',
             'Seed': str(seed),
         }
-        write_text(report, render_page(sensor_curve_page(curves, facts, lines[1:])))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, sensor_curve_page(curves, facts, lines[1:]))
     document: dict[str, Any] = sensor_curve_document(curves)
     document['left_out'] = [count for count in numbers if count not in kept]
     document['bridged'] = bridged

@@ -16,7 +16,7 @@ from fuzzycnc_ros.cli.console import (
     say,
     show,
     write_json,
-    write_text,
+    write_report,
 )
 from fuzzycnc_ros.cli.models.many_bags import (
     Jobs,
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.fit import Evaluation
     from fuzzycnc_ros.core.thermal.model import ThermalModel
     from fuzzycnc_ros.core.thermal.run import ThermalRun
-    from fuzzycnc_ros.studies.page.remark import Remark
+    from fuzzycnc_ros.studies.page.html import Remark
     from fuzzycnc_ros.studies.thermal.probed_evaluation import ProbedEvaluation
     from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
 
@@ -290,7 +290,7 @@ def _write_report(
 ) -> None:
     from fuzzycnc_ros.studies.shift.shift_report import shift_report
     from fuzzycnc_ros.studies.thermal.probed import probed_section
-    from fuzzycnc_ros.studies.thermal.report_page import render_html
+    from fuzzycnc_ros.studies.thermal.report_page import report_page
 
     data = shift_report(
         pages,
@@ -300,5 +300,4 @@ def _write_report(
         sections=[probed_section(item) for item in probed],
         judged=lines,
     )
-    write_text(path, render_html(data))
-    say(f'{path}: the report; open it in a browser')
+    write_report(path, report_page(data))

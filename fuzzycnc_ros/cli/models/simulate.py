@@ -19,7 +19,7 @@ from fuzzycnc_ros.cli.console import (
     show,
     words,
     write_json,
-    write_text,
+    write_report,
 )
 from fuzzycnc_ros.cli.options import node_parameters
 
@@ -130,7 +130,6 @@ def simulate(
         say(f'{out}: everything that was published; try fuzzycnc replay {out}')
     if report is not None:
         shown.write_report(report)
-        say(f'{report}: the report; open it in a browser')
     write_json(
         json_file,
         {
@@ -224,7 +223,7 @@ class _Shift:
         """Write the page with plots."""
         from fuzzycnc_ros.core.thermal.model import load_model
         from fuzzycnc_ros.studies.shift.shift_report import shift_report
-        from fuzzycnc_ros.studies.thermal.report_page import render_html
+        from fuzzycnc_ros.studies.thermal.report_page import report_page
 
         facts = {'Machine': f'simulated mill, noise seed {self._seed}'}
         if self._faults:
@@ -233,7 +232,7 @@ class _Shift:
         data = shift_report(
             self.runs, load_model(self._text), self._text, calibration=calibration, facts=facts
         )
-        write_text(path, render_html(data))
+        write_report(path, report_page(data))
 
 
 def median_figures(documents: list[Figures]) -> Figures:

@@ -16,7 +16,7 @@ from fuzzycnc_ros.cli.console import (
     say,
     show,
     write_json,
-    write_text,
+    write_report,
 )
 from fuzzycnc_ros.cli.options import Report
 from fuzzycnc_ros.cli.programs.program_files import (
@@ -155,7 +155,6 @@ def advise(
         say(f'{out}: the program as recommended')
     if report is not None:
         _write_report(report, figures, known, notes)
-        say(f'{report}: the report; open it in a browser')
     if not figures.kept:
         raise typer.Exit(1)
 
@@ -272,7 +271,6 @@ def _notes(given: 'Program', path: 'ProgramPath') -> list[str]:
 def _write_report(
     report: Path, figures: 'AdviceFigures', machine: SchedulingMachine, notes: list[str]
 ) -> None:
-    from fuzzycnc_ros.studies.page.sections import render_page
     from fuzzycnc_ros.studies.programs.advice_page import advice_page
 
     loop = machine.contouring
@@ -283,4 +281,4 @@ def _write_report(
         'Position loop': f'{loop.position_gain:g} 1/s',
         'Velocity loop': f'{loop.velocity_bandwidth:g} rad/s',
     }
-    write_text(report, render_page(advice_page(figures, facts, notes)))
+    write_report(report, advice_page(figures, facts, notes))

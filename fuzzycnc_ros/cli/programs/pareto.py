@@ -16,7 +16,7 @@ from fuzzycnc_ros.cli.console import (
     show,
     words,
     write_json,
-    write_text,
+    write_report,
 )
 from fuzzycnc_ros.cli.options import ALL, Report, names_of
 from fuzzycnc_ros.cli.programs.scheduling_machine import Machine, read_machine
@@ -100,12 +100,10 @@ def pareto(
     for line in lines:
         say(line)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
         from fuzzycnc_ros.studies.pareto.pareto_page import pareto_page
 
         page = pareto_page(found, table, _facts(chosen, machine, known), lines)
-        write_text(report, render_page(page))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, page)
     write_json(json_file, pareto_document(found))
 
 

@@ -20,7 +20,7 @@ from fuzzycnc_ros.cli.console import (
     say,
     show,
     write_json,
-    write_text,
+    write_report,
 )
 from fuzzycnc_ros.cli.options import Report
 from fuzzycnc_ros.cli.programs.program_files import (
@@ -201,7 +201,6 @@ def schedule(
             reader = ProgramReader(units, follow=True, files=files)
             stretch = _stretch(source, reader, words.stretch, figures.times.blocks)
             _write_report(report, stretch, figures, trace, known)
-            say(f'{report}: the report; open it in a browser')
     if not figures.kept:
         raise typer.Exit(1)
 
@@ -324,7 +323,6 @@ def _write_report(
     machine: SchedulingMachine,
 ) -> None:
     """Drive a stretch of the program with every method, and write the page."""
-    from fuzzycnc_ros.studies.page.sections import render_page
     from fuzzycnc_ros.studies.programs.program_drive import compare_methods
     from fuzzycnc_ros.studies.programs.program_page import schedule_page
     from fuzzycnc_ros.studies.programs.schedule_tables import speed
@@ -348,7 +346,7 @@ def _write_report(
         f'loop {machine.contouring.velocity_bandwidth:g} rad/s',
     }
     page = schedule_page(figures, trace, found, stretch.name, facts)
-    write_text(report, render_page(page))
+    write_report(report, page)
 
 
 def _lines(figures: 'ScheduleFigures', words: Words, out: Path) -> list[str]:

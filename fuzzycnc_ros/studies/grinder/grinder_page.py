@@ -7,8 +7,7 @@ import numpy as np
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.studies.grinder.grinder_comparison import GrinderComparison, TrialResult
 from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.thermal.comparison import MARK, refusal_line
 from fuzzycnc_ros.studies.thermal.comparison_plots import plot_residuals
 from fuzzycnc_ros.studies.thermal.summary import candidate_label

@@ -17,8 +17,7 @@ from fuzzycnc_ros.studies.page.drawing import (
     new_figure,
     plot_style,
 )
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 
 if TYPE_CHECKING:

@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from fuzzycnc_ros.studies.page.document import shown_as
 from fuzzycnc_ros.studies.page.drawing import ACCENT, INK, MUTED, new_figure, plot_style
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.remark import Remark
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.html import Figure, Page, Remark, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 
 if TYPE_CHECKING:

@@ -8,9 +8,7 @@ from collections.abc import Mapping, Sequence
 from math import isfinite
 
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Note
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.remark import Remark
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.html import Figure, Page, Remark, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.pareto.pareto_page import LABELS
 from fuzzycnc_ros.studies.programs.program_drive import (

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-from fuzzycnc_ros.studies.page.remark import Remark
+from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.page.table import Column, Table
 
 if TYPE_CHECKING:

@@ -9,8 +9,7 @@ from dataclasses import asdict
 from math import isfinite, pi
 from typing import TYPE_CHECKING, Any
 
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.servo.positioning_page import microns
 

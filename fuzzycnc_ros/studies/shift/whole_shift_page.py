@@ -21,8 +21,7 @@ from fuzzycnc_ros.studies.page.drawing import (
     new_figure,
     plot_style,
 )
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.soft.foam_plots import plot_tracks
 from fuzzycnc_ros.studies.soft.pattern_page import AFTER, BEFORE, pattern_table

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.thermal import comparison as shown
 from fuzzycnc_ros.studies.thermal.comparison_plots import plot_residuals, plot_traces
 from fuzzycnc_ros.studies.thermal.summary import candidate_label

@@ -21,8 +21,7 @@ from fuzzycnc_ros.studies.page.drawing import (
     plot_style,
     time_axis,
 )
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.sections import Section
+from fuzzycnc_ros.studies.page.html import Figure, Section
 from fuzzycnc_ros.studies.page.table import Table
 from fuzzycnc_ros.studies.thermal.comparison import LEFT, residual_document, residual_table
 from fuzzycnc_ros.studies.thermal.many_runs import overall_document, overall_table

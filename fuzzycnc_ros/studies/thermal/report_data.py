@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.studies.page.document import shown_as
-from fuzzycnc_ros.studies.page.remark import Remark
-from fuzzycnc_ros.studies.page.sections import Section
+from fuzzycnc_ros.studies.page.html import Remark, Section
 
 APPLIED = 'applied'
 """Name under which the error left by the offsets in force is scored."""

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
-from fuzzycnc_ros.studies.page.html import Figure, render_template
-from fuzzycnc_ros.studies.page.sections import Section, with_numbers
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.thermal import report_plots as plots
 from fuzzycnc_ros.studies.thermal.report_data import (
     CompensationRun,
@@ -33,40 +32,29 @@ class _KeyFigure:
     worse: bool
 
 
-def render_html(data: ReportData) -> str:
-    """Render a report as a self-contained HTML page.
+def report_page(data: ReportData) -> Page:
+    """Return the page of a report.
 
     Parameters
     ----------
     data : ReportData
         Runs, curves, latency and facts.
-
-    Returns
-    -------
-    str
-        HTML with styles and plots inside; light and dark theme, and print.  The same data
-        give the same text.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If matplotlib or jinja2 is not installed; the message says how to install it.
     """
-    sections = _sections(data)
-    return render_template(
-        'report.html',
+    return Page(
         title=data.title,
         summary=data.summary,
+        sections=_sections(data),
         facts=data.facts,
         notes=data.notes,
-        judged=data.judged,
-        key_figures=[figure for run in data.runs for figure in _key_figures(run)],
-        table=summary_table(data.runs),
-        default_labels=', '.join(
-            dict.fromkeys(candidate_label(name) for run in data.runs for name in run.default)
-        ),
-        sections=sections,
-        figures=[figure for section in sections for figure in section.figures],
+        template='report.html',
+        values={
+            'judged': data.judged,
+            'key_figures': [figure for run in data.runs for figure in _key_figures(run)],
+            'table': summary_table(data.runs),
+            'default_labels': ', '.join(
+                dict.fromkeys(candidate_label(name) for run in data.runs for name in run.default)
+            ),
+        },
     )
 
 
@@ -91,7 +79,7 @@ def _remaining(before: Score, after: Score) -> str:
 
 
 def _sections(data: ReportData) -> list[Section]:
-    """Draw all figures, numbered through, by section."""
+    """Draw all figures, by section."""
     sections = [Section(f'Run {run.name}', figures=[*_run_figures(run)]) for run in data.runs]
     sections += data.sections
     general = []
@@ -101,7 +89,7 @@ def _sections(data: ReportData) -> list[Section]:
         general.append(_latency_figure(data.latency))
     if general:
         sections.append(Section('Sensors and latency', figures=general))
-    return with_numbers(sections)
+    return sections
 
 
 def _run_figures(run: CompensationRun) -> Iterator[Figure]:

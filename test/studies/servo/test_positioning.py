@@ -10,7 +10,7 @@ from fuzzycnc_ros.core.servo.rule_table import SETS
 from fuzzycnc_ros.core.servo.stability import StabilityReport
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun
 from fuzzycnc_ros.studies.page.document import to_document
-from fuzzycnc_ros.studies.page.sections import render_page
+from fuzzycnc_ros.studies.page.html import render_page
 from fuzzycnc_ros.studies.servo import positioning_compare
 from fuzzycnc_ros.studies.servo import positioning_page as positioning
 from fuzzycnc_ros.studies.servo.positioning_page import LABELS
