@@ -57,13 +57,16 @@ def pattern_alone(path: Path, model: str, seed: int) -> None:
         )
 
 
-def quilt_specs(model: Path, seed: int) -> list[NodeSpec]:
-    """Return the nodes of the quilter in the order of their turns, the machine last."""
+def quilt_specs(model: str, seed: int) -> list[NodeSpec]:
+    """Return the nodes of a quilter in the order of their turns, the machine last.
+
+    `model` is the path of its model file; empty for no compensation.
+    """
     from fuzzycnc_ros.studies.soft.pattern import STITCH_BLEND, TRACK
 
     managed = {'lockstep': True, 'autostart': True}
     return [
-        NodeSpec('deformation_compensator', {**managed, 'model': str(model)}),
+        NodeSpec('deformation_compensator', {**managed, 'model': model}),
         NodeSpec('feedrate_scheduler', {**managed, 'blend': STITCH_BLEND}),
         NodeSpec(
             'simulated_machine',
