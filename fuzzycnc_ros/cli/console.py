@@ -230,3 +230,13 @@ def check_at_least(option: str, value: float | None, low: float) -> None:
 def words(texts: list[str]) -> tuple[str, ...]:
     """Return the parts of options that may be repeated or hold several, with commas between."""
     return tuple(part.strip() for text in texts for part in text.split(',') if part.strip())
+
+
+def say_unkept(text: str) -> None:
+    """Print that a tolerance is not kept: in red on a terminal, after a mark elsewhere."""
+    if not sys.stdout.isatty():
+        say(f'! {text}')
+        return
+    from fuzzycnc_ros.cli.terminal import Terminal
+
+    Terminal().print(text, style='bold red', soft_wrap=True, highlight=False)

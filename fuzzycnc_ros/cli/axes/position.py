@@ -212,7 +212,7 @@ def _settings(params: Path | None) -> Any:
     """Return the settings of a file, or none."""
     if params is None:
         return None
-    from fuzzycnc_ros.cli.axes.servo_settings import read_settings
+    from fuzzycnc_ros.studies.servo.servo_settings import read_settings
 
     return read_settings(params)
 

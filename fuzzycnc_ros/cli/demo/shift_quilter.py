@@ -30,9 +30,9 @@ def first_piece(out: Path, foam: str, seed: int) -> str:
 
     Friction differs from sheet to sheet, and a model knows only the mean of its samples.
     """
-    from fuzzycnc_ros.cli.foam.gains import fit_gains
-    from fuzzycnc_ros.cli.foam.samples import read_samples
     from fuzzycnc_ros.core.deformation.model import read_model, write_model
+    from fuzzycnc_ros.studies.soft.foam_learning import fit_gains
+    from fuzzycnc_ros.studies.soft.foam_records import read_samples
 
     bag = out / PATTERN_BAGS['before']
     pattern_alone(bag, '', seed)

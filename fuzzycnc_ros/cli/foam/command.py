@@ -20,13 +20,12 @@ from fuzzycnc_ros.cli.console import (
     write_report,
     write_text,
 )
-from fuzzycnc_ros.cli.foam.compensate import compensate
-from fuzzycnc_ros.cli.foam.models import read_model_file
+from fuzzycnc_ros.cli.foam.compensate import compensate, read_model_file
 from fuzzycnc_ros.cli.options import Report
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.cli.foam.samples import Samples
     from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
+    from fuzzycnc_ros.studies.soft.foam_records import Samples
 
 HELP = """Straighten patterns on soft material: show, train, compensate, learn.
 
@@ -143,7 +142,7 @@ def train(
         fuzzycnc foam train samples.csv --consequent sts --out linear.json --report training.html
         fuzzycnc foam train monday --adapt model.json --out model_monday.json
     """
-    from fuzzycnc_ros.cli.foam.samples import read_samples
+    from fuzzycnc_ros.studies.soft.foam_records import read_samples
 
     for option, value, known in (
         ('--consequent', consequent, ('nts', 'sts')),
@@ -240,9 +239,9 @@ def _gate_line(network: 'TSFuzzyNetwork') -> str:
 
 def _adapt(samples: 'Samples', source: Path, out: Path, json_file: Path | None) -> None:
     """Fit the gains of a model to samples, and write it."""
-    from fuzzycnc_ros.cli.foam.gains import fit_gains
     from fuzzycnc_ros.core.deformation.model import write_model
     from fuzzycnc_ros.core.document import text_hash
+    from fuzzycnc_ros.studies.soft.foam_learning import fit_gains
 
     model = read_model_file(source)
     for line in samples.lines:
@@ -320,10 +319,10 @@ def learn(
         fuzzycnc foam learn second_run --out offsets.json --force
         fuzzycnc foam learn run.csv --path star --material foam --thickness 15mm --out offsets.json
     """
-    from fuzzycnc_ros.cli.foam.learning import learn_track
-    from fuzzycnc_ros.cli.foam.records import read_recordings
     from fuzzycnc_ros.cli.foam.tables import TrackOptions, read_tables
     from fuzzycnc_ros.core.deformation.offset_file import write_offsets
+    from fuzzycnc_ros.studies.soft.foam_learning import learn_track
+    from fuzzycnc_ros.studies.soft.foam_records import read_recordings
 
     if not 0.0 < gain <= 1.0:
         raise ValueError(f'--gain: expected more than 0 and at most 1 but found {gain:g}')

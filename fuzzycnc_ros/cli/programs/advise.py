@@ -14,6 +14,7 @@ from fuzzycnc_ros.cli.console import (
     check_folder,
     progress_bar,
     say,
+    say_unkept,
     show,
     write_json,
     write_report,
@@ -28,7 +29,6 @@ from fuzzycnc_ros.cli.programs.program_files import (
 )
 from fuzzycnc_ros.cli.programs.scheduling_machine import Machine, SchedulingMachine, read_machine
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
-from fuzzycnc_ros.cli.unkept import say_unkept
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
