@@ -22,7 +22,13 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_text,
 )
-from fuzzycnc_ros.cli.options import BUILT_IN_MACHINES, MachineFile
+from fuzzycnc_ros.cli.options import (
+    BUILT_IN_MACHINES,
+    MachineFile,
+    OptionalNumber,
+    OptionalPath,
+    given,
+)
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 
 if TYPE_CHECKING:
@@ -55,11 +61,8 @@ def identify(
     ] = 'mm',
     full: Annotated[float, typer.Option(help='Command at full duty, such as 10 for 10 V.')] = 1.0,
     force: Annotated[
-        Optional[float],  # noqa: UP045
-        typer.Option(
-            show_default=False,
-            help='Force at full duty [N]; without it the mass cannot be told, and is called 1 kg.',
-        ),
+        OptionalNumber,
+        given('Force at full duty [N]; without it the mass cannot be told, and is called 1 kg.'),
     ] = None,
     reverse: Annotated[
         bool, typer.Option('--reversed', help='A positive command drives to negative positions.')
@@ -300,11 +303,9 @@ def new(
         str, typer.Option(metavar='|'.join(BUILT_IN_MACHINES), help='Machine to begin from.')
     ] = BUILT_IN_MACHINES[0],
     linuxcnc_ini: Annotated[
-        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
-            metavar='FILE.ini',
-            show_default=False,
-            help='LinuxCNC configuration whose limits count; the file refers to it.',
+        OptionalPath,
+        given(
+            'LinuxCNC configuration whose limits count; the file refers to it.', metavar='FILE.ini'
         ),
     ] = None,
     name: Annotated[

@@ -30,7 +30,14 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_report,
 )
-from fuzzycnc_ros.cli.options import MachineFile, Report
+from fuzzycnc_ros.cli.options import (
+    MachineFile,
+    OptionalNumber,
+    OptionalPath,
+    OptionalText,
+    Report,
+    given,
+)
 from fuzzycnc_ros.cli.quantities import LENGTHS, SHARES, quantity
 
 if TYPE_CHECKING:
@@ -69,11 +76,10 @@ def position(
         ),
     ] = '',
     params: Annotated[
-        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
+        OptionalPath,
+        given(
+            'Settings of the controller, as `servo tune` and `servo learn` write them.',
             metavar='FILE',
-            show_default=False,
-            help='Settings of the controller, as `servo tune` and `servo learn` write them.',
         ),
     ] = None,
     profile: Annotated[
@@ -92,12 +98,11 @@ def position(
         typer.Option(metavar='FACTOR', help="Factor on the axis' friction; 0 for none."),
     ] = 1.0,
     breakaway: Annotated[
-        Optional[float],  # noqa: UP045
-        typer.Option(
-            metavar='RATIO',
-            show_default=False,
-            help='Friction at the onset of motion over that in motion; 1.5 on the lathe and 1 on '
+        OptionalNumber,
+        given(
+            'Friction at the onset of motion over that in motion; 1.5 on the lathe and 1 on '
             'the ballscrew without it.',
+            metavar='RATIO',
         ),
     ] = None,
     load: Annotated[
@@ -105,19 +110,17 @@ def position(
     ] = '0%',
     load_at: Annotated[str, typer.Option(metavar='TIME', help='When the load sets in.')] = '0s',
     sensor: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
+        OptionalText,
+        given(
+            'Linear grating or encoder on the screw; by default the lathe has a grating.',
             metavar='grating|encoder',
-            show_default=False,
-            help='Linear grating or encoder on the screw; by default the lathe has a grating.',
         ),
     ] = None,
     noise: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
+        OptionalText,
+        given(
+            'RMS of the noise of the readings; 0.1um on the lathe, none on the ballscrew.',
             metavar='LENGTH',
-            show_default=False,
-            help='RMS of the noise of the readings; 0.1um on the lathe, none on the ballscrew.',
         ),
     ] = None,
     duration: Annotated[str, typer.Option(metavar='TIME', help='Length of the run.')] = '3s',

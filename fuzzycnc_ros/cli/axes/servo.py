@@ -5,7 +5,7 @@
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -35,7 +35,16 @@ from fuzzycnc_ros.cli.console import (
     write_text,
 )
 from fuzzycnc_ros.cli.models.many_bags import Jobs, jobs_of
-from fuzzycnc_ros.cli.options import ALL, MachineFile, Report, names_of
+from fuzzycnc_ros.cli.options import (
+    ALL,
+    MachineFile,
+    OptionalPath,
+    OptionalText,
+    OptionalWhole,
+    Report,
+    given,
+    names_of,
+)
 from fuzzycnc_ros.cli.quantities import LENGTHS
 
 if TYPE_CHECKING:
@@ -58,10 +67,7 @@ MachineAxis = Annotated[
 ]
 
 Params = Annotated[
-    Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
-    typer.Option(
-        metavar='FILE', show_default=False, help='Settings as `servo tune` and `learn` write them.'
-    ),
+    OptionalPath, given('Settings as `servo tune` and `learn` write them.', metavar='FILE')
 ]
 
 
@@ -141,11 +147,9 @@ def tune(
     axis: Axis = '',
     machine_file: MachineFile = None,
     generations: Annotated[
-        Optional[int],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
-            show_default=False,
-            help='Generations of the search after the first population; 30, or 8 with a '
-            'machine file.',
+        OptionalWhole,
+        given(
+            'Generations of the search after the first population; 30, or 8 with a machine file.'
         ),
     ] = None,
     population: Annotated[int, typer.Option(help='Candidates per setting.')] = 6,
@@ -348,16 +352,10 @@ def learn(
     axis: Axis = '',
     machine_file: MachineFile = None,
     name: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='AXIS', show_default=False, help='Axis of the bag, if it drives several.'
-        ),
+        OptionalText, given('Axis of the bag, if it drives several.', metavar='AXIS')
     ] = None,
     unit: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='|'.join(LENGTHS), show_default=False, help='Unit of the lengths of a .csv.'
-        ),
+        OptionalText, given('Unit of the lengths of a .csv.', metavar='|'.join(LENGTHS))
     ] = None,
     method: Annotated[
         str, typer.Option(metavar='lsq|wm', help='Least squares, or Wang-Mendel as published.')

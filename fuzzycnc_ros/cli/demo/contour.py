@@ -36,8 +36,7 @@ def contour(out: Path, seed: int, progress: Steps) -> Outcome:
     from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-    from fuzzycnc_ros.studies.contour.contouring import SETTLE, run_contouring
-    from fuzzycnc_ros.studies.contour.contouring_log import ContouringLog
+    from fuzzycnc_ros.studies.contour.contouring import SETTLE, ContouringLog, run_contouring
     from fuzzycnc_ros.studies.contour.contouring_page import contouring_page, contouring_table
 
     scheduler = FeedrateSchedulerConfig(tolerance=TOLERANCE, settle=SETTLE)

@@ -62,7 +62,7 @@ def whole_shift(out: Path, seed: int, progress: Steps, program: str = '') -> Out
     from fuzzycnc_ros.studies.shift.whole_shift import ShiftSettings, judged_shift
     from fuzzycnc_ros.studies.shift.whole_shift_log import ShiftLogs
     from fuzzycnc_ros.studies.shift.whole_shift_page import job_table, shift_page
-    from fuzzycnc_ros.studies.soft.pattern_log import PatternLog
+    from fuzzycnc_ros.studies.soft.pattern import PatternLog
     from fuzzycnc_ros.studies.soft.pattern_page import pattern_table
 
     settings = ShiftSettings(program=program, seed=seed)

@@ -4,7 +4,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,7 +21,7 @@ from fuzzycnc_ros.cli.console import (
     write_text,
 )
 from fuzzycnc_ros.cli.foam.compensate import compensate, read_model_file
-from fuzzycnc_ros.cli.options import Report
+from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, Report, given
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
@@ -111,12 +111,8 @@ def train(
         ),
     ] = 'load',
     adapt: Annotated[
-        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
-            metavar='MODEL',
-            show_default=False,
-            help='Only fit the gains of X and Y of this model to the samples.',
-        ),
+        OptionalPath,
+        given('Only fit the gains of X and Y of this model to the samples.', metavar='MODEL'),
     ] = None,
     baselines: Annotated[
         bool,
@@ -278,32 +274,19 @@ def learn(
         float, typer.Option(help='Share of the deviation that a cycle takes away, above 0 to 1.')
     ] = 0.7,
     path_id: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            '--path',
-            metavar='NAME',
-            show_default=False,
-            help='Track, if the bags hold several; of a .csv its name.',
-        ),
+        OptionalText,
+        given('Track, if the bags hold several; of a .csv its name.', '--path', metavar='NAME'),
     ] = None,
     material: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='NAME', show_default=False, help='Of a .csv: material, as in the pattern.'
-        ),
+        OptionalText, given('Of a .csv: material, as in the pattern.', metavar='NAME')
     ] = None,
     thickness: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='LENGTH', show_default=False, help='Of a .csv: thickness, such as 15mm.'
-        ),
+        OptionalText, given('Of a .csv: thickness, such as 15mm.', metavar='LENGTH')
     ] = None,
     size: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='WIDTHxHEIGHT',
-            show_default=False,
-            help='Of a .csv: clamped area from the origin, such as 150x100mm.',
+        OptionalText,
+        given(
+            'Of a .csv: clamped area from the origin, such as 150x100mm.', metavar='WIDTHxHEIGHT'
         ),
     ] = None,
     force: Force = False,

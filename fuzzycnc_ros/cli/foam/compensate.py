@@ -12,11 +12,12 @@ from contextlib import nullcontext, redirect_stdout
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, say, show, write_json
+from fuzzycnc_ros.cli.options import OptionalText, given
 from fuzzycnc_ros.cli.programs.program_files import (
     STREAM,
     check_output,
@@ -86,11 +87,10 @@ def compensate(
         Path, typer.Option(metavar='FILE', help='The compensated path; - is standard output.')
     ],
     size: Annotated[
-        Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
+        OptionalText,
+        given(
+            'Clamped area from the origin, such as 150x100mm; the tool is kept on it.',
             metavar='WIDTHxHEIGHT',
-            show_default=False,
-            help='Clamped area from the origin, such as 150x100mm; the tool is kept on it.',
         ),
     ] = None,
     units: Annotated[

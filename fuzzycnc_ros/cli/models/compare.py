@@ -41,10 +41,12 @@ from fuzzycnc_ros.cli.options import (
     DropSensor,
     End,
     Interval,
+    OptionalText,
     Report,
     Sensors,
     Speed,
     Start,
+    given,
     names_of,
 )
 from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, SPEED_SUFFIX
@@ -88,12 +90,8 @@ def compare(
         ),
     ] = None,
     machine: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='NAME',
-            show_default=False,
-            help=f'Simulated machine instead of bags: {", ".join(MACHINES)}.',
-        ),
+        OptionalText,
+        given(f'Simulated machine instead of bags: {", ".join(MACHINES)}.', metavar='NAME'),
     ] = None,
     models: Annotated[
         list[str],
@@ -358,8 +356,12 @@ def _compare_on_grinder(
     models: list[str], jobs: int, seed: int, report: Path | None, json_file: Path | None
 ) -> None:
     from fuzzycnc_ros.cli.workers import in_workers
-    from fuzzycnc_ros.studies.grinder.grinder_comparison import GrinderComparison, grinder_trials
-    from fuzzycnc_ros.studies.grinder.grinder_page import grinder_page, grinder_remarks
+    from fuzzycnc_ros.studies.grinder.grinder_comparison import (
+        GrinderComparison,
+        grinder_page,
+        grinder_remarks,
+        grinder_trials,
+    )
     from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS
 
     names = names_of('--models', models, [rival.name for rival in RIVALS])

@@ -4,7 +4,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Optional
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -33,7 +33,7 @@ from fuzzycnc_ros.cli.models.recorded_runs import (
     as_predicted,
     gap_lines,
 )
-from fuzzycnc_ros.cli.options import End, Report, Start
+from fuzzycnc_ros.cli.options import End, OptionalText, Report, Start, given
 from fuzzycnc_ros.cli.quantities import DURATIONS, quantity
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.model import ThermalModel
     from fuzzycnc_ros.core.thermal.run import ThermalRun
     from fuzzycnc_ros.studies.page.html import Remark
-    from fuzzycnc_ros.studies.thermal.probed_evaluation import ProbedEvaluation
+    from fuzzycnc_ros.studies.thermal.probed import ProbedEvaluation
     from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
 
 
@@ -65,11 +65,10 @@ def evaluate(
     start: Start = None,
     end: End = None,
     probe_every: Annotated[
-        Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
+        OptionalText,
+        given(
+            'Also judge what probing the machine this often would leave, such as 60min.',
             metavar='TIME',
-            show_default=False,
-            help='Also judge what probing the machine this often would leave, such as 60min.',
         ),
     ] = None,
     jobs: Jobs = None,
@@ -169,7 +168,7 @@ def judge_bag(
     result = judge(trained, run, start=start, stop=end, recorded=recorded)
     probed = None
     if probe_every is not None:
-        from fuzzycnc_ros.studies.thermal.probed_evaluation import evaluate_probed
+        from fuzzycnc_ros.studies.thermal.probed import evaluate_probed
 
         probed = evaluate_probed(trained, run, result, probe_every)
     return Judged(result, bridged, _page(trained, run, result) if page else None, probed)

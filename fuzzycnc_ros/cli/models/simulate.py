@@ -21,7 +21,7 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_report,
 )
-from fuzzycnc_ros.cli.options import node_parameters
+from fuzzycnc_ros.cli.options import OptionalPath, given, node_parameters
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.page.table import Table
@@ -43,10 +43,7 @@ def simulate(
         list[str], typer.Option('--train', metavar='DUTY,...', help='Duties to train on first.')
     ] = ['D0,D0b,T1'],  # noqa: B006
     model: Annotated[
-        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
-            show_default=False, metavar='MODEL', help='Use this model file instead of training.'
-        ),
+        OptionalPath, given('Use this model file instead of training.', metavar='MODEL')
     ] = None,
     seed: Annotated[int, typer.Option(help='Seed of all measuring noise.')] = 0,
     seeds: Annotated[
@@ -70,18 +67,14 @@ def simulate(
         ),
     ] = None,
     out: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(
-            show_default=False,
-            metavar='BAG',
-            help='Record everything into this new bag, and the calibration runs into '
+        OptionalPath,
+        given(
+            'Record everything into this new bag, and the calibration runs into '
             'BAG_calibration beside it.',
+            metavar='BAG',
         ),
     ] = None,
-    report: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(show_default=False, metavar='FILE.html', help='Write a page with plots.'),
-    ] = None,
+    report: Annotated[OptionalPath, given('Write a page with plots.', metavar='FILE.html')] = None,
     json_file: JsonFile = None,
 ) -> None:
     """Run a thermal shift of the simulated mill in one process, much faster than live.

@@ -5,7 +5,7 @@
 from dataclasses import replace
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,7 +19,7 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_report,
 )
-from fuzzycnc_ros.cli.options import Report
+from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, Report, given
 from fuzzycnc_ros.cli.programs.program_files import (
     STREAM,
     check_output,
@@ -47,11 +47,10 @@ WAIT = 60.0
 def advise(
     program: Annotated[Path, typer.Argument(metavar='PROGRAM', help='Part program (G-code).')],
     tolerance: Annotated[
-        Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
+        OptionalText,
+        given(
+            'Largest contour error, such as 20um; that of the machine file without it.',
             metavar='LENGTH',
-            show_default=False,
-            help='Largest contour error, such as 20um; that of the machine file without it.',
         ),
     ] = None,
     machine: Machine = None,
@@ -64,11 +63,10 @@ def advise(
         ),
     ] = 'feed',
     blend: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
+        OptionalText,
+        given(
+            'P of G64 before the program says so; without it G64 alone, as LinuxCNC starts.',
             metavar='LENGTH',
-            show_default=False,
-            help='P of G64 before the program says so; without it G64 alone, as LinuxCNC starts.',
         ),
     ] = None,
     units: Annotated[
@@ -82,10 +80,7 @@ def advise(
             'in real time.',
         ),
     ] = False,
-    out: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(metavar='FILE', show_default=False, help='The program as recommended.'),
-    ] = None,
+    out: Annotated[OptionalPath, given('The program as recommended.', metavar='FILE')] = None,
     in_place: Annotated[
         bool, typer.Option('--in-place', help='FILE may be the program itself.')
     ] = False,

@@ -3,7 +3,7 @@
 """`fuzzycnc pareto`: time against contour error of all scheduling methods on a path."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,7 +18,7 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_report,
 )
-from fuzzycnc_ros.cli.options import ALL, Report, names_of
+from fuzzycnc_ros.cli.options import ALL, OptionalWhole, Report, given, names_of
 from fuzzycnc_ros.cli.programs.scheduling_machine import Machine, read_machine
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 
@@ -52,12 +52,8 @@ def pareto(
         ),
     ] = [ALL],  # noqa: B006
     run: Annotated[
-        Optional[int],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
-            metavar='N',
-            show_default=False,
-            help='Run of the part program, from 1; the first that bends without it.',
-        ),
+        OptionalWhole,
+        given('Run of the part program, from 1; the first that bends without it.', metavar='N'),
     ] = None,
     machine: Machine = None,
     report: Report = None,

@@ -25,7 +25,7 @@ from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.page.table import Column, Table
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.studies.contour.contouring_log import FollowedPath
+    from fuzzycnc_ros.studies.contour.contouring import FollowedPath
 
 Floats = NDArray[np.float64]
 

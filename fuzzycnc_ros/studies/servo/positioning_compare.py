@@ -131,7 +131,7 @@ def comparison_page(
     facts: Mapping[str, str],
 ) -> Page:
     """Return the page of a comparison."""
-    from fuzzycnc_ros.studies.servo.positioning_plots import plot_cases
+    from fuzzycnc_ros.studies.servo.positioning_page import plot_cases
 
     drawn = {
         name: found.runs

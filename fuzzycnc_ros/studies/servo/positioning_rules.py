@@ -107,7 +107,7 @@ def stability_page(
     facts: Mapping[str, str],
 ) -> Page:
     """Return the page of a loop; `course` is its spectral radius over many gains."""
-    from fuzzycnc_ros.studies.servo.positioning_plots import plot_radius
+    from fuzzycnc_ros.studies.servo.positioning_page import plot_radius
 
     figure = Figure(
         'Spectral radius over the gain of the axis',

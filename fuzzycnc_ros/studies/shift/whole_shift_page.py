@@ -23,13 +23,13 @@ from fuzzycnc_ros.studies.page.drawing import (
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.soft.foam_plots import plot_tracks
+from fuzzycnc_ros.studies.soft.foam_page import plot_tracks
 from fuzzycnc_ros.studies.soft.pattern_page import AFTER, BEFORE, pattern_table
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.studies.contour.contouring_log import FollowedPath
+    from fuzzycnc_ros.studies.contour.contouring import FollowedPath
     from fuzzycnc_ros.studies.shift.whole_shift_log import WholeShift
-    from fuzzycnc_ros.studies.soft.pattern_log import StitchedPattern
+    from fuzzycnc_ros.studies.soft.pattern import StitchedPattern
 
 
 def job_table(before: WholeShift, after: WholeShift) -> Table:

@@ -12,10 +12,10 @@ import numpy as np
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.soft.foam_comparison import NONE, PUBLISHED, PUBLISHED_MEANS
-from fuzzycnc_ros.studies.soft.foam_plots import plot_deviation, plot_tracks
+from fuzzycnc_ros.studies.soft.foam_page import plot_deviation, plot_tracks
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.studies.soft.pattern_log import StitchedPattern
+    from fuzzycnc_ros.studies.soft.pattern import StitchedPattern
 
 
 BEFORE, TRAINED, AFTER = 'before', 'trained', 'after'

@@ -16,7 +16,7 @@ from fuzzycnc_ros.studies.thermal.summary import micrometres
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.fit.evaluation import Evaluation
-    from fuzzycnc_ros.studies.thermal.probed_evaluation import ProbedEvaluation
+    from fuzzycnc_ros.studies.thermal.probed import ProbedEvaluation
 
     Residuals = Sequence[Evaluation] | Sequence[ProbedEvaluation]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.thermal.comparison_plots import plot_sensor_counts
+from fuzzycnc_ros.studies.thermal.comparison_page import plot_sensor_counts
 from fuzzycnc_ros.studies.thermal.summary import micrometres
 
 if TYPE_CHECKING:

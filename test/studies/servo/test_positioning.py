@@ -13,8 +13,7 @@ from fuzzycnc_ros.studies.page.document import to_document
 from fuzzycnc_ros.studies.page.html import render_page
 from fuzzycnc_ros.studies.servo import positioning_compare
 from fuzzycnc_ros.studies.servo import positioning_page as positioning
-from fuzzycnc_ros.studies.servo.positioning_page import LABELS
-from fuzzycnc_ros.studies.servo.positioning_plots import plot_run
+from fuzzycnc_ros.studies.servo.positioning_page import LABELS, plot_run
 from fuzzycnc_ros.studies.servo.positioning_rules import rules_table, stability_table
 from fuzzycnc_ros.studies.servo.servo_cases import (
     CONTROLLERS,

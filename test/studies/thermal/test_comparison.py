@@ -298,7 +298,7 @@ def test_every_candidate_has_a_label_of_its_own():
 @pytest.fixture(scope='module')
 def plotting():
     pytest.importorskip('matplotlib', reason='matplotlib is not installed')
-    from fuzzycnc_ros.studies.thermal import comparison_plots
+    from fuzzycnc_ros.studies.thermal import comparison_page as comparison_plots
 
     return comparison_plots
 

@@ -22,7 +22,7 @@ pytest.importorskip('jinja2', reason='jinja2 is not installed')
 
 from fuzzycnc_ros.studies.page import drawing
 from fuzzycnc_ros.studies.page.html import render_page, to_inline_svg
-from fuzzycnc_ros.studies.thermal import report_plots as plots
+from fuzzycnc_ros.studies.thermal import report_page as plots
 
 
 def mill_run(name='T2', **changes):
@@ -251,7 +251,7 @@ def test_importing_the_report_loads_neither_matplotlib_nor_jinja2():
 def test_pyplot_stays_out():
     code = (
         'import sys, numpy as np; from fuzzycnc_ros.studies.thermal.report_data import Latency;'
-        'from fuzzycnc_ros.studies.thermal.report_plots import plot_latency;'
+        'from fuzzycnc_ros.studies.thermal.report_page import plot_latency;'
         'plot_latency(Latency(np.ones(3)));'
         "print('matplotlib.pyplot' in sys.modules)"
     )
