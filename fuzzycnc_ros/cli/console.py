@@ -199,20 +199,21 @@ def check_new(path: Path | None, remedy: str = 'remove it') -> None:
     check_folder(path)
 
 
-def check_folder(path: Path | None) -> None:
-    """Refuse an output whose folder does not exist, or that is a folder itself.
+def check_folder(*paths: Path | None) -> None:
+    """Refuse outputs whose folder does not exist, or that are folders themselves.
 
     Raises
     ------
     ValueError
-        If there is no such folder, or the path is one.
+        If there is no such folder, or a path is one.
     """
-    if path is None:
-        return
-    if path.is_dir():
-        raise ValueError(f'{path}: expected a file to write but found a directory')
-    if not path.absolute().parent.is_dir():
-        raise ValueError(f'{path}: expected an existing folder but found no {path.parent}')
+    for path in paths:
+        if path is None:
+            continue
+        if path.is_dir():
+            raise ValueError(f'{path}: expected a file to write but found a directory')
+        if not path.absolute().parent.is_dir():
+            raise ValueError(f'{path}: expected an existing folder but found no {path.parent}')
 
 
 def check_at_least(option: str, value: float | None, low: float) -> None:

@@ -162,8 +162,7 @@ def position(
     check_at_least('--seed', seed, 0)
     check_at_least('--friction', friction, 0.0)
     check_at_least('--breakaway', breakaway, 1.0)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     plain = known.plant
     knobs = _knobs(plain, gain, friction, breakaway)
     knobs |= _load(plain, load, load_at)

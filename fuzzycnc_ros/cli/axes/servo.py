@@ -117,8 +117,7 @@ def compare(
 
     names = names_of('--controllers', controllers, tuple(LABELS))
     check_at_least('--moves', moves, 0)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     with progress_bar('driving') as tell:
         found = compare_controllers(names, moves=moves, seed=seed, progress=tell)
     tables, lines = (
@@ -283,8 +282,7 @@ def stability(
     )
 
     factors = _factors(gains)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     with warnings_said():
         chosen: Any
         if machine_file is not None:

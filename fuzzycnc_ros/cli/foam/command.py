@@ -63,8 +63,7 @@ def demo(
 
     check_at_least('--seed', seed, 0)
     check_at_least('--runs', runs, 1)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     with progress_bar('stitching') as tell:
         found = compare_foam(seed, runs=runs, progress=tell)
     for table in (
@@ -149,8 +148,7 @@ def train(
     check_at_least('--seed', seed, 0)
     if not force:
         check_new(out, remedy='add --force')
-    for path in (out, report, json_file):
-        check_folder(path)
+    check_folder(out, report, json_file)
     if adapt is not None:
         if report is not None:
             raise ValueError('--report: expected none with --adapt, which trains nothing')
@@ -311,8 +309,7 @@ def learn(
         raise ValueError(f'--gain: expected more than 0 and at most 1 but found {gain:g}')
     if not force:
         check_new(out, remedy='add --force')
-    for path in (out, json_file):
-        check_folder(path)
+    check_folder(out, json_file)
     for source in sources:
         if not source.exists():
             raise ValueError(f'{source}: expected a bag or a .csv but nothing is there')

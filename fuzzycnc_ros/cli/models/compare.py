@@ -149,8 +149,7 @@ def compare(
     """
     processes = jobs_of(jobs)
     check_at_least('--seed', seed, 0)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     if machine is not None:
         _check_machine(context, machine)
         _compare_on_grinder(models, processes, seed, report, json_file)

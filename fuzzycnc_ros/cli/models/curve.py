@@ -74,8 +74,7 @@ def curve(
 
     check_at_least('--seed', seed, 0)
     numbers = _numbers(counts)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     read = read_runs(bags, start, end, sensors_but(drop_sensor, bags))
     runs = [at_interval(run, interval) for run in read]
     check_training_runs(runs)

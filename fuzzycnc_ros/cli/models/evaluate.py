@@ -105,8 +105,7 @@ def evaluate(
     every = None
     if probe_every is not None:
         every = quantity('--probe-every', probe_every, DURATIONS, example='60min')
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     trained = load_model(model)
     document = model.read_text(encoding='utf-8')
     work = partial(

@@ -99,8 +99,7 @@ def simulate(
     check_new(out)
     if out is not None and model is None:
         check_new(_calibration_folder(out))
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     parameters = node_parameters('--param', param or [])
     documents: list[Figures] = []
     with progress_bar('simulating') as tell:

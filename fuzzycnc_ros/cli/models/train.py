@@ -107,8 +107,7 @@ def train(
 
     if not force:
         check_new(out, remedy='add --force')
-    for path in (out, json_file):
-        check_folder(path)
+    check_folder(out, json_file)
     names = names_of('--models', models or list(STANDARD), CANDIDATES)
     wanted = sensors_but(drop_sensor, bags)
     phrase = FitCounter()

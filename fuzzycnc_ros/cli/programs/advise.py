@@ -113,8 +113,7 @@ def advise(
         raise ValueError(f'--corners: expected {", ".join(CORNERS)} but found {corners!r}')
     if units not in ('mm', 'inch'):
         raise ValueError(f'--units: expected mm or inch but found {units!r}')
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     if out is not None:
         if str(out) == STREAM:
             raise ValueError('--out: expected a file, since the table is on standard output')

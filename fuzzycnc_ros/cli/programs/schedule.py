@@ -157,8 +157,7 @@ def schedule(
     if units not in ('mm', 'inch'):
         raise ValueError(f'--units: expected mm or inch but found {units!r}')
     check_output(program, out, in_place)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     with program_lines(program) as source:
         files = subroutine_files(program)
         words, trace = Words(), PathTrace()
