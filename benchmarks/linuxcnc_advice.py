@@ -36,8 +36,7 @@ from fuzzycnc_ros.core.feedrate.schedule.controller_program import (
 )
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.programs.advice import Adviser, advised_program
-from fuzzycnc_ros.studies.programs.advice_mode import program_with_mode
+from fuzzycnc_ros.studies.programs.advice import Adviser, advised_program, program_with_mode
 from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
 
 LIMITS = ControllerLimits(velocity=(0.4,) * 3, acceleration=(2.0,) * 3, path_velocity=0.5)

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 from itertools import groupby
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
@@ -17,11 +16,12 @@ import typer
 
 from fuzzycnc_ros.bags.atomic import write_text as write_whole
 from fuzzycnc_ros.core.names import visible
+from fuzzycnc_ros.studies.page.document import to_document
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from fuzzycnc_ros.studies.page.remark import Remark
+    from fuzzycnc_ros.studies.page.html import Page, Remark
     from fuzzycnc_ros.studies.page.table import Column, Table
 
 JsonFile = Annotated[
@@ -138,9 +138,9 @@ def progress_bar(title: str) -> Iterator[Tell]:
 
 
 def write_json(path: Path | None, document: Any) -> None:
-    """Write figures to a file; numbers that JSON does not know become null."""
+    """Write figures to a file, as `to_document` gives them."""
     if path is not None:
-        write_text(path, json.dumps(_plain(document), indent=2, allow_nan=False) + '\n')
+        write_text(path, json.dumps(to_document(document), indent=2, allow_nan=False) + '\n')
 
 
 def write_text(path: Path, text: str) -> None:
@@ -153,6 +153,20 @@ def write_text(path: Path, text: str) -> None:
     """
     check_folder(path)
     write_whole(path, text)
+
+
+def write_report(path: Path, page: 'Page') -> None:
+    """Write the page of a report, and say so.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If matplotlib or jinja2 is not installed; the message says how to install it.
+    """
+    from fuzzycnc_ros.studies.page.html import render_page
+
+    write_text(path, render_page(page))
+    say(f'{path}: the report; open it in a browser')
 
 
 def check_ros(what: str) -> None:
@@ -185,20 +199,21 @@ def check_new(path: Path | None, remedy: str = 'remove it') -> None:
     check_folder(path)
 
 
-def check_folder(path: Path | None) -> None:
-    """Refuse an output whose folder does not exist, or that is a folder itself.
+def check_folder(*paths: Path | None) -> None:
+    """Refuse outputs whose folder does not exist, or that are folders themselves.
 
     Raises
     ------
     ValueError
-        If there is no such folder, or the path is one.
+        If there is no such folder, or a path is one.
     """
-    if path is None:
-        return
-    if path.is_dir():
-        raise ValueError(f'{path}: expected a file to write but found a directory')
-    if not path.absolute().parent.is_dir():
-        raise ValueError(f'{path}: expected an existing folder but found no {path.parent}')
+    for path in paths:
+        if path is None:
+            continue
+        if path.is_dir():
+            raise ValueError(f'{path}: expected a file to write but found a directory')
+        if not path.absolute().parent.is_dir():
+            raise ValueError(f'{path}: expected an existing folder but found no {path.parent}')
 
 
 def check_at_least(option: str, value: float | None, low: float) -> None:
@@ -218,15 +233,11 @@ def words(texts: list[str]) -> tuple[str, ...]:
     return tuple(part.strip() for text in texts for part in text.split(',') if part.strip())
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if hasattr(value, 'tolist'):  # numpy
-        return _plain(value.tolist())
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, float) and not isfinite(value):
-        return None
-    return value
+def say_unkept(text: str) -> None:
+    """Print that a tolerance is not kept: in red on a terminal, after a mark elsewhere."""
+    if not sys.stdout.isatty():
+        say(f'! {text}')
+        return
+    from fuzzycnc_ros.cli.terminal import Terminal
+
+    Terminal().print(text, style='bold red', soft_wrap=True, highlight=False)

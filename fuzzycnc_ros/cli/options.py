@@ -13,13 +13,31 @@ from fuzzycnc_ros.cli.console import words
 ALL = 'all'
 """Word for every model."""
 
+OptionalText = Optional[str]  # noqa: UP045 - typer 0.9 does not read the newer form
+OptionalNumber = Optional[float]  # noqa: UP045
+OptionalWhole = Optional[int]  # noqa: UP045
+OptionalPath = Optional[Path]  # noqa: UP045
+"""Types of options that need not be given."""
+
+
+def given(text: str, *names: str, metavar: str | None = None) -> Any:
+    """Return an option that counts only if it is given, and so shows no default.
+
+    Parameters
+    ----------
+    text : str
+        Its help.
+    *names : str
+        What it is called, if not as its parameter.
+    metavar : str, optional
+        What stands for its value.
+    """
+    return typer.Option(*names, metavar=metavar, show_default=False, help=text)
+
+
 MachineFile = Annotated[
-    Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
-    typer.Option(
-        metavar='FILE.yaml',
-        show_default=False,
-        help='Machine file, or one that is built in: mill, lathe, ballscrew.',
-    ),
+    OptionalText,
+    given('Machine file, or one that is built in: mill, lathe, ballscrew.', metavar='FILE.yaml'),
 ]
 
 BUILT_IN_MACHINES = ('mill', 'lathe', 'ballscrew')
@@ -30,20 +48,16 @@ Bags = Annotated[
 ]
 
 Start = Annotated[
-    Optional[float],  # noqa: UP045 - typer 0.9 does not read the newer form
-    typer.Option(
-        show_default=False,
-        help="First second that counts, from the bag's first sample, which stays the reference; "
-        'what lies before only warms up lags.',
+    OptionalNumber,
+    given(
+        "First second that counts, from the bag's first sample, which stays the reference; "
+        'what lies before only warms up lags.'
     ),
 ]
 
 End = Annotated[
-    Optional[float],  # noqa: UP045
-    typer.Option(
-        show_default=False,
-        help="Last second that counts, from the bag's first sample; nothing after it is read.",
-    ),
+    OptionalNumber,
+    given("Last second that counts, from the bag's first sample; nothing after it is read."),
 ]
 
 DropSensor = Annotated[
@@ -80,10 +94,7 @@ Speed = Annotated[
 
 Seed = Annotated[int, typer.Option(help='Seed of the clustering.')]
 
-Report = Annotated[
-    Optional[Path],  # noqa: UP045
-    typer.Option(show_default=False, metavar='FILE.html', help='Write a page with plots.'),
-]
+Report = Annotated[OptionalPath, given('Write a page with plots.', metavar='FILE.html')]
 
 
 def names_of(option: str, texts: list[str], known: Sequence[str]) -> tuple[str, ...]:

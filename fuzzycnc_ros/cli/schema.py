@@ -3,12 +3,12 @@
 """`fuzzycnc schema`: JSON Schemas of configuration files, for editors."""
 
 import json
-from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
 import typer
 
 from fuzzycnc_ros.cli.console import check_folder, say, write_text
+from fuzzycnc_ros.cli.options import OptionalPath, given
 
 KINDS = ('devices', 'control', 'machine')
 """Files that have a schema."""
@@ -20,10 +20,7 @@ def schema(
     kind: Annotated[
         str, typer.Argument(metavar='|'.join(KINDS), help='Which file the schema is of.')
     ],
-    out: Annotated[
-        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(metavar='FILE.json', show_default=False, help='Write it here.'),
-    ] = None,
+    out: Annotated[OptionalPath, given('Write it here.', metavar='FILE.json')] = None,
 ) -> None:
     """Print the JSON Schema of a configuration file, so that editors complete and check it.
 

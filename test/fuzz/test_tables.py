@@ -21,12 +21,12 @@ from fuzzycnc_ros.bags.csv_import import import_csv
 from fuzzycnc_ros.bags.csv_mapping import CsvMapping
 from fuzzycnc_ros.bags.errors import BagError, CsvError
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.cli.axes.servo_settings import read_settings
 from fuzzycnc_ros.cli.bags.import_csv import _read_mapping
 from fuzzycnc_ros.cli.programs.scheduling_machine import read_machine
 from fuzzycnc_ros.core.deformation.offset_file import read_offsets
 from fuzzycnc_ros.core.document import ModelFileError
 from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.studies.servo.servo_settings import read_settings
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

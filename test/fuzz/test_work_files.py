@@ -14,14 +14,14 @@ from fuzzing.campaign import SEEDS, fuzz, refusal, refused_or_read
 from fuzzing.file_mutations import damaged
 from hypothesis import given
 
-from fuzzycnc_ros.cli.axes.servo_records import read_csv
 from fuzzycnc_ros.cli.foam.compensate import Job, shifted_points, shifted_program
-from fuzzycnc_ros.cli.foam.samples import COLUMNS, read_samples
 from fuzzycnc_ros.core.deformation.model import read_model
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 from fuzzycnc_ros.studies.pareto.pareto_path import table_path
+from fuzzycnc_ros.studies.servo.recorded_moves import read_csv
+from fuzzycnc_ros.studies.soft.foam_records import COLUMNS, read_samples
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

@@ -16,8 +16,7 @@ from fuzzycnc_ros.runtime.records import (
     ContourError,
     TrajectoryState,
 )
-from fuzzycnc_ros.studies.contour.contouring import run_contouring
-from fuzzycnc_ros.studies.contour.contouring_log import ContouringLog
+from fuzzycnc_ros.studies.contour.contouring import ContouringLog, run_contouring
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 
 pytestmark = pytest.mark.ros

@@ -33,8 +33,7 @@ from fuzzycnc_ros.runtime.records import (
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 from fuzzycnc_ros.studies.published_bag import PublishedBag
-from fuzzycnc_ros.studies.soft.pattern import STITCH_BLEND, run_patterns
-from fuzzycnc_ros.studies.soft.pattern_log import PatternLog
+from fuzzycnc_ros.studies.soft.pattern import STITCH_BLEND, PatternLog, run_patterns
 
 pytestmark = pytest.mark.ros
 

@@ -25,8 +25,7 @@ from fuzzycnc_ros.runtime.records import (
     ServoState,
 )
 from fuzzycnc_ros.studies.published_bag import PublishedBag
-from fuzzycnc_ros.studies.servo.positioning import run_positioning
-from fuzzycnc_ros.studies.servo.positioning_log import PositioningLog
+from fuzzycnc_ros.studies.servo.positioning import PositioningLog, run_positioning
 
 pytestmark = pytest.mark.ros
 

@@ -12,8 +12,12 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSch
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
-from fuzzycnc_ros.studies.contour.contouring import SETTLE, ContouringError, run_contouring
-from fuzzycnc_ros.studies.contour.contouring_log import ContouringLog
+from fuzzycnc_ros.studies.contour.contouring import (
+    SETTLE,
+    ContouringError,
+    ContouringLog,
+    run_contouring,
+)
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 
 TOLERANCE = 1e-4

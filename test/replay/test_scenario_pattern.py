@@ -22,8 +22,7 @@ from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples, true_compens
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 from fuzzycnc_ros.studies.published_bag import PublishedBag
-from fuzzycnc_ros.studies.soft.pattern import TRACK, PatternError, run_patterns
-from fuzzycnc_ros.studies.soft.pattern_log import PatternLog
+from fuzzycnc_ros.studies.soft.pattern import TRACK, PatternError, PatternLog, run_patterns
 
 SHEET = FoamSheet(15e-3, (0.15, 0.1))
 EXACT = SimulatedMachineConfig(sheet_seed=-1, path_timeout=2.0)

@@ -24,8 +24,11 @@ from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 from fuzzycnc_ros.studies.published_bag import PublishedBag
-from fuzzycnc_ros.studies.servo.positioning import PositioningError, run_positioning
-from fuzzycnc_ros.studies.servo.positioning_log import PositioningLog
+from fuzzycnc_ros.studies.servo.positioning import (
+    PositioningError,
+    PositioningLog,
+    run_positioning,
+)
 
 MOVES = ('X:-0.05', 'X:0.01')
 

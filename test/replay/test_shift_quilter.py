@@ -10,7 +10,7 @@ from fuzzycnc_ros.cli.demo.shift_quilter import (
     pattern_alone,
     trained_foam,
 )
-from fuzzycnc_ros.studies.soft.pattern_log import PatternLog
+from fuzzycnc_ros.studies.soft.pattern import PatternLog
 
 pytestmark = pytest.mark.replay
 

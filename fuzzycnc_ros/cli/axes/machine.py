@@ -1,25 +1,282 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""`fuzzycnc machine`: machine files written, shown and checked."""
+"""`fuzzycnc machine`: machine files written, shown and checked, axes identified."""
+
+from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
-from fuzzycnc_ros.cli.axes.machine_identify import identify
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_folder,
     check_new,
+    progress_bar,
     remark,
     say,
     show,
     write_json,
     write_text,
 )
-from fuzzycnc_ros.cli.options import BUILT_IN_MACHINES
+from fuzzycnc_ros.cli.options import (
+    BUILT_IN_MACHINES,
+    MachineFile,
+    OptionalNumber,
+    OptionalPath,
+    given,
+)
+from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.identify.axis_fit import AxisRecording
+    from fuzzycnc_ros.core.identify.loop_fit import LoopFit
+    from fuzzycnc_ros.core.machine.machine_data import MachineData
+
+AXES = 'XYZ'
+
+
+def identify(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(metavar='FILE...', help='CSV or other text with columns, or bags.'),
+    ],
+    out: Annotated[Path, typer.Option(metavar='FILE.yaml', help='Machine file to write.')],
+    machine_file: MachineFile = None,
+    axis: Annotated[str, typer.Option(metavar='NAME', help='Axis that was recorded.')] = 'X',
+    columns: Annotated[
+        Optional[list[str]],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Option(
+            metavar='WHAT=NAME,...',
+            show_default=False,
+            help='Columns: t, command and position of an axis; or t, commanded_X, actual_X, '
+            'commanded_Y, ... of axes that follow a path. Numbers where there is no header.',
+        ),
+    ] = None,
+    unit: Annotated[
+        str, typer.Option(metavar='|'.join(LENGTHS), help='Unit of the positions.')
+    ] = 'mm',
+    full: Annotated[float, typer.Option(help='Command at full duty, such as 10 for 10 V.')] = 1.0,
+    force: Annotated[
+        OptionalNumber,
+        given('Force at full duty [N]; without it the mass cannot be told, and is called 1 kg.'),
+    ] = None,
+    reverse: Annotated[
+        bool, typer.Option('--reversed', help='A positive command drives to negative positions.')
+    ] = False,
+    period: Annotated[
+        str,
+        typer.Option(
+            metavar='TIME', show_default=False, help='Time between samples, if no column has it.'
+        ),
+    ] = '',
+    json_file: JsonFile = None,
+) -> None:
+    r"""Find a model from a recording, judge it on parts that it has not seen, and write it down.
+
+    From command and position of a drive: mass, friction by direction, dead time, resonance. The
+    structure is chosen by open-loop error on the half that a fit has not seen. From commanded and
+    actual positions of axes that follow a path (a circle, a square, any program): gains of their
+    loops, feedforward, dead time and the contour constant of each pair. What the data cannot tell
+    is said, with what would tell it, and stays at a safe value.
+
+        fuzzycnc machine identify drive.csv --columns command=vir,position=qm --unit m \
+            --full 10 --force 351.5 --out axis.yaml
+        fuzzycnc machine identify circle.txt --period 1ms \
+            --columns commanded_X=1,actual_X=2,commanded_Y=3,actual_Y=4 --out mill.yaml
+    """
+    from fuzzycnc_ros.machine_file.reader import read_machine_file
+    from fuzzycnc_ros.studies.servo.identify_recording import parse_columns
+
+    check_new(out)
+    check_folder(json_file)
+    if unit not in LENGTHS:
+        raise ValueError(f'--unit: expected one of {", ".join(LENGTHS)} but found {unit!r}')
+    if not full > 0.0:
+        raise ValueError(f'--full: expected a number above 0 but found {full:g}')
+    if force is not None and not force > 0.0:
+        raise ValueError(f'--force: expected a number above 0 but found {force:g}')
+    every = quantity('--period', period, {'s': 1.0, 'ms': 1e-3}, example='1ms') if period else None
+    wanted = parse_columns(columns or [])
+    base = read_machine_file(machine_file) if machine_file is not None else None
+    if any(what.startswith(('commanded', 'actual')) for what in wanted):
+        found, document = _loops(recordings, wanted, LENGTHS[unit], every, base)
+    else:
+        sign = -1.0 if reverse else 1.0
+        stretches = _drive_recordings(recordings, wanted, axis, (LENGTHS[unit], full, sign), every)
+        found, document = _axis(stretches, axis, force, sign, base)
+    names = ', '.join(path.name for path in recordings)
+    text = _text(found, f'identified from {names}', machine_file)
+    write_text(out, text)
+    say(f'{out}: the machine file; check it with `fuzzycnc machine check {out}`')
+    write_json(json_file, document)
+
+
+def _text(machine: MachineData, about: str, base: str | None) -> str:
+    from fuzzycnc_ros.machine_file.writer import machine_text
+
+    ini = machine.source.get('linuxcnc.ini', '')
+    if base is not None:
+        about += f'; all else from {Path(base).name}'
+    return machine_text(machine, ini=ini, about=about)
+
+
+def _drive_recordings(
+    paths: list[Path],
+    wanted: dict[str, str],
+    axis: str,
+    scale: tuple[float, float, float],
+    period: float | None,
+) -> list[AxisRecording]:
+    """Return stretches with positions in m and commands as duties."""
+    from fuzzycnc_ros.core.identify.axis_fit import AxisRecording
+    from fuzzycnc_ros.studies.servo.identify_recording import guessed, read_columns
+
+    metres, full, sign = scale
+    found = []
+    for path in paths:
+        if path.is_dir() or path.suffix == '.mcap':
+            found += _of_bag(path, axis, sign)
+            continue
+        named = guessed(path, wanted)
+        say(f'{path}: ' + ', '.join(f'{what} is {name}' for what, name in named.items()))
+        if period is not None:
+            named.pop('t', None)
+        for part in read_columns(path, named, period):
+            found.append(
+                AxisRecording(
+                    sign * part.values['command'] / full,
+                    metres * part.values['position'],
+                    part.period,
+                )
+            )
+    if not found:
+        raise ValueError('expected 200 samples or more without a gap but found none')
+    return found
+
+
+def _of_bag(path: Path, axis: str, sign: float) -> list[AxisRecording]:
+    """Return the stretches of a bag of a run with `servo_controller`."""
+    import numpy as np
+
+    from fuzzycnc_ros.core.identify.axis_fit import AxisRecording
+    from fuzzycnc_ros.studies.servo.recorded_moves import read_bag
+
+    moves = read_bag(path, axis)
+    period = round(float(np.median(np.diff(moves.time))), 9)
+    say(f'{path}: axis_command and axis_state of {axis}, every {1e3 * period:g} ms')
+    return [
+        AxisRecording(sign * moves.duty[part], moves.position[part], period)
+        for part in moves.stretches(period)
+    ]
+
+
+def _axis(
+    stretches: list[AxisRecording],
+    axis: str,
+    force: float | None,
+    sign: float,
+    base: MachineData | None,
+) -> tuple[MachineData, dict[str, Any]]:
+    from fuzzycnc_ros.core.identify.axis_data import identified_axis, identified_dead_time
+    from fuzzycnc_ros.core.identify.axis_fit import fit_axis
+    from fuzzycnc_ros.core.identify.frequency import frequency_response
+    from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
+    from fuzzycnc_ros.studies.servo.identification_tables import (
+        axis_fit_document,
+        axis_fit_remarks,
+        axis_fit_table,
+    )
+
+    with progress_bar('fitting') as tell:
+        fit = fit_axis(stretches, lambda name, done, total: tell(name, done, total))
+    response = frequency_response(stretches, fit.model.gain)
+    dead_time = identified_dead_time(fit, response)
+    before = base.axes.get(axis, AxisData()) if base is not None else AxisData()
+    data = identified_axis(fit, response, stretches, force=force, direction=sign, before=before)
+    show(axis_fit_table(fit, response, dead_time, f'Axis {axis}'))
+    for line in axis_fit_remarks(fit, response, force):
+        remark(line)
+    machine = base or MachineData(name=f'axis {axis}')
+    return (
+        replace(machine, axes={**machine.axes, axis: data}),
+        axis_fit_document(fit, response, dead_time),
+    )
+
+
+def _loops(
+    paths: list[Path],
+    wanted: dict[str, str],
+    metres: float,
+    period: float | None,
+    base: MachineData | None,
+) -> tuple[MachineData, dict[str, Any]]:
+    from itertools import combinations
+
+    from fuzzycnc_ros.core.identify.loop_fit import fit_loop
+    from fuzzycnc_ros.core.machine.machine_data import MachineData
+    from fuzzycnc_ros.studies.servo.identification_tables import (
+        loop_document,
+        loop_remarks,
+        loop_table,
+    )
+    from fuzzycnc_ros.studies.servo.identify_recording import read_columns
+
+    axes = [axis for axis in AXES if f'commanded_{axis}' in wanted or f'actual_{axis}' in wanted]
+    for axis in axes:
+        for what in (f'commanded_{axis}', f'actual_{axis}'):
+            if what not in wanted:
+                raise ValueError(f'--columns: expected {what} beside its partner but found none')
+    if not axes:
+        raise ValueError(
+            '--columns: expected commanded_X and actual_X, or those of Y or Z, but found '
+            f'{", ".join(wanted)}'
+        )
+    (path, *more) = paths
+    if more:
+        raise ValueError('expected one recording of a path but found several')
+    parts = read_columns(path, wanted, period)
+    if not parts:
+        raise ValueError(f'{path}: expected 200 samples or more without a gap but found none')
+    longest = max(parts, key=lambda part: len(next(iter(part.values.values()))))
+    loops: dict[str, LoopFit] = {}
+    with progress_bar('fitting') as tell:
+        for number, axis in enumerate(axes):
+            tell(axis, number, len(axes))
+            try:
+                loops[axis] = fit_loop(
+                    metres * longest.values[f'commanded_{axis}'],
+                    metres * longest.values[f'actual_{axis}'],
+                    longest.period,
+                )
+            except ValueError as error:
+                raise ValueError(f'{path}: {axis}: {error}') from error
+    show(loop_table(loops))
+    for line in loop_remarks(loops):
+        remark(line)
+    constant = {
+        first + second: max(loops[first].contour_constant, loops[second].contour_constant, 1e-9)
+        for first, second in combinations(axes, 2)
+    } or dict.fromkeys(('XY', 'XZ', 'YZ'), max(loops[axes[0]].contour_constant, 1e-9))
+    slow = min(loops.values(), key=lambda loop: loop.position_gain)
+    machine = base or MachineData(name=path.stem)
+    steps = machine.loop.control_steps
+    while slow.velocity_bandwidth * machine.loop.interpolation_period / steps > 0.5:
+        steps += 1
+    loop = replace(
+        machine.loop,
+        position_gain=slow.position_gain,
+        velocity_bandwidth=slow.velocity_bandwidth,
+        control_steps=steps,
+    )
+    return (
+        replace(machine, loop=loop, contour_constant={**machine.contour_constant, **constant}),
+        loop_document(loops, constant),
+    )
+
 
 HELP = """Write down what is known of your machine, in one file for all commands.
 
@@ -46,11 +303,9 @@ def new(
         str, typer.Option(metavar='|'.join(BUILT_IN_MACHINES), help='Machine to begin from.')
     ] = BUILT_IN_MACHINES[0],
     linuxcnc_ini: Annotated[
-        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
-            metavar='FILE.ini',
-            show_default=False,
-            help='LinuxCNC configuration whose limits count; the file refers to it.',
+        OptionalPath,
+        given(
+            'LinuxCNC configuration whose limits count; the file refers to it.', metavar='FILE.ini'
         ),
     ] = None,
     name: Annotated[
@@ -145,7 +400,7 @@ def check(file: File, json_file: JsonFile = None) -> None:
     """
     from fuzzycnc_ros.machine_file.doubts import machine_doubts
     from fuzzycnc_ros.machine_file.reader import read_machine_file
-    from fuzzycnc_ros.studies.page.remark import Remark
+    from fuzzycnc_ros.studies.page.html import Remark
 
     check_folder(json_file)
     machine = read_machine_file(file)

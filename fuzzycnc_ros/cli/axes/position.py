@@ -28,9 +28,16 @@ from fuzzycnc_ros.cli.console import (
     say,
     show,
     write_json,
-    write_text,
+    write_report,
 )
-from fuzzycnc_ros.cli.options import MachineFile, Report
+from fuzzycnc_ros.cli.options import (
+    MachineFile,
+    OptionalNumber,
+    OptionalPath,
+    OptionalText,
+    Report,
+    given,
+)
 from fuzzycnc_ros.cli.quantities import LENGTHS, SHARES, quantity
 
 if TYPE_CHECKING:
@@ -69,11 +76,10 @@ def position(
         ),
     ] = '',
     params: Annotated[
-        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
+        OptionalPath,
+        given(
+            'Settings of the controller, as `servo tune` and `servo learn` write them.',
             metavar='FILE',
-            show_default=False,
-            help='Settings of the controller, as `servo tune` and `servo learn` write them.',
         ),
     ] = None,
     profile: Annotated[
@@ -92,12 +98,11 @@ def position(
         typer.Option(metavar='FACTOR', help="Factor on the axis' friction; 0 for none."),
     ] = 1.0,
     breakaway: Annotated[
-        Optional[float],  # noqa: UP045
-        typer.Option(
-            metavar='RATIO',
-            show_default=False,
-            help='Friction at the onset of motion over that in motion; 1.5 on the lathe and 1 on '
+        OptionalNumber,
+        given(
+            'Friction at the onset of motion over that in motion; 1.5 on the lathe and 1 on '
             'the ballscrew without it.',
+            metavar='RATIO',
         ),
     ] = None,
     load: Annotated[
@@ -105,19 +110,17 @@ def position(
     ] = '0%',
     load_at: Annotated[str, typer.Option(metavar='TIME', help='When the load sets in.')] = '0s',
     sensor: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
+        OptionalText,
+        given(
+            'Linear grating or encoder on the screw; by default the lathe has a grating.',
             metavar='grating|encoder',
-            show_default=False,
-            help='Linear grating or encoder on the screw; by default the lathe has a grating.',
         ),
     ] = None,
     noise: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
+        OptionalText,
+        given(
+            'RMS of the noise of the readings; 0.1um on the lathe, none on the ballscrew.',
             metavar='LENGTH',
-            show_default=False,
-            help='RMS of the noise of the readings; 0.1um on the lathe, none on the ballscrew.',
         ),
     ] = None,
     duration: Annotated[str, typer.Option(metavar='TIME', help='Length of the run.')] = '3s',
@@ -159,8 +162,7 @@ def position(
     check_at_least('--seed', seed, 0)
     check_at_least('--friction', friction, 0.0)
     check_at_least('--breakaway', breakaway, 1.0)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     plain = known.plant
     knobs = _knobs(plain, gain, friction, breakaway)
     knobs |= _load(plain, load, load_at)
@@ -190,8 +192,6 @@ def position(
         say(line)
     given = {name: value for name, (_, value) in knobs.items()}
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
         facts = {
             'Axis': axis,
             'Reference': 'jerk-limited profile' if profile else 'step',
@@ -199,8 +199,7 @@ def position(
             **{name.replace('_', ' '): str(value) for name, value in given.items()},
         }
         page = shown.positioning_page(run, controller, table, facts)
-        write_text(report, render_page(page))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, page)
     settings = {'axis': axis, 'profile': profile, 'params': params, **given}
     write_json(json_file, shown.positioning_document(run, controller, settings))
     if run.fault:
@@ -215,7 +214,7 @@ def _settings(params: Path | None) -> Any:
     """Return the settings of a file, or none."""
     if params is None:
         return None
-    from fuzzycnc_ros.cli.axes.servo_settings import read_settings
+    from fuzzycnc_ros.studies.servo.servo_settings import read_settings
 
     return read_settings(params)
 

@@ -5,7 +5,7 @@
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -21,7 +21,6 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     make_controller,
     warnings_said,
 )
-from fuzzycnc_ros.cli.axes.servo_learn import learn
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_at_least,
@@ -32,10 +31,25 @@ from fuzzycnc_ros.cli.console import (
     show,
     words,
     write_json,
+    write_report,
     write_text,
 )
 from fuzzycnc_ros.cli.models.many_bags import Jobs, jobs_of
-from fuzzycnc_ros.cli.options import ALL, MachineFile, Report, names_of
+from fuzzycnc_ros.cli.options import (
+    ALL,
+    MachineFile,
+    OptionalPath,
+    OptionalText,
+    OptionalWhole,
+    Report,
+    given,
+    names_of,
+)
+from fuzzycnc_ros.cli.quantities import LENGTHS
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.servo.rule_table import RuleTable
+    from fuzzycnc_ros.studies.servo.servo_settings import ServoSettings
 
 HELP = """Compare, learn, tune and judge controllers that position an axis.
 
@@ -53,10 +67,7 @@ MachineAxis = Annotated[
 ]
 
 Params = Annotated[
-    Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
-    typer.Option(
-        metavar='FILE', show_default=False, help='Settings as `servo tune` and `learn` write them.'
-    ),
+    OptionalPath, given('Settings as `servo tune` and `learn` write them.', metavar='FILE')
 ]
 
 
@@ -101,13 +112,12 @@ def compare(
         compare_machine_axis(machine_file, axis, seed, json_file)
         return
     from fuzzycnc_ros.studies.servo import positioning_compare as shown
-    from fuzzycnc_ros.studies.servo.positioning_model import LABELS
+    from fuzzycnc_ros.studies.servo.positioning_page import LABELS
     from fuzzycnc_ros.studies.servo.servo_cases import compare_controllers
 
     names = names_of('--controllers', controllers, tuple(LABELS))
     check_at_least('--moves', moves, 0)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     with progress_bar('driving') as tell:
         found = compare_controllers(names, moves=moves, seed=seed, progress=tell)
     tables, lines = (
@@ -120,8 +130,6 @@ def compare(
     for line in lines:
         say(line)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
         facts = {
             'Axis': 'lathe, simulated: 286 mm/s at full duty, grating of 0.625 um, noise 0.1 um',
             'Control period': '1 ms',
@@ -129,8 +137,7 @@ def compare(
             'Random moves': f'{moves} with moderate and {moves} with hard friction',
             'Seed': str(seed),
         }
-        write_text(report, render_page(shown.comparison_page(found, tables, lines, facts)))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, shown.comparison_page(found, tables, lines, facts))
     write_json(json_file, shown.comparison_document(found))
 
 
@@ -139,11 +146,9 @@ def tune(
     axis: Axis = '',
     machine_file: MachineFile = None,
     generations: Annotated[
-        Optional[int],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
-            show_default=False,
-            help='Generations of the search after the first population; 30, or 8 with a '
-            'machine file.',
+        OptionalWhole,
+        given(
+            'Generations of the search after the first population; 30, or 8 with a machine file.'
         ),
     ] = None,
     population: Annotated[int, typer.Option(help='Candidates per setting.')] = 6,
@@ -191,11 +196,10 @@ def tune(
         tune_machine_axis(machine_file, axis, out, work, jobs_of(jobs), json_file)
         return
     axis = axis or AXES[0]
-    from fuzzycnc_ros.cli.axes.servo_search import default_cost, swinging
-    from fuzzycnc_ros.cli.axes.servo_settings import write_settings
     from fuzzycnc_ros.simulation.servo.tuning import BOUNDS, production
     from fuzzycnc_ros.simulation.servo.tuning import tune as searched
-    from fuzzycnc_ros.studies.servo.positioning_rules import tuning_table
+    from fuzzycnc_ros.studies.servo.positioning_rules import default_cost, swinging, tuning_table
+    from fuzzycnc_ros.studies.servo.servo_settings import settings_text
 
     check_axis(axis)
     if axis != AXES[0]:
@@ -227,7 +231,7 @@ def tune(
     for line in swinging(best):
         say(line)
     about = f'tuned on the simulated lathe axis, seed {seed}, {effort} generations'
-    write_settings(out, axis, numbers=found.settings, about=about)
+    write_text(out, settings_text(out, axis, numbers=found.settings, about=about))
     say(f'{out}: the settings; move with them by `fuzzycnc position --params {out}`')
     write_json(
         json_file,
@@ -273,14 +277,12 @@ def stability(
     """
     from fuzzycnc_ros.core.servo.stability import stability_report
     from fuzzycnc_ros.studies.servo.positioning_rules import (
-        stability_document,
         stability_page,
         stability_table,
     )
 
     factors = _factors(gains)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     with warnings_said():
         chosen: Any
         if machine_file is not None:
@@ -294,20 +296,17 @@ def stability(
     table = stability_table(found, f'{controller} on the {axis} axis')
     show(table)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
         fine = sorted({*(0.05 * k for k in range(2, 51)), *factors})
         course = stability_report(chosen, gains=fine).spectral_radius
         facts = {'Axis': axis, 'Settings': str(params) if params else 'built-in defaults'}
         page = stability_page(found, course, table, facts)
-        write_text(report, render_page(page))
-        say(f'{report}: the report; open it in a browser')
-    write_json(json_file, stability_document(found))
+        write_report(report, page)
+    write_json(json_file, found)
 
 
 def _built_in(axis: str, controller: str, params: Path | None) -> Any:
     """Return a controller of a built-in axis, even one that swings."""
-    from fuzzycnc_ros.cli.axes.servo_settings import read_settings
+    from fuzzycnc_ros.studies.servo.servo_settings import read_settings
 
     check_axis(axis)
     if controller not in TUNABLE:
@@ -332,6 +331,144 @@ def _factors(texts: list[str]) -> tuple[float, ...]:
     if not found:
         raise ValueError('--gains: expected factors such as 0.5,1,1.5 but found none')
     return tuple(sorted(set(found)))
+
+
+OUTER = [0, 1, -2, -1]
+"""Rows of the rules that are for errors beyond the innermost sets."""
+
+
+def learn(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar='BAG|CSV',
+            help='Bag of a run with servo_controller, or .csv with the columns t [s], reference, '
+            'position, duty [-1 to 1].',
+        ),
+    ],
+    out: Out,
+    axis: Axis = '',
+    machine_file: MachineFile = None,
+    name: Annotated[
+        OptionalText, given('Axis of the bag, if it drives several.', metavar='AXIS')
+    ] = None,
+    unit: Annotated[
+        OptionalText, given('Unit of the lengths of a .csv.', metavar='|'.join(LENGTHS))
+    ] = None,
+    method: Annotated[
+        str, typer.Option(metavar='lsq|wm', help='Least squares, or Wang-Mendel as published.')
+    ] = 'lsq',
+    sets: Annotated[
+        int,
+        typer.Option(
+            metavar='6|7', help='Sets of error and rate: the six published, or one about zero too.'
+        ),
+    ] = 6,
+    reversed_axis: Annotated[
+        bool,
+        typer.Option('--reversed', help='Positive duty drives to negative positions.'),
+    ] = False,
+    json_file: JsonFile = None,
+) -> None:
+    """Learn the rules of the controller from recorded moves of any controller.
+
+    Shown is where every cell is from: records, the opposite cell, or its neighbours. The file is
+    for `fuzzycnc position --params` and `fuzzycnc servo stability --params`.
+
+        fuzzycnc servo learn run --out rules.yaml
+        fuzzycnc servo learn moves.csv --unit mm --method wm --out rules.json
+        fuzzycnc servo learn run --sets 7 --out finer.yaml
+        fuzzycnc servo learn run --machine-file tuned.yaml --axis X --out rules.yaml
+    """
+    from fuzzycnc_ros.core.servo.rule_learning import learn_rules
+    from fuzzycnc_ros.core.servo.rule_table import CENTRES, CENTRES_WITH_ZERO, SETS, SETS_WITH_ZERO
+    from fuzzycnc_ros.studies.servo.positioning_rules import rules_document, rules_table
+    from fuzzycnc_ros.studies.servo.recorded_moves import read_bag, read_csv, records_of
+    from fuzzycnc_ros.studies.servo.servo_settings import ServoSettings, settings_text
+
+    if machine_file is None:
+        axis = axis or AXES[0]
+        check_axis(axis)
+    elif reversed_axis:
+        raise ValueError('--reversed: expected none with --machine-file, which has the direction')
+    if method not in ('lsq', 'wm'):
+        raise ValueError(f'--method: expected lsq or wm but found {method!r}')
+    if sets not in (len(SETS), len(SETS_WITH_ZERO)):
+        raise ValueError(f'--sets: expected {len(SETS)} or {len(SETS_WITH_ZERO)} but found {sets}')
+    names, centres = (SETS, CENTRES) if sets == len(SETS) else (SETS_WITH_ZERO, CENTRES_WITH_ZERO)
+    table_file = source.suffix.lower() == '.csv'
+    if table_file != (unit is not None):
+        raise ValueError(
+            f'--unit: expected the unit of the lengths of a .csv, one of {", ".join(LENGTHS)}, '
+            f'and none for a bag, but found {unit!r} for {source}'
+        )
+    if unit is not None and unit not in LENGTHS:
+        raise ValueError(f'--unit: expected one of {", ".join(LENGTHS)} but found {unit!r}')
+    check_new(out)
+    check_folder(json_file)
+    if not source.exists():
+        raise ValueError(f'{source}: expected a bag or a .csv but nothing is there')
+    controller: Any
+    with_rules: Callable[[RuleTable], Any]
+    if machine_file is not None:
+        from fuzzycnc_ros.cli.axes.servo_machine import learning_controller
+        from fuzzycnc_ros.core.servo.axis_control import WITH_RULES, make_axis_controller
+
+        axis, data, controller = learning_controller(machine_file, axis)
+        own = data.settings
+        with_rules = lambda rules: make_axis_controller(data, WITH_RULES, own, rules)  # noqa: E731
+    else:
+        direction = -1.0 if reversed_axis else 1.0
+        plant = make_axis(axis, {'direction': ('--reversed', direction)})
+        controller = make_controller(DEFAULT, axis, plant)
+        with_rules = lambda rules: make_controller(  # noqa: E731
+            DEFAULT, axis, plant, ServoSettings(out, axis, rules=rules), unstable=True
+        )
+    moves = read_csv(source, LENGTHS[unit]) if unit is not None else read_bag(source, name)
+    size = controller.watch.limits.error_max
+    if abs(moves.position).max() > size:
+        raise ValueError(
+            f'{source}: expected positions within {1e3 * size:g} mm but found '
+            f'{1e3 * abs(moves.position).max():g} mm; is the unit right?'
+        )
+    records = records_of(moves, controller, source)
+    learned = learn_rules(records, method, centres=centres).complete()
+    show(rules_table(learned, names))
+    with warnings_said():
+        rules = learned.table()
+    cells = learned.values.size
+    say(
+        f'{learned.used:,} records; data in {round(learned.coverage * cells)} of {cells} cells, '
+        f'{int(learned.conflicts.sum()):,} records of another set than their cell'
+    )
+    if not learned.count[OUTER].any():
+        say(
+            'note: no record is further off its target than the innermost sets reach, so most '
+            'rules are guesses; record moves that step, by servo_controller with velocity_max, '
+            'acceleration_max and jerk_max at their upper bounds'
+        )
+    for line in _unsettled(ServoSettings(out, axis, rules=rules), with_rules):
+        say(line)
+    about = f'rules learnt from {source.name}, method {method}'
+    write_text(out, settings_text(out, axis, rules=rules, about=about))
+    of_file = f' --machine-file {machine_file} --axis {axis}' if machine_file else ''
+    say(f'{out}: the rules; move with them by `fuzzycnc position{of_file} --params {out}`')
+    write_json(json_file, rules_document(learned))
+
+
+def _unsettled(settings: 'ServoSettings', with_rules: Callable[['RuleTable'], Any]) -> list[str]:
+    """Return what is to be said of rules with which the axis does not settle, or hardly."""
+    from fuzzycnc_ros.studies.servo.positioning_rules import swinging
+
+    assert settings.rules is not None
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        controller = with_rules(settings.rules)
+    try:
+        settings.check(controller)
+    except ValueError as error:
+        return [f'note: {error}; `fuzzycnc position` refuses these rules']
+    return swinging(controller)
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {

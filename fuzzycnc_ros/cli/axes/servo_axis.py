@@ -17,9 +17,9 @@ from fuzzycnc_ros.cli.console import say
 from fuzzycnc_ros.cli.quantities import quantity
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.cli.axes.servo_settings import ServoSettings
     from fuzzycnc_ros.core.servo.controller import AxisController
     from fuzzycnc_ros.simulation.servo.axes import AxisPlant
+    from fuzzycnc_ros.studies.servo.servo_settings import ServoSettings
 
 AXES = ('lathe', 'ballscrew')
 """Simulated axes."""

@@ -80,8 +80,8 @@ def machine_controller(
     ValueError
         If the controller is unknown, or the file has no rules for it and this axis.
     """
-    from fuzzycnc_ros.cli.axes.servo_settings import read_settings
     from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
+    from fuzzycnc_ros.studies.servo.servo_settings import read_settings
 
     own = data.settings if name in ('', data.controller) else {}
     if params is None:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Optional
 import typer
 
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, progress_bar, say, words, write_json
+from fuzzycnc_ros.cli.options import OptionalPath, given
 
 OptionalText = Optional[str]  # noqa: UP045 - typer 0.9 does not read the newer form
 OptionalNumber = Optional[float]  # noqa: UP045
@@ -119,14 +120,13 @@ def import_csv(
         typer.Option(show_default=False, help='Stamp of the first sample [s] [default: 1].'),
     ] = None,
     mapping: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(
-            show_default=False,
-            metavar='FILE.yaml',
-            help='File with these settings: keys time, time_unit, time_format, temperatures, '
+        OptionalPath,
+        given(
+            'File with these settings: keys time, time_unit, time_format, temperatures, '
             'temperature_unit, displacements, spindle_speed, spindle_speed_unit, rename, '
             'encoding, header, delimiter, decimal, rows, zero, resample, machine, epoch. '
             'Options overrule it.',
+            metavar='FILE.yaml',
         ),
     ] = None,
     json_file: JsonFile = None,

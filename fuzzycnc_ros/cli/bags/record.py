@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import Annotated, Any
 
 import typer
 
@@ -22,6 +22,7 @@ from fuzzycnc_ros.cli.console import (
     complain,
     write_json,
 )
+from fuzzycnc_ros.cli.options import OptionalNumber, given
 from fuzzycnc_ros.ros.bring_up import GraphError, machine_name
 from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
 
@@ -44,8 +45,7 @@ def record(
         bool, typer.Option('--lockstep', help='Take turns in a lock-step run, losing nothing.')
     ] = False,
     duration: Annotated[
-        Optional[float],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(show_default=False, help='Stop after so many seconds; else Ctrl-C stops.'),
+        OptionalNumber, given('Stop after so many seconds; else Ctrl-C stops.')
     ] = None,
     json_file: JsonFile = None,
 ) -> None:

@@ -2,19 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc demo`: the product at work on a simulated machine, live over DDS."""
 
-from collections.abc import Callable
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Optional
 
 import typer
 
-from fuzzycnc_ros.cli.demo.contour import contour_demo
+from fuzzycnc_ros.cli.demo.contour import contour
 from fuzzycnc_ros.cli.demo.linuxcnc import linuxcnc_demo
-from fuzzycnc_ros.cli.demo.pattern import pattern_demo
-from fuzzycnc_ros.cli.demo.shift import shift_demo
-from fuzzycnc_ros.cli.demo.steps import renewed
-from fuzzycnc_ros.cli.demo.thermal import thermal_demo
+from fuzzycnc_ros.cli.demo.pattern import pattern
+from fuzzycnc_ros.cli.demo.shift import whole_shift
+from fuzzycnc_ros.cli.demo.steps import Play, play, renewed
+from fuzzycnc_ros.cli.demo.thermal import thermal
 from fuzzycnc_ros.cli.programs.program_files import program_lines
 from fuzzycnc_ros.cli.terminal import Terminal
 from fuzzycnc_ros.ros.bring_up import BANNER, GraphError
@@ -28,14 +28,6 @@ class Scenario(str, Enum):
     pattern = 'pattern'
     shift = 'shift'
     linuxcnc = 'linuxcnc'
-
-
-_RUN: dict[Scenario, Callable[[Terminal, Path, int], None]] = {
-    Scenario.thermal: thermal_demo,
-    Scenario.contour: contour_demo,
-    Scenario.pattern: pattern_demo,
-    Scenario.linuxcnc: linuxcnc_demo,
-}
 
 
 def demo(
@@ -87,10 +79,16 @@ def demo(
     console = Terminal()
     console.print(BANNER, style='yellow')
     with renewed(out):
-        if scenario is Scenario.shift:
-            shift_demo(console, out, seed, text)
-        else:
-            _RUN[scenario](console, out, seed)
+        if scenario is Scenario.linuxcnc:
+            linuxcnc_demo(console, out, seed)
+            return
+        run: dict[Scenario, Play] = {
+            Scenario.thermal: thermal,
+            Scenario.contour: contour,
+            Scenario.pattern: pattern,
+            Scenario.shift: partial(whole_shift, program=text),
+        }
+        play(run[scenario], console, out, seed)
 
 
 def _checked_program(path: Path) -> str:

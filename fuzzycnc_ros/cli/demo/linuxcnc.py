@@ -3,12 +3,12 @@
 """Scenario `linuxcnc` of the demo: a closed loop through a LinuxCNC that really runs."""
 
 import contextlib
-import json
 import shutil
 import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,8 @@ from rich.console import Console
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
 from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation, exclusive
 from fuzzycnc_ros.cli.bags.recording_loss import LACKING, loss
-from fuzzycnc_ros.cli.console import complain, show
-from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Steps, print_files, progress_of
-from fuzzycnc_ros.cli.live.free_domain import own_domain
+from fuzzycnc_ros.cli.console import complain
+from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Outcome, Steps, ended, play
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.ros.bring_up import GraphError, NodeSpec
 
@@ -78,18 +77,7 @@ def linuxcnc_demo(console: Console, out: Path, seed: int, rate: float = RATE) ->
     GraphError
         If LinuxCNC cannot be had, a node fails, or the part program stopped.
     """
-    started = time.monotonic()
-    with progress_of(console) as progress:
-        result, table = _run(out, seed, rate, progress)
-    result.wall_s = round(time.monotonic() - started, 2)
-    (out / 'summary.json').write_text(json.dumps(vars(result), indent=2) + '\n', encoding='utf-8')
-    show(table)
-    console.print(
-        f'LinuxCNC {result.linuxcnc} cut circles at {result.rate:g} times real time for the '
-        f'machine; {result.ticks} ticks, {result.late_ticks} of them late; '
-        f'{result.wall_s:.0f} s in all'
-    )
-    print_files(console, out)
+    result = play(partial(_linuxcnc_duty, rate=rate), console, out, seed)
     lacking = loss(out / 'bag')
     if lacking:
         complain(lacking)
@@ -98,17 +86,16 @@ def linuxcnc_demo(console: Console, out: Path, seed: int, rate: float = RATE) ->
         raise GraphError('the part program did not run to the end of the duty; see the report')
 
 
-def _run(out: Path, seed: int, rate: float, progress: Steps) -> tuple[ClosedLoopResult, Any]:
+def _linuxcnc_duty(out: Path, seed: int, progress: Steps, rate: float) -> Outcome:
     from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
     from fuzzycnc_ros.core.thermal.fit import train_model
     from fuzzycnc_ros.studies.linuxcnc_duty import ClosedLoopLog
     from fuzzycnc_ros.studies.shift.shift_log import compensation_runs
     from fuzzycnc_ros.studies.shift.shift_report import shift_report
     from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
-    from fuzzycnc_ros.studies.thermal.report_page import render_html
+    from fuzzycnc_ros.studies.thermal.report_page import report_page
     from fuzzycnc_ros.studies.thermal.summary import summary_document, summary_table
 
-    own_domain()
     with _linuxcnc(rate) as controller:
         with progress.step('calibrated on the simulated mill and trained models'):
             calibration = record_calibration(seed=seed)
@@ -120,26 +107,23 @@ def _run(out: Path, seed: int, rate: float, progress: Steps) -> tuple[ClosedLoop
             controller.ready()
         outcome, ran = _run_live(out, controller, seed, rate, progress)
         version = str(controller.version())
-    with progress.step('wrote the report'):
-        log = ClosedLoopLog.from_bag(out / 'bag')
-        runs = compensation_runs(log, model, (DUTY,), offset_max=CompensatorConfig().offset_max)
-        page = shift_report(
-            runs,
-            model,
-            text,
-            title='Thermal compensation through LinuxCNC',
-            summary=(
-                'A duty that no model had seen. LinuxCNC cut circles and turned the spindle; that '
-                'heated a simulated mill, where what is left was measured, with the offsets that '
-                'LinuxCNC read back.'
-            ),
-            facts={
-                'Controller': f'LinuxCNC {version}, headless, external offsets',
-                'Machine': f'simulated mill, duty {DUTY}, noise seed {seed}, '
-                f'{rate:g} times real time',
-            },
-        )
-        (out / 'report.html').write_text(render_html(page), encoding='utf-8')
+    log = ClosedLoopLog.from_bag(out / 'bag')
+    runs = compensation_runs(log, model, (DUTY,), offset_max=CompensatorConfig().offset_max)
+    report = shift_report(
+        runs,
+        model,
+        text,
+        title='Thermal compensation through LinuxCNC',
+        summary=(
+            'A duty that no model had seen. LinuxCNC cut circles and turned the spindle; that '
+            'heated a simulated mill, where what is left was measured, with the offsets that '
+            'LinuxCNC read back.'
+        ),
+        facts={
+            'Controller': f'LinuxCNC {version}, headless, external offsets',
+            'Machine': f'simulated mill, duty {DUTY}, noise seed {seed}, {rate:g} times real time',
+        },
+    )
     result = ClosedLoopResult(
         runs=summary_document(runs),
         linuxcnc=version,
@@ -152,7 +136,15 @@ def _run(out: Path, seed: int, rate: float, progress: Steps) -> tuple[ClosedLoop
         model=dict(zip(model.channel, model.default, strict=True)),
         seed=seed,
     )
-    return result, summary_table(runs)
+    return Outcome(
+        result,
+        lambda: report_page(report),
+        (summary_table(runs),),
+        (
+            f'LinuxCNC {version} cut circles at {rate:g} times real time for the machine; '
+            f'{result.ticks} ticks, {result.late_ticks} of them late',
+        ),
+    )
 
 
 @contextlib.contextmanager
@@ -216,10 +208,7 @@ def _run_live(
                 bar.update(round(time.monotonic() - begun), round(length))
             ran = bool(controller.state()['running'])
             graph.wait('simulated_body', RUN_TIMEOUT)
-        outcome = graph.outcome('simulated_body')
-        graph.stop()
-        graph.check()
-    return outcome, ran
+        return ended(graph, 'simulated_body'), ran
 
 
 def _await_bridge(operator: Any) -> None:

@@ -3,14 +3,11 @@
 """Scenario `shift` of the demo: a mill with everything on for eight hours, beside a quilter."""
 
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-from rich.console import Console
 
 from fuzzycnc_ros.cli.demo.shift_quilter import (
     PATTERN_BAGS,
@@ -20,8 +17,7 @@ from fuzzycnc_ros.cli.demo.shift_quilter import (
     quilt_specs,
     trained_foam,
 )
-from fuzzycnc_ros.cli.demo.steps import ANSWER_TIMEOUT, Steps, finish, progress_of
-from fuzzycnc_ros.cli.live.free_domain import own_domain
+from fuzzycnc_ros.cli.demo.steps import Outcome, Steps, ended, lockstep_graph
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.ros.bring_up import NodeSpec
 
@@ -56,58 +52,19 @@ class ShiftResult:
     seed: int
 
 
-def shift_demo(console: Console, out: Path, seed: int, program: str = '') -> None:
-    """Run the scenario into an empty folder and show what came of it.
+def whole_shift(out: Path, seed: int, progress: Steps, program: str = '') -> Outcome:
+    """Run the scenario; its outputs are to be those of one process.
 
-    Parameters
-    ----------
-    console : Console
-        Where to show it.
-    out : Path
-        The folder.
-    seed : int
-        Seed of all measuring noise.
-    program : str
-        Text of the part program, as `check_program` takes it; empty for the machine's own.
-
-    Raises
-    ------
-    GraphError
-        If a node fails, or the outputs of a run are not those of one process.
+    `program` is the text of the part program, as `check_program` takes it; empty for the
+    machine's own.
     """
-    started = time.monotonic()
-    with progress_of(console) as progress:
-        result, tables = _run(out, seed, program, progress)
-    lines = [f'{name}: {"met" if met else "NOT MET"}' for name, met in result.met.items()]
-    for machine, topics in result.differing.items():
-        same = f'DIFFER in {", ".join(topics)}' if topics else 'equal on every topic'
-        lines.append(f'{machine}: hashes over DDS and in one process: {same}')
-    if result.degraded:
-        lines.append('a node missed a turn or was lost (see log)')
-    differs = any(result.differing.values())
-    finish(
-        console,
-        out,
-        result,
-        tables,
-        (*lines, f'{sum(result.ticks.values())} ticks in {result.live_s:.0f} s over DDS'),
-        started=started,
-        problem='a run differs from that in one process; see summary.json' if differs else '',
-    )
-
-
-def _run(
-    out: Path, seed: int, program: str, progress: Steps
-) -> tuple[ShiftResult, tuple[Any, ...]]:
     from fuzzycnc_ros.core.thermal.model import load_model
-    from fuzzycnc_ros.studies.page.sections import render_page
     from fuzzycnc_ros.studies.shift.whole_shift import ShiftSettings, judged_shift
     from fuzzycnc_ros.studies.shift.whole_shift_log import ShiftLogs
     from fuzzycnc_ros.studies.shift.whole_shift_page import job_table, shift_page
-    from fuzzycnc_ros.studies.soft.pattern_log import PatternLog
+    from fuzzycnc_ros.studies.soft.pattern import PatternLog
     from fuzzycnc_ros.studies.soft.pattern_page import pattern_table
 
-    own_domain()
     settings = ShiftSettings(program=program, seed=seed)
     with progress.step('trained the models of thermal error and foam'):
         thermal, foam = _models(seed)
@@ -127,25 +84,29 @@ def _run(
     result.degraded = any(bool(item.get('degraded', True)) for item in outcomes.values())
     result.ticks = {name: int(item.get('ticks', 0)) for name, item in outcomes.items()}
     result.live_s = round(live_s, 2)
-    with progress.step('wrote the report'):
-        page = shift_page(
-            before,
-            after,
-            patterns,
-            {
-                'Mill': 'simulated mill, three ball-screw axes, one shift of 8 h',
-                'Quilter': 'simulated foam sheet, 150 x 100 x 15 mm, 6 mm deep, steps of 3 mm',
-                'Foam model': 'trained on 265 samples, gains of X and Y from the first piece',
-                'Contour tolerance': f'{result.contour_tolerance_um:g} µm',
-                'Ticks': f'{sum(result.ticks.values())} in {live_s:.0f} s over DDS',
-                'Same runs in one process': 'equal on every topic'
-                if not any(differing.values())
-                else 'DIFFER',
-                'Noise seed': str(seed),
-            },
-        )
-        (out / 'report.html').write_text(render_page(page), encoding='utf-8')
-    return result, (job_table(before, after), pattern_table(patterns))
+    lines = [f'{name}: {"met" if met else "NOT MET"}' for name, met in result.met.items()]
+    for machine, names in differing.items():
+        same = f'DIFFER in {", ".join(names)}' if names else 'equal on every topic'
+        lines.append(f'{machine}: hashes over DDS and in one process: {same}')
+    if result.degraded:
+        lines.append('a node missed a turn or was lost (see log)')
+    differs, ticks = any(differing.values()), sum(result.ticks.values())
+    facts = {
+        'Mill': 'simulated mill, three ball-screw axes, one shift of 8 h',
+        'Quilter': 'simulated foam sheet, 150 x 100 x 15 mm, 6 mm deep, steps of 3 mm',
+        'Foam model': 'trained on 265 samples, gains of X and Y from the first piece',
+        'Contour tolerance': f'{result.contour_tolerance_um:g} µm',
+        'Ticks': f'{ticks} in {live_s:.0f} s over DDS',
+        'Same runs in one process': 'DIFFER' if differs else 'equal on every topic',
+        'Noise seed': str(seed),
+    }
+    return Outcome(
+        result,
+        lambda: shift_page(before, after, patterns, facts),
+        (job_table(before, after), pattern_table(patterns)),
+        (*lines, f'{ticks} ticks in {result.live_s:.0f} s over DDS'),
+        'a run differs from that in one process; see summary.json' if differs else '',
+    )
 
 
 def _models(seed: int) -> tuple[str, str]:
@@ -181,52 +142,31 @@ def _run_both(out: Path, settings: Any, thermal: str, foam: str, progress: Steps
 
     specs = mill_specs(out / 'model.json', settings)
     # An interrupt reaches this thread, which then ends the mill, and with it the one that waits.
-    with ThreadPoolExecutor(1) as pool, _graph(out, MILL, LIVE[MILL], specs) as mill:
+    with ThreadPoolExecutor(1) as pool, _started(out, MILL, specs) as mill:
         shift = pool.submit(until_over, mill)
         with progress.step('stitched a first piece as drawn, fitted the gains of the foam model'):
             adapted = first_piece(out, foam, settings.seed)
         with progress.step('had the quilter stitch its pattern live over DDS, in lock-step'):
-            specs = quilt_specs(out / 'foam.json', settings.seed)
-            with _graph(out, QUILT, LIVE[QUILT], specs) as quilter:
+            specs = quilt_specs(str(out / 'foam.json'), settings.seed)
+            with _started(out, QUILT, specs) as quilter:
                 quilter.wait('simulated_machine', LIVE_TIMEOUT)
-                ended, quilted = time.monotonic(), _outcome(quilter)
+                until, quilted = time.monotonic(), ended(quilter)
         with progress.step('ran the same in one process') as bar:
             _run_alone(out, settings, thermal, adapted, bar)
         with progress.step('ran the mill without compensation, at the programmed feed') as bar:
             before = run_whole_shift(thermal, settings, compensated=False, progress=bar.update)
             pattern_alone(out / PATTERN_BAGS['trained'], foam, settings.seed)
         over = shift.result()
-        outcome = _outcome(mill)
-    return _Live({MILL: outcome, QUILT: quilted}, max(over, ended) - started, before)
+        outcome = ended(mill)
+    return _Live({MILL: outcome, QUILT: quilted}, max(over, until) - started, before)
 
 
-@contextmanager
-def _graph(out: Path, machine: str, bag: str, specs: list[NodeSpec]) -> Iterator[GraphProcesses]:
-    """Start a graph of nodes in lock-step, the machine last."""
-    served = [spec.name for spec in specs[:-1]]
-    recorder = NodeSpec('recorder', {'lockstep': True, 'output': str(out / bag)})
-    maker = NodeSpec(
-        'simulated_machine',
-        {
-            **specs[-1].parameters,
-            'lockstep': True,
-            'lockstep_nodes': served,
-            'lockstep_recorder': True,
-            'answer_timeout': ANSWER_TIMEOUT,
-        },
-    )
-    with GraphProcesses(machine, folder=out / 'log' / bag) as graph:
-        for spec in (*specs[:-1], recorder, maker):
-            graph.start(spec)
-        yield graph
-
-
-def _outcome(graph: GraphProcesses) -> dict[str, Any]:
-    """End a graph whose machine has ended; return what that says of the run."""
-    outcome = graph.outcome('simulated_machine')
-    graph.stop()
-    graph.check()
-    return outcome
+def _started(
+    out: Path, machine: str, specs: list[NodeSpec]
+) -> AbstractContextManager[GraphProcesses]:
+    """Start the graph of a machine, recorded into its bag."""
+    bag = LIVE[machine]
+    return lockstep_graph(machine, specs, out / bag, out / 'log' / bag)
 
 
 def mill_specs(model: Path, settings: Any) -> list[NodeSpec]:
@@ -304,8 +244,8 @@ def _result(before: Any, after: Any, patterns: Any, seed: int) -> ShiftResult:
             'thermal_before_um': 1e6 * old.left,
             'thermal_after_um': 1e6 * new.left,
             'axes_before_um': 1e6 * old.own,
-            'contour_um': None if np.isnan(new.contour) else 1e6 * new.contour,
-            'positioning_um': None if np.isnan(new.positioning) else 1e6 * new.positioning,
+            'contour_um': 1e6 * new.contour,
+            'positioning_um': 1e6 * new.positioning,
         }
         for old, new in zip(before.jobs, after.jobs, strict=True)
     ]

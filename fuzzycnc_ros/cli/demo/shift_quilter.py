@@ -30,9 +30,9 @@ def first_piece(out: Path, foam: str, seed: int) -> str:
 
     Friction differs from sheet to sheet, and a model knows only the mean of its samples.
     """
-    from fuzzycnc_ros.cli.foam.gains import fit_gains
-    from fuzzycnc_ros.cli.foam.samples import read_samples
     from fuzzycnc_ros.core.deformation.model import read_model, write_model
+    from fuzzycnc_ros.studies.soft.foam_learning import fit_gains
+    from fuzzycnc_ros.studies.soft.foam_records import read_samples
 
     bag = out / PATTERN_BAGS['before']
     pattern_alone(bag, '', seed)
@@ -57,13 +57,16 @@ def pattern_alone(path: Path, model: str, seed: int) -> None:
         )
 
 
-def quilt_specs(model: Path, seed: int) -> list[NodeSpec]:
-    """Return the nodes of the quilter in the order of their turns, the machine last."""
+def quilt_specs(model: str, seed: int) -> list[NodeSpec]:
+    """Return the nodes of a quilter in the order of their turns, the machine last.
+
+    `model` is the path of its model file; empty for no compensation.
+    """
     from fuzzycnc_ros.studies.soft.pattern import STITCH_BLEND, TRACK
 
     managed = {'lockstep': True, 'autostart': True}
     return [
-        NodeSpec('deformation_compensator', {**managed, 'model': str(model)}),
+        NodeSpec('deformation_compensator', {**managed, 'model': model}),
         NodeSpec('feedrate_scheduler', {**managed, 'blend': STITCH_BLEND}),
         NodeSpec(
             'simulated_machine',

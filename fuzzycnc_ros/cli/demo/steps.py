@@ -1,24 +1,31 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the scenarios of `fuzzycnc demo` share: their folder, their steps, their closing lines."""
+"""What the scenarios of `fuzzycnc demo` share: folder, steps, live graphs, what is shown."""
 
 import fcntl
 import json
 import os
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TimeElapsedColumn
 
 from fuzzycnc_ros.cli.console import show
+from fuzzycnc_ros.cli.live.free_domain import own_domain
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.terminal import Description
-from fuzzycnc_ros.ros.bring_up import GraphError
+from fuzzycnc_ros.ros.bring_up import GraphError, NodeSpec
+from fuzzycnc_ros.studies.page.document import to_document
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.studies.page.html import Page
+    from fuzzycnc_ros.studies.page.table import Table
 
 RUN_TIMEOUT = 300.0
 """Wall time [s] that a live run may take."""
@@ -107,57 +114,122 @@ class Bar:
         self.progress.update(self.task, completed=done, total=total)
 
 
-def finish(
-    console: Console,
-    out: Path,
-    result: Any,
-    tables: Sequence[Any],
-    lines: Sequence[str],
-    *,
-    started: float,
-    problem: str = '',
-) -> None:
-    """Write a demo's figures down and show what came of it.
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of a scenario.
+
+    Attributes
+    ----------
+    result : dataclass
+        Its figures, as they go to `summary.json`; gets the time of all as `wall_s`.
+    page : callable
+        Returns the page of its report.
+    tables : tuple
+        Tables to show.
+    lines : tuple of str
+        What else is to be said; the last one gets the time of all.
+    problem : str
+        Why the demo proves nothing; empty if it does.
+    """
+
+    result: Any
+    page: 'Callable[[], Page]'
+    tables: 'tuple[Table, ...]'
+    lines: tuple[str, ...]
+    problem: str = ''
+
+
+Play = Callable[[Path, int, Steps], Outcome]
+"""Runs into an empty folder with a seed of all measuring noise, and tells its steps."""
+
+
+def play(scenario: Play, console: Console, out: Path, seed: int) -> Any:
+    """Run a scenario on a ROS domain of its own, write down and show what came of it.
 
     Parameters
     ----------
+    scenario : callable
+        The scenario.
     console : Console
-        Where to.
+        Where to show it.
     out : Path
-        The demo's folder.
-    result : dataclass
-        Its figures, as they go to `summary.json`; gets the time of all as `wall_s`.
-    tables : sequence
-        Tables to show.
-    lines : sequence of str
-        What else is to be said; the last one gets the time of all.
-    started : float
-        When it began, by the monotonic clock [s].
-    problem : str
-        Why the demo proves nothing; empty if it does.
+        The demo's folder, which is empty.
+    seed : int
+        Seed of all measuring noise.
+
+    Returns
+    -------
+    dataclass
+        The figures.
 
     Raises
     ------
     GraphError
-        If there is a problem.
+        If a node fails, or the demo proves nothing.
     """
+    from fuzzycnc_ros.studies.page.html import render_page
+
+    started = time.monotonic()
+    own_domain()
+    with progress_of(console) as progress:
+        found = scenario(out, seed, progress)
+        with progress.step('wrote the report'):
+            (out / 'report.html').write_text(render_page(found.page()), encoding='utf-8')
+    result = found.result
     result.wall_s = round(time.monotonic() - started, 2)
-    (out / 'summary.json').write_text(json.dumps(vars(result), indent=2) + '\n', encoding='utf-8')
-    for table in tables:
+    text = json.dumps(to_document(result), indent=2) + '\n'
+    (out / 'summary.json').write_text(text, encoding='utf-8')
+    for table in found.tables:
         show(table)
-    *before, last = lines
+    *before, last = found.lines
     for line in (*before, f'{last}; {result.wall_s:.0f} s in all'):
         console.print(line)
-    print_files(console, out)
-    if problem:
-        raise GraphError(problem)
-
-
-def print_files(console: Console, out: Path) -> None:
-    """Say what lies in the folder."""
     for name, what in (
         ('report.html', 'the report; open it in a browser'),
         ('bag', 'everything that was on the topics'),
         ('summary.json', 'the figures'),
     ):
         console.print(f'{out / name}: {what}', soft_wrap=True)
+    if found.problem:
+        raise GraphError(found.problem)
+    return result
+
+
+@contextmanager
+def lockstep_graph(
+    machine: str, specs: Sequence[NodeSpec], bag: Path, log: Path
+) -> Iterator[GraphProcesses]:
+    """Start a graph of nodes in lock-step and a recorder.
+
+    Parameters
+    ----------
+    machine : str
+        Name of the machine.
+    specs : sequence of NodeSpec
+        Nodes in the order of their turns, the simulated machine last.
+    bag : Path
+        Where everything is recorded.
+    log : Path
+        Folder of what the nodes say.
+    """
+    *served, maker = specs
+    recorder = NodeSpec('recorder', {'lockstep': True, 'output': str(bag)})
+    parameters = {
+        **maker.parameters,
+        'lockstep': True,
+        'lockstep_nodes': [spec.name for spec in served],
+        'lockstep_recorder': True,
+        'answer_timeout': ANSWER_TIMEOUT,
+    }
+    with GraphProcesses(machine, folder=log) as graph:
+        for spec in (*served, recorder, NodeSpec(maker.name, parameters)):
+            graph.start(spec)
+        yield graph
+
+
+def ended(graph: GraphProcesses, maker: str = 'simulated_machine') -> dict[str, Any]:
+    """End a graph whose machine has ended; return what that says of the run."""
+    outcome = graph.outcome(maker)
+    graph.stop()
+    graph.check()
+    return outcome

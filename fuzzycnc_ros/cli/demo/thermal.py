@@ -2,20 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenario `thermal` of the demo: calibrate, then compensate unseen duties live over DDS."""
 
-import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
-from fuzzycnc_ros.cli.console import show
-from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Steps, print_files, progress_of
-from fuzzycnc_ros.cli.live.free_domain import own_domain
+from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Outcome, Steps, ended
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
-from fuzzycnc_ros.ros.bring_up import GraphError, node_specs
+from fuzzycnc_ros.ros.bring_up import node_specs
 
 MACHINE = 'mill'
 CALIBRATION = ('D0', 'D0b', 'T1')
@@ -39,34 +35,19 @@ class ThermalResult:
     seed: int
 
 
-def thermal_demo(console: Console, out: Path, seed: int) -> None:
-    """Run the scenario into an empty folder and show what came of it.
-
-    Raises
-    ------
-    GraphError
-        If a node fails, the run was degraded or its replay differs.
-    """
-    started = time.monotonic()
-    with progress_of(console) as progress:
-        result, table = _run(out, seed, progress, started)
-    (out / 'summary.json').write_text(json.dumps(vars(result), indent=2) + '\n', encoding='utf-8')
-    show(table)
-    _print_facts(console, out, result)
-    if result.degraded or not result.replay_identical:
-        raise GraphError('the run was degraded or its replay differs; see the notes in the report')
-
-
-def _run(out: Path, seed: int, progress: Steps, started: float) -> tuple[ThermalResult, Any]:
+def thermal(out: Path, seed: int, progress: Steps) -> Outcome:
+    """Run the scenario; its replay is to be identical."""
     from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.cli.live.latency import measure_latency
     from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
     from fuzzycnc_ros.core.thermal.model import load_model
     from fuzzycnc_ros.studies.shift.shift_log import ShiftLog, compensation_runs
+    from fuzzycnc_ros.studies.shift.shift_report import shift_report
     from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
+    from fuzzycnc_ros.studies.thermal.report_data import Latency
+    from fuzzycnc_ros.studies.thermal.report_page import report_page
     from fuzzycnc_ros.studies.thermal.summary import summary_document, summary_table
 
-    own_domain()
     with progress.step(f'recorded calibration runs {", ".join(CALIBRATION)}') as bar:
         calibration = record_calibration(
             CALIBRATION,
@@ -81,28 +62,58 @@ def _run(out: Path, seed: int, progress: Steps, started: float) -> tuple[Thermal
         replayed = replay(out / 'bag')
     with progress.step('measured latency between two processes'):
         latency = measure_latency(model_file, out / 'latency')
-    with progress.step('wrote the report'):
-        log = ShiftLog.from_bag(out / 'bag')
-        runs = compensation_runs(log, model, UNSEEN, offset_max=CompensatorConfig().offset_max)
-        result = ThermalResult(
-            runs=summary_document(runs),
-            latency_ms={
-                'median': 1e3 * float(np.median(latency)),
-                'p99': 1e3 * float(np.quantile(latency, 0.99)),
-            },
-            wall_s=0.0,
-            hash=replayed.hash,
-            replay_identical=replayed.identical,
-            degraded=bool(outcome.get('degraded', True)),
-            ticks=int(outcome.get('ticks', 0)),
-            ticks_per_second=round(outcome.get('ticks', 0) / live_s, 1),
-            sensors=list(model.inputs),
-            model=dict(zip(model.channel, model.default, strict=True)),
-            seed=seed,
-        )
-        _write_report(out, runs, model, calibration.runs, latency, result, replayed.notes)
-    result.wall_s = round(time.monotonic() - started, 2)
-    return result, summary_table(runs)
+    log = ShiftLog.from_bag(out / 'bag')
+    runs = compensation_runs(log, model, UNSEEN, offset_max=CompensatorConfig().offset_max)
+    result = ThermalResult(
+        runs=summary_document(runs),
+        latency_ms={
+            'median': 1e3 * float(np.median(latency)),
+            'p99': 1e3 * float(np.quantile(latency, 0.99)),
+        },
+        wall_s=0.0,
+        hash=replayed.hash,
+        replay_identical=replayed.identical,
+        degraded=bool(outcome.get('degraded', True)),
+        ticks=int(outcome.get('ticks', 0)),
+        ticks_per_second=round(outcome.get('ticks', 0) / live_s, 1),
+        sensors=list(model.inputs),
+        model=dict(zip(model.channel, model.default, strict=True)),
+        seed=seed,
+    )
+    same = replayed.identical
+    report = shift_report(
+        runs,
+        model,
+        model_file.read_text(encoding='utf-8'),
+        title='Thermal compensation of two shifts',
+        summary=(
+            'Two duties that no model had seen, compensated live over DDS. The residual is what '
+            'is left of the measured displacement after the prediction.'
+        ),
+        notes=replayed.notes,
+        calibration=calibration.runs,
+        latency=Latency(np.array(latency)),
+        facts={
+            'Machine': f'simulated mill, duties {", ".join(UNSEEN)}, noise seed {seed}',
+            'Ticks': f'{result.ticks}, {result.ticks_per_second:.0f} per second over DDS',
+            'Replay': 'identical' if same else 'differs',
+            'Canonical hash': result.hash,
+        },
+    )
+    median, p99 = result.latency_ms.values()
+    return Outcome(
+        result,
+        lambda: report_page(report),
+        (summary_table(runs),),
+        (
+            f'temperatures to compensation over DDS: median {median:.2f} ms, p99 {p99:.2f} ms',
+            f'replay of the bag: {"identical" if same else "DIFFERS"}, hash {result.hash[:16]}',
+            f'{result.ticks} ticks at {result.ticks_per_second:.0f} per second',
+        ),
+        ''
+        if same and not result.degraded
+        else 'the run was degraded or its replay differs; see the notes in the report',
+    )
 
 
 def _run_live(
@@ -138,57 +149,4 @@ def _run_live(
             graph.start(specs[-1])
             graph.wait('simulated_machine', RUN_TIMEOUT)
         live_s = time.monotonic() - started
-        outcome = graph.outcome('simulated_machine')
-        graph.stop()
-        graph.check()
-    return outcome, live_s
-
-
-def _write_report(
-    out: Path,
-    runs: Any,
-    model: Any,
-    calibration: Any,
-    latency: list[float],
-    result: ThermalResult,
-    notes: list[str],
-) -> None:
-    from fuzzycnc_ros.studies.shift.shift_report import shift_report
-    from fuzzycnc_ros.studies.thermal.report_data import Latency
-    from fuzzycnc_ros.studies.thermal.report_page import render_html
-
-    data = shift_report(
-        runs,
-        model,
-        (out / 'model.json').read_text(encoding='utf-8'),
-        title='Thermal compensation of two shifts',
-        summary=(
-            'Two duties that no model had seen, compensated live over DDS. The residual is what '
-            'is left of the measured displacement after the prediction.'
-        ),
-        notes=notes,
-        calibration=calibration,
-        latency=Latency(np.array(latency)),
-        facts={
-            'Machine': f'simulated mill, duties {", ".join(UNSEEN)}, noise seed {result.seed}',
-            'Ticks': f'{result.ticks}, {result.ticks_per_second:.0f} per second over DDS',
-            'Replay': 'identical' if result.replay_identical else 'differs',
-            'Canonical hash': result.hash,
-        },
-    )
-    (out / 'report.html').write_text(render_html(data), encoding='utf-8')
-
-
-def _print_facts(console: Console, out: Path, result: ThermalResult) -> None:
-    latency = result.latency_ms
-    console.print(
-        f'temperatures to compensation over DDS: median {latency["median"]:.2f} ms, '
-        f'p99 {latency["p99"]:.2f} ms'
-    )
-    replayed = 'identical' if result.replay_identical else 'DIFFERS'
-    console.print(f'replay of the bag: {replayed}, hash {result.hash[:16]}')
-    console.print(
-        f'{result.ticks} ticks at {result.ticks_per_second:.0f} per second; '
-        f'{result.wall_s:.0f} s in all'
-    )
-    print_files(console, out)
+        return ended(graph), live_s

@@ -4,7 +4,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,15 +17,15 @@ from fuzzycnc_ros.cli.console import (
     say,
     show,
     write_json,
+    write_report,
     write_text,
 )
-from fuzzycnc_ros.cli.foam.compensate import compensate
-from fuzzycnc_ros.cli.foam.models import read_model_file
-from fuzzycnc_ros.cli.options import Report
+from fuzzycnc_ros.cli.foam.compensate import compensate, read_model_file
+from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, Report, given
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.cli.foam.samples import Samples
     from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
+    from fuzzycnc_ros.studies.soft.foam_records import Samples
 
 HELP = """Straighten patterns on soft material: show, train, compensate, learn.
 
@@ -63,8 +63,7 @@ def demo(
 
     check_at_least('--seed', seed, 0)
     check_at_least('--runs', runs, 1)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     with progress_bar('stitching') as tell:
         found = compare_foam(seed, runs=runs, progress=tell)
     for table in (
@@ -77,8 +76,6 @@ def demo(
     for line in shown.comparison_remarks(found):
         say(line)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
         facts = {
             'Sheets': f'simulated foam, {1e3 * SIZE[0]:g} x {1e3 * SIZE[1]:g} mm, clamped all '
             'around; friction and modulus scatter from run to run',
@@ -86,9 +83,8 @@ def demo(
             '35 mm',
             'Seed': str(seed),
         }
-        write_text(report, render_page(shown.comparison_page(found, facts)))
-        say(f'{report}: the report; open it in a browser')
-    write_json(json_file, shown.comparison_document(found))
+        write_report(report, shown.comparison_page(found, facts))
+    write_json(json_file, found)
 
 
 def train(
@@ -114,12 +110,8 @@ def train(
         ),
     ] = 'load',
     adapt: Annotated[
-        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
-            metavar='MODEL',
-            show_default=False,
-            help='Only fit the gains of X and Y of this model to the samples.',
-        ),
+        OptionalPath,
+        given('Only fit the gains of X and Y of this model to the samples.', metavar='MODEL'),
     ] = None,
     baselines: Annotated[
         bool,
@@ -145,7 +137,7 @@ def train(
         fuzzycnc foam train samples.csv --consequent sts --out linear.json --report training.html
         fuzzycnc foam train monday --adapt model.json --out model_monday.json
     """
-    from fuzzycnc_ros.cli.foam.samples import read_samples
+    from fuzzycnc_ros.studies.soft.foam_records import read_samples
 
     for option, value, known in (
         ('--consequent', consequent, ('nts', 'sts')),
@@ -156,8 +148,7 @@ def train(
     check_at_least('--seed', seed, 0)
     if not force:
         check_new(out, remedy='add --force')
-    for path in (out, report, json_file):
-        check_folder(path)
+    check_folder(out, report, json_file)
     if adapt is not None:
         if report is not None:
             raise ValueError('--report: expected none with --adapt, which trains nothing')
@@ -214,8 +205,6 @@ def _train(
     write_text(out, text)
     say(f'{out}: written, hash {text_hash(text)[:16]}')
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
         facts = {
             'Consequents': names[used],
             'Inputs': settings['features'],
@@ -223,8 +212,7 @@ def _train(
             'Penalty': f'{network.ridge_:g}',
             'Seed': str(settings['random_state']),
         }
-        write_text(report, render_page(shown.training_page(found, lines, facts)))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, shown.training_page(found, lines, facts))
     document = shown.training_document(found)
     write_json(
         json_file,
@@ -245,9 +233,9 @@ def _gate_line(network: 'TSFuzzyNetwork') -> str:
 
 def _adapt(samples: 'Samples', source: Path, out: Path, json_file: Path | None) -> None:
     """Fit the gains of a model to samples, and write it."""
-    from fuzzycnc_ros.cli.foam.gains import fit_gains
     from fuzzycnc_ros.core.deformation.model import write_model
     from fuzzycnc_ros.core.document import text_hash
+    from fuzzycnc_ros.studies.soft.foam_learning import fit_gains
 
     model = read_model_file(source)
     for line in samples.lines:
@@ -284,32 +272,19 @@ def learn(
         float, typer.Option(help='Share of the deviation that a cycle takes away, above 0 to 1.')
     ] = 0.7,
     path_id: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            '--path',
-            metavar='NAME',
-            show_default=False,
-            help='Track, if the bags hold several; of a .csv its name.',
-        ),
+        OptionalText,
+        given('Track, if the bags hold several; of a .csv its name.', '--path', metavar='NAME'),
     ] = None,
     material: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='NAME', show_default=False, help='Of a .csv: material, as in the pattern.'
-        ),
+        OptionalText, given('Of a .csv: material, as in the pattern.', metavar='NAME')
     ] = None,
     thickness: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='LENGTH', show_default=False, help='Of a .csv: thickness, such as 15mm.'
-        ),
+        OptionalText, given('Of a .csv: thickness, such as 15mm.', metavar='LENGTH')
     ] = None,
     size: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='WIDTHxHEIGHT',
-            show_default=False,
-            help='Of a .csv: clamped area from the origin, such as 150x100mm.',
+        OptionalText,
+        given(
+            'Of a .csv: clamped area from the origin, such as 150x100mm.', metavar='WIDTHxHEIGHT'
         ),
     ] = None,
     force: Force = False,
@@ -325,17 +300,16 @@ def learn(
         fuzzycnc foam learn second_run --out offsets.json --force
         fuzzycnc foam learn run.csv --path star --material foam --thickness 15mm --out offsets.json
     """
-    from fuzzycnc_ros.cli.foam.learning import learn_track
-    from fuzzycnc_ros.cli.foam.records import read_recordings
     from fuzzycnc_ros.cli.foam.tables import TrackOptions, read_tables
     from fuzzycnc_ros.core.deformation.offset_file import write_offsets
+    from fuzzycnc_ros.studies.soft.foam_learning import learn_track
+    from fuzzycnc_ros.studies.soft.foam_records import read_recordings
 
     if not 0.0 < gain <= 1.0:
         raise ValueError(f'--gain: expected more than 0 and at most 1 but found {gain:g}')
     if not force:
         check_new(out, remedy='add --force')
-    for path in (out, json_file):
-        check_folder(path)
+    check_folder(out, json_file)
     for source in sources:
         if not source.exists():
             raise ValueError(f'{source}: expected a bag or a .csv but nothing is there')

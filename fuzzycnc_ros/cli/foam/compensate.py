@@ -12,13 +12,12 @@ from contextlib import nullcontext, redirect_stdout
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, say, show, write_json
-from fuzzycnc_ros.cli.foam.models import read_model_file
-from fuzzycnc_ros.cli.models.number_table import table_cells
+from fuzzycnc_ros.cli.options import OptionalText, given
 from fuzzycnc_ros.cli.programs.program_files import (
     STREAM,
     check_output,
@@ -27,6 +26,7 @@ from fuzzycnc_ros.cli.programs.program_files import (
     program_lines,
 )
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.studies.number_table import table_cells
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.deformation.compensation import CompensatedPath
@@ -87,11 +87,10 @@ def compensate(
         Path, typer.Option(metavar='FILE', help='The compensated path; - is standard output.')
     ],
     size: Annotated[
-        Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
+        OptionalText,
+        given(
+            'Clamped area from the origin, such as 150x100mm; the tool is kept on it.',
             metavar='WIDTHxHEIGHT',
-            show_default=False,
-            help='Clamped area from the origin, such as 150x100mm; the tool is kept on it.',
         ),
     ] = None,
     units: Annotated[
@@ -198,7 +197,7 @@ class Job:
             'refused': self.refused,
             'limited': self.limited,
             'largest_offset': self.largest,
-            'lines': [vars(item) for item in self.flags],
+            'lines': self.flags,
         }
 
 
@@ -342,3 +341,21 @@ def _flags_table(flags: Sequence[LineFlags]) -> Table:
     if len(flags) > ROWS:
         rows.append(('...', '', '', '', f'{len(flags) - ROWS} more lines; --json has all'))
     return Table('Steps that were not compensated, or limited', columns, tuple(rows))
+
+
+def read_model_file(path: Path) -> DeformationModel:
+    """Return the model of a file.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or it is no model.
+    """
+    from fuzzycnc_ros.core.deformation.model import read_model
+
+    if not path.is_file():
+        raise ValueError(f'{path}: expected a model file but found none')
+    try:
+        return read_model(path.read_text(encoding='utf-8'))
+    except ValueError as error:
+        raise ValueError(f'{path}: {error}') from error

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from fuzzycnc_ros.cli.foam.compensate import sheet_size
-from fuzzycnc_ros.cli.foam.records import Recordings
-from fuzzycnc_ros.cli.models.number_table import read_numbers
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 from fuzzycnc_ros.core.deformation.samples import RecordedPath
 from fuzzycnc_ros.core.deformation.stitch_path import LINE, SheetMaterial
+from fuzzycnc_ros.studies.number_table import read_numbers
+from fuzzycnc_ros.studies.soft.foam_records import Recordings
 
 COMMANDED = ('x_mm', 'y_mm')
 OFFSET = ('offset_x_mm', 'offset_y_mm')

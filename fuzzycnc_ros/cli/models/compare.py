@@ -17,7 +17,7 @@ from fuzzycnc_ros.cli.console import (
     say,
     show,
     write_json,
-    write_text,
+    write_report,
 )
 from fuzzycnc_ros.cli.models.many_bags import (
     BadBag,
@@ -32,7 +32,6 @@ from fuzzycnc_ros.cli.models.many_bags import (
 from fuzzycnc_ros.cli.models.recorded_runs import (
     bridged_gaps,
     doubt_lines,
-    gap_document,
     gap_lines,
     sensors_but,
 )
@@ -42,10 +41,12 @@ from fuzzycnc_ros.cli.options import (
     DropSensor,
     End,
     Interval,
+    OptionalText,
     Report,
     Sensors,
     Speed,
     Start,
+    given,
     names_of,
 )
 from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
@@ -90,12 +91,8 @@ def compare(
         ),
     ] = None,
     machine: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='NAME',
-            show_default=False,
-            help=f'Simulated machine instead of bags: {", ".join(MACHINES)}.',
-        ),
+        OptionalText,
+        given(f'Simulated machine instead of bags: {", ".join(MACHINES)}.', metavar='NAME'),
     ] = None,
     models: Annotated[
         list[str],
@@ -153,8 +150,7 @@ def compare(
     """
     processes = jobs_of(jobs)
     check_at_least('--seed', seed, 0)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     if machine is not None:
         _check_machine(context, machine)
         _compare_on_grinder(models, processes, seed, report, json_file)
@@ -195,7 +191,6 @@ def compare(
     bad = (*read.bad, *failed)
     say_bad(bad)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
         from fuzzycnc_ros.studies.thermal.comparison_page import comparison_page
 
         facts = {
@@ -204,8 +199,7 @@ def compare(
             'Spindle speed': f'not used, {no_speed}' if no_speed else 'used where named',
             'Seed': str(seed),
         }
-        write_text(report, render_page(comparison_page(comparison, facts)))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, comparison_page(comparison, facts))
     from fuzzycnc_ros.studies.thermal.comparison import comparison_document
     from fuzzycnc_ros.studies.thermal.many_runs import overall_document
 
@@ -216,7 +210,7 @@ def compare(
             'overall': overall_document([item.evaluation for item in comparison.held_out]),
             'left_out': {item.bag.name: item.reason for item in bad},
             'warnings': doubts,
-            'bridged': {name: gap_document(gaps) for name, gaps in bridged.items()},
+            'bridged': bridged,
         },
     )
     if bad:
@@ -363,8 +357,12 @@ def _compare_on_grinder(
     models: list[str], jobs: int, seed: int, report: Path | None, json_file: Path | None
 ) -> None:
     from fuzzycnc_ros.cli.workers import in_workers
-    from fuzzycnc_ros.studies.grinder.grinder_comparison import GrinderComparison, grinder_trials
-    from fuzzycnc_ros.studies.grinder.grinder_page import grinder_page, grinder_remarks
+    from fuzzycnc_ros.studies.grinder.grinder_comparison import (
+        GrinderComparison,
+        grinder_page,
+        grinder_remarks,
+        grinder_trials,
+    )
     from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS
 
     names = names_of('--models', models, [rival.name for rival in RIVALS])
@@ -383,10 +381,7 @@ def _compare_on_grinder(
         for line in (*grinder_remarks(result), ''):
             say(line)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
-        write_text(report, render_page(grinder_page(comparison)))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, grinder_page(comparison))
     write_json(json_file, comparison.document())
 
 

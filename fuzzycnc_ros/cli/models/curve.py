@@ -18,12 +18,11 @@ from fuzzycnc_ros.cli.console import (
     show,
     words,
     write_json,
-    write_text,
+    write_report,
 )
 from fuzzycnc_ros.cli.models.compare import read_runs
 from fuzzycnc_ros.cli.models.recorded_runs import (
     bridged_gaps,
-    gap_document,
     gap_lines,
     sensors_but,
 )
@@ -75,8 +74,7 @@ def curve(
 
     check_at_least('--seed', seed, 0)
     numbers = _numbers(counts)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     read = read_runs(bags, start, end, sensors_but(drop_sensor, bags))
     runs = [at_interval(run, interval) for run in read]
     check_training_runs(runs)
@@ -103,18 +101,15 @@ def curve(
     for line in lines:
         say(line)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
-
         facts = {
             'Runs': ', '.join(run.name for run in runs),
             'Sampling interval': f'{interval:g} s',
             'Seed': str(seed),
         }
-        write_text(report, render_page(sensor_curve_page(curves, facts, lines[1:])))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, sensor_curve_page(curves, facts, lines[1:]))
     document: dict[str, Any] = sensor_curve_document(curves)
     document['left_out'] = [count for count in numbers if count not in kept]
-    document['bridged'] = {name: gap_document(gaps) for name, gaps in bridged.items()}
+    document['bridged'] = bridged
     write_json(json_file, document)
 
 

@@ -4,7 +4,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Optional
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -16,7 +16,7 @@ from fuzzycnc_ros.cli.console import (
     say,
     show,
     write_json,
-    write_text,
+    write_report,
 )
 from fuzzycnc_ros.cli.models.many_bags import (
     Jobs,
@@ -31,10 +31,9 @@ from fuzzycnc_ros.cli.models.many_bags import (
 from fuzzycnc_ros.cli.models.recorded_runs import (
     Bridged,
     as_predicted,
-    gap_document,
     gap_lines,
 )
-from fuzzycnc_ros.cli.options import End, Report, Start
+from fuzzycnc_ros.cli.options import End, OptionalText, Report, Start, given
 from fuzzycnc_ros.cli.quantities import DURATIONS, quantity
 
 if TYPE_CHECKING:
@@ -44,8 +43,8 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.fit import Evaluation
     from fuzzycnc_ros.core.thermal.model import ThermalModel
     from fuzzycnc_ros.core.thermal.run import ThermalRun
-    from fuzzycnc_ros.studies.page.remark import Remark
-    from fuzzycnc_ros.studies.thermal.probed_evaluation import ProbedEvaluation
+    from fuzzycnc_ros.studies.page.html import Remark
+    from fuzzycnc_ros.studies.thermal.probed import ProbedEvaluation
     from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
 
 
@@ -66,11 +65,10 @@ def evaluate(
     start: Start = None,
     end: End = None,
     probe_every: Annotated[
-        Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
+        OptionalText,
+        given(
+            'Also judge what probing the machine this often would leave, such as 60min.',
             metavar='TIME',
-            show_default=False,
-            help='Also judge what probing the machine this often would leave, such as 60min.',
         ),
     ] = None,
     jobs: Jobs = None,
@@ -107,8 +105,7 @@ def evaluate(
     every = None
     if probe_every is not None:
         every = quantity('--probe-every', probe_every, DURATIONS, example='60min')
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     trained = load_model(model)
     document = model.read_text(encoding='utf-8')
     work = partial(
@@ -170,7 +167,7 @@ def judge_bag(
     result = judge(trained, run, start=start, stop=end, recorded=recorded)
     probed = None
     if probe_every is not None:
-        from fuzzycnc_ros.studies.thermal.probed_evaluation import evaluate_probed
+        from fuzzycnc_ros.studies.thermal.probed import evaluate_probed
 
         probed = evaluate_probed(trained, run, result, probe_every)
     return Judged(result, bridged, _page(trained, run, result) if page else None, probed)
@@ -244,7 +241,7 @@ def _document(
             result.run: dict(zip(result.channel, result.samples, strict=True)) for result in judged
         },
         'in_domain': {result.run: result.in_domain for result in judged},
-        'bridged': {item.evaluation.run: gap_document(item.bridged) for item in found.results},
+        'bridged': {item.evaluation.run: item.bridged for item in found.results},
         'probed': probed_document(probed) if probed else None,
         'left_out': {item.bag.name: item.reason for item in found.bad},
     }
@@ -291,7 +288,7 @@ def _write_report(
 ) -> None:
     from fuzzycnc_ros.studies.shift.shift_report import shift_report
     from fuzzycnc_ros.studies.thermal.probed import probed_section
-    from fuzzycnc_ros.studies.thermal.report_page import render_html
+    from fuzzycnc_ros.studies.thermal.report_page import report_page
 
     data = shift_report(
         pages,
@@ -301,5 +298,4 @@ def _write_report(
         sections=[probed_section(item) for item in probed],
         judged=lines,
     )
-    write_text(path, render_html(data))
-    say(f'{path}: the report; open it in a browser')
+    write_report(path, report_page(data))

@@ -8,11 +8,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Generic, Optional, TypeVar
+from typing import TYPE_CHECKING, Annotated, Generic, TypeVar
 
 import typer
 
 from fuzzycnc_ros.cli.console import Tell, say
+from fuzzycnc_ros.cli.options import OptionalWhole, given
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.workers import Progress
@@ -28,11 +29,8 @@ ManyBags = Annotated[
 ]
 
 Jobs = Annotated[
-    Optional[int],  # noqa: UP045 - typer 0.9 does not read the newer form
-    typer.Option(
-        show_default=False,
-        help='Processes that work side by side; as many as there are cores if left out.',
-    ),
+    OptionalWhole,
+    given('Processes that work side by side; as many as there are cores if left out.'),
 ]
 
 STORAGE = ('.mcap', '.db3')

@@ -3,7 +3,7 @@
 """Sensors of recorded runs: which are left out, and what became of readings that are missing."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -238,8 +238,3 @@ def _way(correlation: dict[str, float]) -> str:
 
 def _least(correlation: dict[str, float]) -> float:
     return min(correlation.values(), key=abs)
-
-
-def gap_document(gaps: Sequence[Bridged]) -> list[dict[str, Any]]:
-    """Return the figures of gaps."""
-    return [asdict(gap) for gap in gaps]

@@ -19,9 +19,9 @@ from fuzzycnc_ros.cli.console import (
     show,
     words,
     write_json,
-    write_text,
+    write_report,
 )
-from fuzzycnc_ros.cli.options import node_parameters
+from fuzzycnc_ros.cli.options import OptionalPath, given, node_parameters
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.page.table import Table
@@ -43,10 +43,7 @@ def simulate(
         list[str], typer.Option('--train', metavar='DUTY,...', help='Duties to train on first.')
     ] = ['D0,D0b,T1'],  # noqa: B006
     model: Annotated[
-        Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
-            show_default=False, metavar='MODEL', help='Use this model file instead of training.'
-        ),
+        OptionalPath, given('Use this model file instead of training.', metavar='MODEL')
     ] = None,
     seed: Annotated[int, typer.Option(help='Seed of all measuring noise.')] = 0,
     seeds: Annotated[
@@ -70,18 +67,14 @@ def simulate(
         ),
     ] = None,
     out: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(
-            show_default=False,
-            metavar='BAG',
-            help='Record everything into this new bag, and the calibration runs into '
+        OptionalPath,
+        given(
+            'Record everything into this new bag, and the calibration runs into '
             'BAG_calibration beside it.',
+            metavar='BAG',
         ),
     ] = None,
-    report: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(show_default=False, metavar='FILE.html', help='Write a page with plots.'),
-    ] = None,
+    report: Annotated[OptionalPath, given('Write a page with plots.', metavar='FILE.html')] = None,
     json_file: JsonFile = None,
 ) -> None:
     """Run a thermal shift of the simulated mill in one process, much faster than live.
@@ -106,8 +99,7 @@ def simulate(
     check_new(out)
     if out is not None and model is None:
         check_new(_calibration_folder(out))
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     parameters = node_parameters('--param', param or [])
     documents: list[Figures] = []
     with progress_bar('simulating') as tell:
@@ -130,7 +122,6 @@ def simulate(
         say(f'{out}: everything that was published; try fuzzycnc replay {out}')
     if report is not None:
         shown.write_report(report)
-        say(f'{report}: the report; open it in a browser')
     write_json(
         json_file,
         {
@@ -224,7 +215,7 @@ class _Shift:
         """Write the page with plots."""
         from fuzzycnc_ros.core.thermal.model import load_model
         from fuzzycnc_ros.studies.shift.shift_report import shift_report
-        from fuzzycnc_ros.studies.thermal.report_page import render_html
+        from fuzzycnc_ros.studies.thermal.report_page import report_page
 
         facts = {'Machine': f'simulated mill, noise seed {self._seed}'}
         if self._faults:
@@ -233,7 +224,7 @@ class _Shift:
         data = shift_report(
             self.runs, load_model(self._text), self._text, calibration=calibration, facts=facts
         )
-        write_text(path, render_html(data))
+        write_report(path, report_page(data))
 
 
 def median_figures(documents: list[Figures]) -> Figures:

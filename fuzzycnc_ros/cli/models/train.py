@@ -23,7 +23,6 @@ from fuzzycnc_ros.cli.models.fit_progress import FitCounter
 from fuzzycnc_ros.cli.models.recorded_runs import (
     bridged_gaps,
     doubt_lines,
-    gap_document,
     gap_lines,
     sensors_but,
 )
@@ -109,8 +108,7 @@ def train(
 
     if not force:
         check_new(out, remedy='add --force')
-    for path in (out, json_file):
-        check_folder(path)
+    check_folder(out, json_file)
     for option, texts in (('--model', [model]), ('--models', models or [])):
         for name in words(texts):
             if name in COMPARED_ONLY:
@@ -170,7 +168,7 @@ def train(
             **_document(trained, out, trained.hash),
             'holes': holed,
             'warnings': doubts,
-            'bridged': {name: gap_document(gaps) for name, gaps in bridged.items()},
+            'bridged': bridged,
         },
     )
 

@@ -5,7 +5,7 @@
 from dataclasses import replace
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,11 +14,12 @@ from fuzzycnc_ros.cli.console import (
     check_folder,
     progress_bar,
     say,
+    say_unkept,
     show,
     write_json,
-    write_text,
+    write_report,
 )
-from fuzzycnc_ros.cli.options import Report
+from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, Report, given
 from fuzzycnc_ros.cli.programs.program_files import (
     STREAM,
     check_output,
@@ -28,7 +29,6 @@ from fuzzycnc_ros.cli.programs.program_files import (
 )
 from fuzzycnc_ros.cli.programs.scheduling_machine import Machine, SchedulingMachine, read_machine
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
-from fuzzycnc_ros.cli.unkept import say_unkept
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
@@ -47,11 +47,10 @@ WAIT = 60.0
 def advise(
     program: Annotated[Path, typer.Argument(metavar='PROGRAM', help='Part program (G-code).')],
     tolerance: Annotated[
-        Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
+        OptionalText,
+        given(
+            'Largest contour error, such as 20um; that of the machine file without it.',
             metavar='LENGTH',
-            show_default=False,
-            help='Largest contour error, such as 20um; that of the machine file without it.',
         ),
     ] = None,
     machine: Machine = None,
@@ -64,11 +63,10 @@ def advise(
         ),
     ] = 'feed',
     blend: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
+        OptionalText,
+        given(
+            'P of G64 before the program says so; without it G64 alone, as LinuxCNC starts.',
             metavar='LENGTH',
-            show_default=False,
-            help='P of G64 before the program says so; without it G64 alone, as LinuxCNC starts.',
         ),
     ] = None,
     units: Annotated[
@@ -82,10 +80,7 @@ def advise(
             'in real time.',
         ),
     ] = False,
-    out: Annotated[
-        Optional[Path],  # noqa: UP045
-        typer.Option(metavar='FILE', show_default=False, help='The program as recommended.'),
-    ] = None,
+    out: Annotated[OptionalPath, given('The program as recommended.', metavar='FILE')] = None,
     in_place: Annotated[
         bool, typer.Option('--in-place', help='FILE may be the program itself.')
     ] = False,
@@ -118,8 +113,7 @@ def advise(
         raise ValueError(f'--corners: expected {", ".join(CORNERS)} but found {corners!r}')
     if units not in ('mm', 'inch'):
         raise ValueError(f'--units: expected mm or inch but found {units!r}')
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     if out is not None:
         if str(out) == STREAM:
             raise ValueError('--out: expected a file, since the table is on standard output')
@@ -155,7 +149,6 @@ def advise(
         say(f'{out}: the program as recommended')
     if report is not None:
         _write_report(report, figures, known, notes)
-        say(f'{report}: the report; open it in a browser')
     if not figures.kept:
         raise typer.Exit(1)
 
@@ -272,7 +265,6 @@ def _notes(given: 'Program', path: 'ProgramPath') -> list[str]:
 def _write_report(
     report: Path, figures: 'AdviceFigures', machine: SchedulingMachine, notes: list[str]
 ) -> None:
-    from fuzzycnc_ros.studies.page.sections import render_page
     from fuzzycnc_ros.studies.programs.advice_page import advice_page
 
     loop = machine.contouring
@@ -283,4 +275,4 @@ def _write_report(
         'Position loop': f'{loop.position_gain:g} 1/s',
         'Velocity loop': f'{loop.velocity_bandwidth:g} rad/s',
     }
-    write_text(report, render_page(advice_page(figures, facts, notes)))
+    write_report(report, advice_page(figures, facts, notes))

@@ -3,7 +3,7 @@
 """`fuzzycnc pareto`: time against contour error of all scheduling methods on a path."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -16,9 +16,9 @@ from fuzzycnc_ros.cli.console import (
     show,
     words,
     write_json,
-    write_text,
+    write_report,
 )
-from fuzzycnc_ros.cli.options import ALL, Report, names_of
+from fuzzycnc_ros.cli.options import ALL, OptionalWhole, Report, given, names_of
 from fuzzycnc_ros.cli.programs.scheduling_machine import Machine, read_machine
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 
@@ -52,12 +52,8 @@ def pareto(
         ),
     ] = [ALL],  # noqa: B006
     run: Annotated[
-        Optional[int],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
-            metavar='N',
-            show_default=False,
-            help='Run of the part program, from 1; the first that bends without it.',
-        ),
+        OptionalWhole,
+        given('Run of the part program, from 1; the first that bends without it.', metavar='N'),
     ] = None,
     machine: Machine = None,
     report: Report = None,
@@ -100,12 +96,10 @@ def pareto(
     for line in lines:
         say(line)
     if report is not None:
-        from fuzzycnc_ros.studies.page.sections import render_page
         from fuzzycnc_ros.studies.pareto.pareto_page import pareto_page
 
         page = pareto_page(found, table, _facts(chosen, machine, known), lines)
-        write_text(report, render_page(page))
-        say(f'{report}: the report; open it in a browser')
+        write_report(report, page)
     write_json(json_file, pareto_document(found))
 
 

@@ -8,7 +8,7 @@ from contextlib import nullcontext, redirect_stdout
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,11 +18,12 @@ from fuzzycnc_ros.cli.console import (
     check_folder,
     progress_bar,
     say,
+    say_unkept,
     show,
     write_json,
-    write_text,
+    write_report,
 )
-from fuzzycnc_ros.cli.options import Report
+from fuzzycnc_ros.cli.options import OptionalText, Report, given
 from fuzzycnc_ros.cli.programs.program_files import (
     STREAM,
     check_output,
@@ -33,14 +34,13 @@ from fuzzycnc_ros.cli.programs.program_files import (
 )
 from fuzzycnc_ros.cli.programs.scheduling_machine import Machine, SchedulingMachine, read_machine
 from fuzzycnc_ros.cli.quantities import FEEDS, LENGTHS, SHARES, quantity
-from fuzzycnc_ros.cli.unkept import say_unkept
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program
     from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
     from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramSettings
     from fuzzycnc_ros.studies.programs.program_judge import Judged
-    from fuzzycnc_ros.studies.programs.schedule_tables import ScheduleFigures
+    from fuzzycnc_ros.studies.programs.program_page import ScheduleFigures
     from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
 
 NOTES = 8
@@ -78,48 +78,41 @@ def schedule(
         ),
     ],
     tolerance: Annotated[
-        Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
-        typer.Option(
+        OptionalText,
+        given(
+            'Largest contour error, such as 0.01mm or 10um; that of the machine file without it.',
             metavar='LENGTH',
-            show_default=False,
-            help='Largest contour error, such as 0.01mm or 10um; that of the machine file '
-            'without it.',
         ),
     ] = None,
     machine: Machine = None,
     method: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='NAME',
-            show_default=False,
-            help='Rule that chooses the feed: log_fuzzy, fuzzy, constant, normal_acceleration, '
+        OptionalText,
+        given(
+            'Rule that chooses the feed: log_fuzzy, fuzzy, constant, normal_acceleration, '
             'chord_error, look_ahead, jerk_limited; that of the machine file without it.',
+            metavar='NAME',
         ),
     ] = None,
     blend: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='LENGTH',
-            show_default=False,
-            help='How far the controller may round corners off, such as 0.01mm; 0mm stops at '
+        OptionalText,
+        given(
+            'How far the controller may round corners off, such as 0.01mm; 0mm stops at '
             'every corner.  That of the machine file without it.',
+            metavar='LENGTH',
         ),
     ] = None,
     feed: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='FEED',
-            show_default=False,
-            help="Upper bound of the feed instead of the program's own feed words, such as "
+        OptionalText,
+        given(
+            "Upper bound of the feed instead of the program's own feed words, such as "
             '12000mm/min or 0.2m/s.',
+            metavar='FEED',
         ),
     ] = None,
     override: Annotated[
-        Optional[str],  # noqa: UP045
-        typer.Option(
-            metavar='SHARE',
-            show_default=False,
-            help='Feed override, such as 120%; above 100% the tolerance still counts.',
+        OptionalText,
+        given(
+            'Feed override, such as 120%; above 100% the tolerance still counts.', metavar='SHARE'
         ),
     ] = None,
     feed_step: Annotated[
@@ -152,7 +145,7 @@ def schedule(
     """
     from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
     from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramScheduler
-    from fuzzycnc_ros.studies.programs.schedule_tables import (
+    from fuzzycnc_ros.studies.programs.program_page import (
         ScheduleFigures,
         schedule_document,
         schedule_table,
@@ -164,8 +157,7 @@ def schedule(
     if units not in ('mm', 'inch'):
         raise ValueError(f'--units: expected mm or inch but found {units!r}')
     check_output(program, out, in_place)
-    for path in (report, json_file):
-        check_folder(path)
+    check_folder(report, json_file)
     with program_lines(program) as source:
         files = subroutine_files(program)
         words, trace = Words(), PathTrace()
@@ -201,7 +193,6 @@ def schedule(
             reader = ProgramReader(units, follow=True, files=files)
             stretch = _stretch(source, reader, words.stretch, figures.times.blocks)
             _write_report(report, stretch, figures, trace, known)
-            say(f'{report}: the report; open it in a browser')
     if not figures.kept:
         raise typer.Exit(1)
 
@@ -289,7 +280,7 @@ def _driven(
     words: Words, settings: 'ProgramSettings', machine: SchedulingMachine
 ) -> 'tuple[Judged | None, Judged | None]':
     """Drive the first lines as they were and as they are on the simulated controller."""
-    from fuzzycnc_ros.studies.programs.program_controller import drive_words
+    from fuzzycnc_ros.studies.programs.program_drive import drive_words
 
     return drive_words(words.begun, settings, machine.contouring)
 
@@ -324,10 +315,8 @@ def _write_report(
     machine: SchedulingMachine,
 ) -> None:
     """Drive a stretch of the program with every method, and write the page."""
-    from fuzzycnc_ros.studies.page.sections import render_page
     from fuzzycnc_ros.studies.programs.program_drive import compare_methods
-    from fuzzycnc_ros.studies.programs.program_page import schedule_page
-    from fuzzycnc_ros.studies.programs.schedule_tables import speed
+    from fuzzycnc_ros.studies.programs.program_page import schedule_page, speed
 
     config = machine.scheduler
     with progress_bar('driving') as tell:
@@ -348,7 +337,7 @@ def _write_report(
         f'loop {machine.contouring.velocity_bandwidth:g} rad/s',
     }
     page = schedule_page(figures, trace, found, stretch.name, facts)
-    write_text(report, render_page(page))
+    write_report(report, page)
 
 
 def _lines(figures: 'ScheduleFigures', words: Words, out: Path) -> list[str]:

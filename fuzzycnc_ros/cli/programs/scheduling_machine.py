@@ -9,11 +9,10 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional, TypeVar
-
-import typer
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from fuzzycnc_ros.cli.console import say
+from fuzzycnc_ros.cli.options import OptionalText, given
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
@@ -23,15 +22,14 @@ if TYPE_CHECKING:
     SomeConfig = TypeVar('SomeConfig', bound=Config)
 
 Machine = Annotated[
-    Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
-    typer.Option(
+    OptionalText,
+    given(
+        'Machine file, or mill, which is built in (see `fuzzycnc machine`); or a ROS '
+        'parameter file with the section feedrate_scheduler, and simulated_machine for simulated '
+        'errors.  Built-in defaults without it.',
         '--machine-file',
         '--machine',
         metavar='FILE.yaml',
-        show_default=False,
-        help='Machine file, or mill, which is built in (see `fuzzycnc machine`); or a ROS '
-        'parameter file with the section feedrate_scheduler, and simulated_machine for simulated '
-        'errors.  Built-in defaults without it.',
     ),
 ]
 

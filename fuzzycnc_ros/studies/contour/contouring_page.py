@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,12 @@ from fuzzycnc_ros.studies.page.drawing import (
     new_figure,
     plot_style,
 )
-from fuzzycnc_ros.studies.page.html import Figure
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.requirement import require
-from fuzzycnc_ros.studies.page.sections import Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.studies.contour.contouring import FollowedPath
 
 Floats = NDArray[np.float64]
 
@@ -32,63 +34,7 @@ PIECES = 4000
 """Pieces in which a path is drawn at most, about: more make a page large and slow, not better."""
 
 
-class Followed(Protocol):
-    """A path as it was scheduled and followed, such as `scenario.FollowedPath`."""
-
-    @property
-    def name(self) -> str:
-        """Name of the path."""
-
-    @property
-    def duration(self) -> float:
-        """Time from its start to its end [s]."""
-
-    @property
-    def time(self) -> Floats:
-        """Time since the path was left at its start, shape (n,) [s]."""
-
-    @property
-    def axis(self) -> tuple[str, ...]:
-        """Axes of the samples."""
-
-    @property
-    def reference(self) -> Floats:
-        """Commanded positions, shape (n, axes) [m]."""
-
-    @property
-    def position(self) -> Floats:
-        """Positions of the tool, shape (n, axes) [m]."""
-
-    @property
-    def velocity(self) -> Floats:
-        """Velocities of the tool, shape (n, axes) [m/s]."""
-
-    @property
-    def error(self) -> Floats:
-        """Contour error, shape (n,) [m]."""
-
-    @property
-    def method(self) -> str:
-        """Scheduler that chose the feed."""
-
-    @property
-    def tolerance(self) -> float:
-        """Contour error that it was chosen for [m]; NaN where unknown."""
-
-    @property
-    def schedule(self) -> Any:
-        """Feeds along the path: `arc_length` and `feed`; None where unknown."""
-
-    @property
-    def error_max(self) -> float:
-        """Largest contour error [m]."""
-
-    @property
-    def error_mean(self) -> float:
-        """Mean contour error [m]."""
-
-
-def contouring_table(paths: Sequence[Followed]) -> Table:
+def contouring_table(paths: Sequence[FollowedPath]) -> Table:
     """Return time and contour error of paths as a table."""
     columns = (
         Column('Path', numeric=False),
@@ -113,7 +59,7 @@ def contouring_table(paths: Sequence[Followed]) -> Table:
 
 
 def contouring_page(
-    title: str, summary: str, paths: Sequence[Followed], facts: Mapping[str, str]
+    title: str, summary: str, paths: Sequence[FollowedPath], facts: Mapping[str, str]
 ) -> Page:
     """Return the page on followed paths.
 
@@ -121,7 +67,7 @@ def contouring_page(
     ----------
     title, summary : str
         Headline and the sentences under it.
-    paths : sequence of Followed
+    paths : sequence of FollowedPath
         Paths with their samples.
     facts : mapping of str to str
         Provenance.
@@ -139,7 +85,7 @@ def contouring_page(
     return Page(title=title, summary=summary, sections=(first, *rest), facts=facts)
 
 
-def _figures(path: Followed) -> Iterator[Figure]:
+def _figures(path: FollowedPath) -> Iterator[Figure]:
     yield Figure(
         f'{path.name}: where the error is',
         'The path of the tool, coloured by its contour error. A good schedule leaves about the '
@@ -160,7 +106,7 @@ def _figures(path: Followed) -> Iterator[Figure]:
     )
 
 
-def plot_error_path(path: Followed) -> Any:
+def plot_error_path(path: FollowedPath) -> Any:
     """Plot the path of the tool in its first two axes, coloured by contour error."""
     on = path.time >= 0.0
     point, error = path.position[on][:, :2], path.error[on]
@@ -185,7 +131,7 @@ def plot_error_path(path: Followed) -> Any:
         return figure
 
 
-def plot_speed(path: Followed) -> Any:
+def plot_speed(path: FollowedPath) -> Any:
     """Plot the scheduled feed, the speed within the limits and that of the tool over time."""
     on = path.time >= 0.0
     time = path.time[on]
@@ -213,7 +159,7 @@ def plot_speed(path: Followed) -> Any:
         return figure
 
 
-def plot_error(path: Followed) -> Any:
+def plot_error(path: FollowedPath) -> Any:
     """Plot the contour error over time."""
     on = path.time >= 0.0
     with plot_style():

@@ -1,14 +1,15 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every thermal model on the simulated grinder, judged on runs it has not seen."""
+"""Every thermal model on the simulated grinder, judged on runs it has not seen: tables, page."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import inf, isfinite
+from dataclasses import dataclass, field
+from math import inf
 from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros import __version__
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fit.refinement import Progress
@@ -16,8 +17,11 @@ from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.simulation.thermal.grinder import GRINDER_AXES
 from fuzzycnc_ros.simulation.thermal.grinder_runs import record_flux_case, record_grinder
 from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS, Rival
+from fuzzycnc_ros.studies.page.document import shown_as, to_document
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.thermal.comparison import MARK, best_of
+from fuzzycnc_ros.studies.thermal.comparison import MARK, best_of, refusal_line
+from fuzzycnc_ros.studies.thermal.comparison_page import plot_residuals
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
 
 NOISES = (0.0, 0.02, 0.05, 0.10)
@@ -53,8 +57,8 @@ class Trial:
 class Score:
     """What is left of the thermal error: root mean square and largest absolute value [m]."""
 
-    rms: float
-    largest: float
+    rms: float = field(metadata=shown_as('rms_um', 1e6))
+    largest: float = field(metadata=shown_as('max_um', 1e6))
 
 
 @dataclass(frozen=True)
@@ -76,11 +80,11 @@ class TrialResult:
         without problems are left out.
     """
 
-    name: str
+    name: str = field(metadata=shown_as(None))
     title: str
     trained_on: tuple[str, ...]
     sensors: int
-    scores: Mapping[str, Mapping[str, Score]]
+    scores: Mapping[str, Mapping[str, Score]] = field(metadata=shown_as('models'))
     problems: Mapping[str, tuple[str, ...]]
 
 
@@ -118,28 +122,8 @@ class GrinderComparison:
             `seed`, and `trials` by name with `title`, `trained_on`, `sensors`, `models` (model
             -> column -> `rms_um` and `max_um`; None where it diverged) and `problems`.
         """
-        return {
-            'seed': self.seed,
-            'trials': {
-                result.name: {
-                    'title': result.title,
-                    'trained_on': list(result.trained_on),
-                    'sensors': result.sensors,
-                    'models': {
-                        model: {
-                            column: {
-                                'rms_um': _json_micrometres(score.rms),
-                                'max_um': _json_micrometres(score.largest),
-                            }
-                            for column, score in columns.items()
-                        }
-                        for model, columns in result.scores.items()
-                    },
-                    'problems': {model: list(text) for model, text in result.problems.items()},
-                }
-                for result in self.trials
-            },
-        }
+        trials = {result.name: to_document(result) for result in self.trials}
+        return {'seed': self.seed, 'trials': trials}
 
     def tables(self) -> tuple[Table, ...]:
         """Return one table per trial: rms and largest residual [um] of every model.
@@ -295,10 +279,6 @@ def _scores(trial: Trial, predict: Any) -> dict[str, Score]:
     return scores
 
 
-def _json_micrometres(length: float) -> float | None:
-    return 1e6 * length if isfinite(length) else None
-
-
 def _table(result: TrialResult) -> Table:
     """Return the table of a trial, the best sound model of each unseen column strong."""
     labels = {rival.name: rival.label for rival in RIVALS}
@@ -330,3 +310,56 @@ def _figures(score: Score) -> str:
     if has_diverged(score.largest):
         return micrometres(score.largest)
     return f'{1e6 * score.rms:.2f}/{micrometres(score.largest)}'
+
+
+def grinder_page(comparison: GrinderComparison) -> Page:
+    """Return the page of the comparison, a section per trial."""
+    tables = comparison.tables()
+    return Page(
+        title='Thermal models, compared on a simulated grinder',
+        summary='Every model is trained on some runs and judged on others. The grinder is a '
+        'simulation: what is fair between the models need not hold for a machine.',
+        sections=[
+            Section(
+                heading=f'Grinder, {result.title}',
+                tables=[table],
+                remarks=grinder_remarks(result),
+                figures=[_bars(result)],
+            )
+            for table, result in zip(tables, comparison.trials, strict=True)
+        ],
+        facts={'Noise seed': str(comparison.seed), 'fuzzycnc': __version__},
+    )
+
+
+def grinder_remarks(result: TrialResult) -> list[str]:
+    """Return what is wrong with models in a trial, a line each."""
+    return [
+        refusal_line(name, '; '.join(problems), in_table=name in result.scores)
+        for name, problems in result.problems.items()
+    ]
+
+
+def _bars(result: TrialResult) -> Figure:
+    columns = list(next(iter(result.scores.values())))
+    labels = {rival.name: rival.label for rival in RIVALS}
+    seen = [name for name in columns if name.rpartition(' ')[0] in result.trained_on]
+    note = f' {", ".join(seen)} are training runs.' if seen else ''
+    return Figure(
+        f'Grinder, {result.title}: what each model leaves',
+        'Bars show the root mean square residual; the shorter, the better. Yellow: not to be '
+        f'trusted. A bar that fades across the whole panel has diverged.{note}',
+        plot_residuals(
+            columns,
+            {
+                name: np.array([scores[column].rms for column in columns])
+                for name, scores in result.scores.items()
+            },
+            {
+                name: (labels.get(name) or candidate_label(name))
+                + (MARK if name in result.problems else '')
+                for name in result.scores
+            },
+            refused=result.problems,
+        ),
+    )

@@ -3,7 +3,8 @@
 """What all plots share: matplotlib figures without pyplot and its global state.
 
 Every figure is made inside `plot_style`, which sets type sizes and colours.  The neutral colours
-are also the marks by which `fuzzycnc_ros.studies.page.svg` makes a figure follow the page's theme.
+are also the marks by which `fuzzycnc_ros.studies.page.html` makes a figure follow the page's
+theme.
 """
 
 from collections.abc import Iterator, Sequence

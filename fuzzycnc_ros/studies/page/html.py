@@ -1,15 +1,40 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pages from the templates of this package: self-contained, with their figures numbered."""
+"""Pages of sections with tables, remarks and figures, as self-contained HTML.
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+Figures are SVG text inside the page and follow its light or dark theme.
+"""
+
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
-from typing import Any
+from io import StringIO
+from typing import Any, NamedTuple
 
 from fuzzycnc_ros.core.names import visible
+from fuzzycnc_ros.studies.page.drawing import ACCENT, FAINT, GRID, INK, MUTED, plot_style
 from fuzzycnc_ros.studies.page.requirement import require
-from fuzzycnc_ros.studies.page.svg import to_inline_svg
+from fuzzycnc_ros.studies.page.table import Table
+
+_THEME = {
+    INK: '--ink',
+    MUTED: '--muted',
+    FAINT: '--faint',
+    GRID: '--grid',
+    ACCENT: '--accent',
+}
+_DECIMALS = re.compile(r'(\d\.\d\d)\d+')
+_IDENTITY = re.compile(r'(\bid="|url\(#|xlink:href="#)')
+_SIZE = re.compile(r' width="[^"]*" height="[^"]*"| height="[^"]*" width="[^"]*"')
+
+
+class Remark(NamedTuple):
+    """A sentence, and whether it warns."""
+
+    text: str
+    warning: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +47,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class NumberedFigure:
+class _NumberedFigure:
     """A figure as it stands on a page."""
 
     number: int
@@ -36,26 +61,72 @@ class NumberedFigure:
         return f'figure-{self.number}'
 
 
-def numbered(sections: Sequence[Sequence[Figure]]) -> list[list[NumberedFigure]]:
-    """Return the figures of all sections, numbered through."""
-    pages, number = [], 0
-    for members in sections:
-        figures = []
-        for figure in members:
-            number += 1
-            svg = to_inline_svg(figure.plot, f'f{number}')
-            figures.append(NumberedFigure(number, figure.title, figure.caption, svg))
-        pages.append(figures)
-    return pages
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A part of a page, in the order in which it is read.
+
+    Parameters
+    ----------
+    heading : str
+        Its heading.
+    texts : sequence of str
+        Paragraphs before the tables.
+    judged : sequence of Remark
+        What was judged and what of it calls for attention, shown behind the paragraphs.
+    tables : sequence of Table
+        Tables.
+    remarks : sequence of str
+        Remarks on the tables, such as what their marks mean.
+    figures : sequence of Figure
+        Figures.
+    """
+
+    heading: str
+    texts: Sequence[str] = ()
+    judged: Sequence[Remark] = ()
+    tables: Sequence[Table] = ()
+    remarks: Sequence[str] = ()
+    figures: Sequence[Figure] = ()
 
 
-def render_template(name: str, **values: Any) -> str:
-    """Fill a template in.
+@dataclass(frozen=True, eq=False)
+class Page:
+    """Everything on a page.
+
+    Parameters
+    ----------
+    title : str
+        Headline.
+    summary : str
+        One or two sentences under it.
+    sections : sequence of Section
+        Its parts.
+    facts : mapping of str to str
+        Provenance, shown as a table.
+    notes : sequence of str
+        What is to be known of the whole page.
+    template : str
+        Template of its body, if it has more than its sections.
+    values : mapping of str to object
+        What that shows besides.
+    """
+
+    title: str
+    summary: str
+    sections: Sequence[Section]
+    facts: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+    template: str = 'sections.html'
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+
+def render_page(page: Page) -> str:
+    """Render a page as self-contained HTML; the same page gives the same text.
 
     Raises
     ------
     ModuleNotFoundError
-        If jinja2 is not installed; the message says how to install it.
+        If matplotlib or jinja2 is not installed; the message says how to install it.
     """
     jinja2 = require('jinja2')
     environment = jinja2.Environment(
@@ -65,10 +136,68 @@ def render_template(name: str, **values: Any) -> str:
         lstrip_blocks=True,
         loader=jinja2.FunctionLoader(_source),
     )
+    sections = _with_numbers(page.sections)
+    text = environment.get_template(page.template).render(
+        title=page.title,
+        summary=page.summary,
+        sections=sections,
+        figures=[figure for section in sections for figure in section.figures],
+        facts=page.facts,
+        notes=page.notes,
+        **page.values,
+    )
     # Control characters, also in figures, would go into the page as they are.
-    return visible(environment.get_template(name).render(**values), keep='\n')
+    return visible(text, keep='\n')
 
 
 def _source(name: str) -> str:
     folder = files('fuzzycnc_ros.studies.page').joinpath('templates')
     return folder.joinpath(name).read_text(encoding='utf-8')
+
+
+def _with_numbers(sections: Sequence[Section]) -> list[Section]:
+    """Return sections with their figures drawn and numbered through."""
+    drawn, number = [], 0
+    for section in sections:
+        figures: list[Any] = []
+        for figure in section.figures:
+            number += 1
+            svg = to_inline_svg(figure.plot, f'f{number}')
+            figures.append(_NumberedFigure(number, figure.title, figure.caption, svg))
+        drawn.append(replace(section, figures=figures))
+    return drawn
+
+
+def to_inline_svg(figure: Any, name: str) -> str:
+    """Return a figure as an SVG element for an HTML page.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        Figure of this package's plots.
+    name : str
+        Name that is unique on the page; prefixes every id, since matplotlib gives the same
+        ids to every figure.
+
+    Returns
+    -------
+    str
+        SVG element without size, so that the page sets its width; neutral colours and the
+        accent are the page's CSS variables, numbers have two decimals.
+    """
+    stream = StringIO()
+    for item in figure.findobj(require('matplotlib.text').Text):
+        shown = visible(item.get_text(), keep='\n')
+        if shown != item.get_text():
+            item.set_text(shown)
+    with plot_style(), warnings.catch_warnings():
+        # The page's fonts show the text; matplotlib only measures it by its own.
+        warnings.filterwarnings('ignore', 'Glyph .* missing from font')
+        figure.savefig(stream, format='svg', metadata={'Date': None, 'Creator': None})
+    text = stream.getvalue()
+    svg = text[text.index('<svg') :]
+    head, body = svg.split('>', 1)
+    svg = _SIZE.sub('', head) + '>' + re.sub(r'<metadata>.*?</metadata>', '', body, flags=re.S)
+    for colour, variable in _THEME.items():
+        svg = svg.replace(colour, f'var({variable})')
+    return _IDENTITY.sub(rf'\g<1>{name}-', _DECIMALS.sub(r'\1', svg)).strip()

@@ -7,7 +7,7 @@ chord error, or the feed.  Method sheet 002 section 6.1.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from math import exp, log, log10, sqrt
 from types import MappingProxyType
 
@@ -25,7 +25,7 @@ from fuzzycnc_ros.core.feedrate.schedule.refinement import (
 )
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring import ContouringRun, simulate_contouring
-from fuzzycnc_ros.studies.pareto.pareto_model import MethodCurve, Pareto, ParetoPoint
+from fuzzycnc_ros.studies.page.document import shown_as
 from fuzzycnc_ros.studies.pareto.pareto_path import ParetoPath
 
 KNOBS: Mapping[str, str] = MappingProxyType(
@@ -59,6 +59,55 @@ SWEPT = 12
 
 Progress = Callable[[str, int, int], None]
 """Told what is going on, steps done and in all."""
+
+
+@dataclass(frozen=True)
+class ParetoPoint:
+    """A schedule: its largest contour error [m] and its time [s]."""
+
+    error: float = field(metadata=shown_as('error_mm', 1e3))
+    duration: float = field(metadata=shown_as('time_s'))
+
+
+@dataclass(frozen=True)
+class MethodCurve:
+    """What a method can do.
+
+    Attributes
+    ----------
+    points : tuple of ParetoPoint
+        Schedules, by increasing error.
+    at_error : mapping of float to float or None
+        Time at each compared error [s]; None where it cannot be reached.
+    reasons : mapping of float to str
+        Why it cannot.
+    """
+
+    points: tuple[ParetoPoint, ...]
+    at_error: Mapping[float, float | None]
+    reasons: Mapping[float, str]
+
+
+@dataclass(frozen=True)
+class Pareto:
+    """Time against contour error of all methods on a path.
+
+    Attributes
+    ----------
+    path : str
+        Which path.
+    errors : tuple of float
+        Errors at which the methods are compared [m].
+    methods : mapping of str to MethodCurve
+        Curves by method.
+    limits : ParetoPoint
+        Full feed everywhere: what the machine's acceleration along the path alone allows.
+    """
+
+    path: str
+    errors: tuple[float, ...]
+    methods: Mapping[str, MethodCurve]
+    limits: ParetoPoint
 
 
 class _TooSlowError(ValueError):

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time against contour error of scheduling methods: table, figure, page, document."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fuzzycnc_ros.studies.page.drawing import (
     ACCENT,
@@ -15,10 +17,11 @@ from fuzzycnc_ros.studies.page.drawing import (
     new_figure,
     plot_style,
 )
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.pareto.pareto_model import Pareto
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.studies.pareto.pareto import Pareto
 
 DEFAULT, PUBLISHED, REFINED = 'log_fuzzy', 'fuzzy', 'refined'
 """The default method, the published one, and the practical bound."""
@@ -124,13 +127,7 @@ def pareto_document(pareto: Pareto) -> dict[str, Any]:
         -> method -> time [s], None where the error cannot be reached.
     """
     return {
-        'methods': {
-            name: [
-                {'error_mm': 1e3 * point.error, 'time_s': point.duration}
-                for point in method.points
-            ]
-            for name, method in pareto.methods.items()
-        },
+        'methods': {name: method.points for name, method in pareto.methods.items()},
         'equal_error': {
             millimetres(error): {
                 name: method.at_error[error] for name, method in pareto.methods.items()

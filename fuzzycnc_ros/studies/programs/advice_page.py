@@ -5,44 +5,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
+from fuzzycnc_ros.studies.page.document import shown_as
 from fuzzycnc_ros.studies.page.drawing import ACCENT, INK, MUTED, new_figure, plot_style
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.remark import Remark
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.html import Figure, Page, Remark, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 
+if TYPE_CHECKING:
+    from fuzzycnc_ros.studies.programs.program_judge import Judged
+
 MICRO, MILLI = 1e6, 1e3
-
-
-class Figures(Protocol):
-    """What a program does on a controller (SI)."""
-
-    @property
-    def duration(self) -> float:
-        """Time [s]."""
-
-    @property
-    def error(self) -> float:
-        """Largest contour error [m]."""
-
-    @property
-    def rms(self) -> float:
-        """Its root of the mean square [m]."""
-
-    @property
-    def corner_error(self) -> float:
-        """Largest one at corners [m]."""
-
-    @property
-    def smooth_error(self) -> float:
-        """Largest one elsewhere [m]."""
-
-    def document(self) -> dict[str, float]:
-        """Return all figures."""
 
 
 @dataclass(frozen=True)
@@ -57,20 +32,20 @@ class AdviceRow:
         Of X, Y and Z [m/s^2].
     mode : str
         Path mode in words of a program.
-    simulated : Figures
+    simulated : Judged
         On the simulated controller.
-    measured : Figures or None
+    measured : Judged or None
         On LinuxCNC, where it ran.
     """
 
     name: str
     acceleration: tuple[float, float, float]
     mode: str
-    simulated: Figures
-    measured: Figures | None = None
+    simulated: Judged
+    measured: Judged | None = field(default=None, metadata=shown_as('linuxcnc'))
 
     @property
-    def judged(self) -> Figures:
+    def judged(self) -> Judged:
         """What counts: LinuxCNC where it ran, else the simulated controller."""
         return self.measured or self.simulated
 
@@ -154,7 +129,7 @@ def _rise(acceleration: tuple[float, float, float]) -> str:
     return '/'.join(dict.fromkeys(f'{MILLI * value:.0f}' for value in acceleration))
 
 
-def _triple(one: Figures | None) -> list[str]:
+def _triple(one: Judged | None) -> list[str]:
     if one is None:
         return ['-', '-', '-']
     return [f'{one.duration:.2f}', _micro(one.error), _micro(one.rms)]
@@ -184,16 +159,7 @@ def advice_document(figures: AdviceFigures) -> dict[str, Any]:
         'kept': figures.kept,
         'best': figures.best,
         'ini': settings_lines(figures),
-        'remedies': [
-            {
-                'name': row.name,
-                'acceleration': list(row.acceleration),
-                'mode': row.mode,
-                'simulated': row.simulated.document(),
-                'linuxcnc': None if row.measured is None else row.measured.document(),
-            }
-            for row in figures.rows
-        ],
+        'remedies': figures.rows,
     }
 
 

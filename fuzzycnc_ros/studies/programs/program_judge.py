@@ -74,10 +74,6 @@ class Judged:
     deviation: float
     line: int
 
-    def document(self) -> dict[str, float]:
-        """Return all figures by name (SI)."""
-        return dict(self.__dict__)
-
 
 @dataclass(frozen=True, eq=False)
 class LocalErrors:

@@ -1,18 +1,23 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a scheduled program."""
+"""A scheduled part program: table, remarks, document, plots and page."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Note
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.remark import Remark
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.drawing import ACCENT, MUTED, add_legend, new_figure, plot_style
+from fuzzycnc_ros.studies.page.html import Figure, Page, Remark, Section
+from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.pareto.pareto_page import LABELS
+from fuzzycnc_ros.studies.pareto.pareto_page import LABELS, millimetres
 from fuzzycnc_ros.studies.programs.program_drive import (
     AFTER_STOP,
     DURATION_MAX,
@@ -21,9 +26,221 @@ from fuzzycnc_ros.studies.programs.program_drive import (
     PROGRAMMED,
     MethodDrive,
 )
-from fuzzycnc_ros.studies.programs.schedule_plots import plot_motion, plot_path
-from fuzzycnc_ros.studies.programs.schedule_tables import ScheduleFigures, schedule_table, speed
 from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.feedrate.gcode.blocks import Note
+    from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+    from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramSettings, ProgramTimes
+    from fuzzycnc_ros.studies.programs.program_drive import Drive
+    from fuzzycnc_ros.studies.programs.program_judge import Judged
+    from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
+
+MINUTE = 60.0
+
+
+@dataclass(frozen=True, eq=False)
+class ScheduleFigures:
+    """What became of a part program.
+
+    Parameters
+    ----------
+    program : str
+        Its name.
+    method : str
+        Name of the method.
+    tolerance : float
+        Largest contour error wanted [m].
+    settings : ProgramSettings
+        How it was scheduled.
+    times : ProgramTimes
+        What it takes.
+    notes : sequence of Note
+        What was passed through.
+    added, changed : int
+        Feed words that were added, and that were there and changed.
+    driven_before, driven : Judged or None
+        The first lines on the simulated controller, as they were and as they are; None where
+        they were not driven.
+    stretch : str
+        Which lines these are.
+    """
+
+    program: str
+    method: str
+    tolerance: float
+    settings: ProgramSettings
+    times: ProgramTimes
+    notes: Sequence[Note]
+    added: int
+    changed: int
+    driven_before: Judged | None = None
+    driven: Judged | None = None
+    stretch: str = 'the whole program'
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether the program came out as it went in."""
+        return self.added + self.changed == 0
+
+    @property
+    def kept(self) -> bool:
+        """Whether what was driven keeps the tolerance."""
+        return self.driven is None or self.driven.error <= self.tolerance
+
+    @property
+    def verdict(self) -> str:
+        """That the tolerance is not kept, where, and what helps."""
+        if self.driven is None or self.kept:
+            return ''
+        place = 'corners' if self.driven.corner_error >= self.driven.error else 'bends'
+        return (
+            f'tolerance not kept: {1e3 * self.driven.error:.4f} mm at {place}, line '
+            f'{self.driven.line:,}, of {self.stretch} on the simulated controller; feeds alone do '
+            'not do it here, see fuzzycnc advise'
+        )
+
+    @property
+    def fixed(self) -> float:
+        """Time that no feed changes: rapids, waits, blocks that keep their feed [s]."""
+        return self.times.rapid + self.times.dwell + self.times.kept
+
+    def remarks(self) -> list[str]:
+        """Return what a reader of the table has to know, line by line."""
+        times, settings = self.times, self.settings
+        lines = [
+            f'{times.blocks:,} blocks, the feeds of {times.chosen:,} chosen on '
+            f'{times.length:,.3f} m; feed words: {self.added:,} added, {self.changed:,} changed',
+            f'of both times: rapids {times.rapid:.1f} s, waits {times.dwell:.1f} s, blocks that '
+            f'keep their feed {times.kept:.1f} s',
+        ]
+        if times.curves:
+            lines.append(
+                f'{times.curves:,} NURBS blocks: each runs with the one feed that its sharpest '
+                'bend allows; cut into several blocks it would be faster'
+            )
+        if times.untimed:
+            lines.append(
+                f'left out of both: {times.untimed:,} motions whose time the program does not tell'
+            )
+        if times.stops:
+            where = 'corners within a run' if settings.blend == 0.0 else 'what cannot be blended'
+            lines.append(
+                f'exact stops: {times.stops:,}, at the ends of runs and at {where}; what they '
+                'leave as error depends on acceleration and rest, not on the feed'
+            )
+        lines.append(f'limits: {_limits(settings.limits)}')
+        lines.append(
+            'bound: machine constant times the largest acceleration across the path that the feed '
+            'words ask for; driven: on the simulated controller with look-ahead, '
+            f'{self.stretch}'
+        )
+        if self.unchanged:
+            lines.append('unchanged: no feed word was added or changed')
+        return lines
+
+
+def _limits(limits: MotionLimits) -> str:
+    """Return velocities, accelerations and jerks of the path and the axes."""
+    found = []
+    for label, row in zip(('path', *'XYZ'), limits.table(3).T, strict=True):
+        texts = [speed(row[0])] if isfinite(row[0]) else []
+        texts += [
+            f'{value:g} {unit}'
+            for value, unit in zip(row[1:], ('m/s²', 'm/s³'), strict=True)
+            if isfinite(value)
+        ]
+        found.append(f'{label} {", ".join(texts)}')
+    if len({one.split(' ', 1)[1] for one in found[1:]}) == 1:
+        found[1:] = ['each axis ' + found[1].split(' ', 1)[1]]
+    return '; '.join(found)
+
+
+def speed(value: float) -> str:
+    """Return a feed [m/s] as programs give it."""
+    return f'{1e3 * MINUTE * value:,.0f} mm/min'
+
+
+def schedule_table(figures: ScheduleFigures) -> Table:
+    """Return the times with the feeds of the program and with those chosen."""
+    times, settings = figures.times, figures.settings
+    columns = (
+        Column('Feeds', numeric=False),
+        Column('time [s]'),
+        Column('change'),
+        Column('mean feed [mm/min]'),
+        Column('bound', 'contour error [mm]'),
+        Column('driven', 'contour error [mm]'),
+    )
+    rows: list[tuple[str, ...]] = []
+    now = times.duration, times.error, figures.driven
+    before = times.programmed, times.programmed_error, figures.driven_before
+    if figures.unchanged:  # a feed that its word rounds is that word's
+        now = before
+    for name, (duration, error, driven) in (
+        ('as programmed', before),
+        (LABELS.get(figures.method, figures.method), now),
+    ):
+        cutting = duration - figures.fixed
+        mean = 1e3 * MINUTE * times.length / cutting if cutting > 0.0 else 0.0
+        change = duration / times.programmed - 1.0 if times.programmed else 0.0
+        rows.append(
+            (
+                name,
+                f'{duration:,.1f}',
+                f'{100.0 * change:+.1f} %' if rows else '',
+                f'{mean:,.0f}',
+                f'{1e3 * error:.4f}',
+                '-' if driven is None else f'{1e3 * driven.error:.4f}',
+            )
+        )
+    bound = "the program's feeds"
+    if settings.feed is not None:
+        bound = speed(settings.feed)
+    title = (
+        f'{figures.program}: tolerance {millimetres(figures.tolerance)} mm, corners '
+        f'{_corners(settings.blend)}, at most {bound}'
+    )
+    if settings.override != 1.0:
+        title += f', override {100.0 * settings.override:g} %'
+    warning = frozenset() if figures.kept else frozenset({(1, len(columns) - 1)})
+    return Table(title, columns, tuple(rows), warning=warning)
+
+
+def schedule_document(figures: ScheduleFigures) -> dict[str, Any]:
+    """Return all figures.
+
+    Returns
+    -------
+    dict
+        `program`, `method`, `settings` (SI), `times` as in `ProgramTimes` (SI), `driven` (SI),
+        `driven_stretch`, `tolerance_kept`, `feed_words` and `notes`.
+    """
+    settings = figures.settings
+    return {
+        'program': figures.program,
+        'method': figures.method,
+        'settings': {
+            'tolerance': figures.tolerance,
+            'blend': settings.blend,
+            'feed': settings.feed,
+            'override': settings.override,
+            'feed_step': settings.feed_step,
+            'settle': settings.settle,
+            'machine_constant': settings.machine_constant,
+            'limits': settings.limits,
+        },
+        'times': figures.times.document(),
+        'driven': {'programmed': figures.driven_before, 'scheduled': figures.driven},
+        'driven_stretch': figures.stretch,
+        'tolerance_kept': figures.kept,
+        'feed_words': {'added': figures.added, 'changed': figures.changed},
+        'notes': figures.notes,
+    }
+
+
+def _corners(blend: float) -> str:
+    return f'rounded by up to {millimetres(blend)} mm' if blend else 'stopped at'
 
 
 def methods_table(found: Mapping[str, MethodDrive], method: str, tolerance: float) -> Table:
@@ -168,3 +385,88 @@ def _notes_section(notes: Sequence[Note]) -> Section:
 
 def _millimetres(error: float) -> str:
     return f'{1e3 * error:.4f}' if isfinite(error) else '-'
+
+
+FLAT = 0.02
+"""Extent of an axis, as a share of the largest one, below which a path counts as flat."""
+
+COLUMNS = 1500
+"""Columns into which a curve over time is gathered."""
+
+_AXES = 'XYZ'
+
+
+def plot_path(trace: PathTrace) -> Any:
+    """Plot a path coloured by feed: in its plane, or from above and from the side."""
+    ends, feed = trace.edges
+    extent = np.ptp(ends.reshape(-1, 3), axis=0)
+    flat = extent < FLAT * extent.max()
+    if flat.any():
+        level = int(np.argmin(extent))
+        views = [tuple(axis for axis in range(3) if axis != level)]
+    else:
+        views = [(0, 1), (0, 2)]
+    with plot_style():
+        figure = new_figure(6.0 if len(views) == 1 else 5.0)
+        panels = list(figure.subplots(1, len(views), squeeze=False).flat)
+        colours = require('matplotlib.colors').Normalize(
+            0.0, max(1e3 * MINUTE * float(feed.max()), 1e-9)
+        )
+        for axes, view in zip(panels, views, strict=True):
+            lines = require('matplotlib.collections').LineCollection(
+                1e3 * ends[:, :, view], norm=colours, cmap='turbo', linewidths=1.3
+            )
+            lines.set_array(1e3 * MINUTE * feed)
+            axes.add_collection(lines)
+            axes.set_aspect('equal', adjustable='datalim')
+            axes.autoscale_view()
+            axes.set_xlabel(f'{_AXES[view[0]]} [mm]')
+            axes.set_ylabel(f'{_AXES[view[1]]} [mm]')
+        figure.colorbar(lines, ax=panels, label='feed [mm/min]', shrink=0.8, pad=0.02)
+        return figure
+
+
+def plot_motion(chosen: Drive, programmed: Drive | None, names: tuple[str, str]) -> Any:
+    """Plot feed, acceleration and jerk along the path over time, with those as programmed."""
+    quantities = (
+        ('feed\n[mm/min]', 'speed', 1e3 * MINUTE),
+        ('acceleration\n[m/s²]', 'acceleration', 1.0),
+        ('jerk\n[m/s³]', 'jerk', 1.0),
+    )
+    drives = [(programmed, MUTED, names[1])] if programmed is not None else []
+    drives.append((chosen, ACCENT, names[0]))
+    with plot_style():
+        figure = new_figure(5.4)
+        panels = list(figure.subplots(3, 1, sharex=True, height_ratios=(2, 1, 1)).flat)
+        handles = []
+        for drive, colour, _ in drives:
+            for axes, (_, name, unit) in zip(panels, quantities, strict=True):
+                time, low, high = envelope(drive.time, unit * getattr(drive, name))
+                if low is high:
+                    (line,) = axes.plot(time, low, color=colour, linewidth=1.0)
+                else:
+                    line = axes.fill_between(
+                        time, low, high, color=colour, linewidth=0.6, alpha=0.75
+                    )
+            handles.append(line)
+        for axes, (label, *_) in zip(panels, quantities, strict=True):
+            axes.set_ylabel(label)
+        panels[0].set_ylim(bottom=0.0)
+        panels[-1].set_xlabel('time [s]')
+        figure.align_ylabels(panels)
+        add_legend(figure, handles, [name for *_, name in drives])
+        return figure
+
+
+def envelope(
+    time: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return times with the least and the largest value about each; the same where few."""
+    if len(time) <= 2 * COLUMNS:
+        return time, values, values
+    first = np.linspace(0, len(time), COLUMNS, endpoint=False).astype(int)
+    return (
+        time[first],
+        np.minimum.reduceat(values, first),
+        np.maximum.reduceat(values, first),
+    )

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from fuzzycnc_ros.studies.page.remark import Remark
+from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.page.table import Column, Table
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def axis_tuning_document(found: AxisTuning) -> dict[str, Any]:
     return {
         'winner': found.winner.name,
         'best': found.best.name,
-        'cases': [asdict(case) for case in found.held_out],
+        'cases': found.held_out,
         'controllers': [
             asdict(one) | {'against_best': one.against(found.best)} for one in found.controllers
         ],

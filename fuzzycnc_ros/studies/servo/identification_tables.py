@@ -9,7 +9,7 @@ from dataclasses import asdict
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-from fuzzycnc_ros.studies.page.remark import Remark
+from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.page.table import Column, Table
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def axis_fit_document(
     """Return all figures in SI."""
     return {
         'structure': fit.structure,
-        'parameters': [asdict(one) for one in fit.parameters],
+        'parameters': fit.parameters,
         'rms': fit.rms,
         'held_out_rms': fit.held_out_rms,
         'structures': fit.trials,

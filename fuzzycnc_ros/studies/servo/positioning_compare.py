@@ -5,18 +5,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.servo.positioning_model import DEFAULT, LABELS
-from fuzzycnc_ros.studies.servo.positioning_page import microns, seconds
+from fuzzycnc_ros.studies.servo.positioning_page import DEFAULT, LABELS, microns, seconds
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.studies.servo.positioning_model import RandomFigures, ServoComparison
+    from fuzzycnc_ros.studies.servo.servo_cases import RandomFigures, ServoComparison
 
 SELECTING = '-50'
 """Case that a controller has to settle in to be drawn."""
@@ -116,11 +113,11 @@ def comparison_document(comparison: ServoComparison) -> dict[str, Any]:
         'random_moves': comparison.moves,
         'controllers': {
             name: {
-                'steps': {case: asdict(move) for case, move in found.steps.items()},
+                'steps': found.steps,
                 'load': {'dip': found.dip, 'recovery': found.recovery},
                 'sine': {'max': found.sine[0], 'rms': found.sine[1]},
                 'circle': {'max': found.circle[0], 'rms': found.circle[1]},
-                'random': {kind: asdict(some) for kind, some in found.random.items()},
+                'random': found.random,
             }
             for name, found in comparison.figures.items()
         },
@@ -134,7 +131,7 @@ def comparison_page(
     facts: Mapping[str, str],
 ) -> Page:
     """Return the page of a comparison."""
-    from fuzzycnc_ros.studies.servo.positioning_plots import plot_cases
+    from fuzzycnc_ros.studies.servo.positioning_page import plot_cases
 
     drawn = {
         name: found.runs

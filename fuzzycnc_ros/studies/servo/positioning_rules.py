@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Learnt rules and the stability of a position loop, as tables."""
+"""Learnt rules and the stability of a position loop, as tables; at what gains it swings."""
 
 from __future__ import annotations
 
@@ -9,8 +9,18 @@ from dataclasses import asdict
 from math import isfinite, pi
 from typing import TYPE_CHECKING, Any
 
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.core.servo.stability import spectral_radii
+from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
+from fuzzycnc_ros.simulation.servo.positioning import position_many
+from fuzzycnc_ros.simulation.servo.tuning import (
+    GAIN_SPREAD,
+    move_costs,
+    production,
+    swing_cost,
+    tuning_moves,
+)
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.servo.positioning_page import microns
 
@@ -90,11 +100,6 @@ def stability_table(report: StabilityReport, title: str) -> Table:
     return Table(title, (Column('Quantity', numeric=False), Column('value')), tuple(rows))
 
 
-def stability_document(report: StabilityReport) -> dict[str, Any]:
-    """Return all figures in SI, angles in rad."""
-    return asdict(report)
-
-
 def stability_page(
     report: StabilityReport,
     course: Mapping[float, float],
@@ -102,7 +107,7 @@ def stability_page(
     facts: Mapping[str, str],
 ) -> Page:
     """Return the page of a loop; `course` is its spectral radius over many gains."""
-    from fuzzycnc_ros.studies.servo.positioning_plots import plot_radius
+    from fuzzycnc_ros.studies.servo.positioning_page import plot_radius
 
     figure = Figure(
         'Spectral radius over the gain of the axis',
@@ -117,3 +122,20 @@ def stability_page(
         sections=[Section('Margins', tables=[table]), Section('Gain', figures=[figure])],
         facts=facts,
     )
+
+
+def swinging(controller: VariableUniverseController) -> list[str]:
+    """Return at what gains of half to one and a half times nominal a loop swings."""
+    return [
+        f"note: at x{gain:g} of the axis' gain the loop swings, spectral radius {size:.5f}; "
+        'friction may hide it in a move'
+        for gain, size in spectral_radii(controller, GAIN_SPREAD).items()
+        if size >= 1.0
+    ]
+
+
+def default_cost() -> float:
+    """Return what the default settings cost on the moves of the search."""
+    moves, axis = tuning_moves(), LatheAxis().linear()
+    batch = position_many([production(axis, {}) for _ in moves], moves, 1.5)
+    return float(move_costs(batch).sum()) + swing_cost(production(axis, {}), 1.5)

@@ -13,8 +13,7 @@ from fuzzycnc_ros.core.thermal.fingerprint import recognised_in
 from fuzzycnc_ros.core.thermal.fit import sensor_count_curve
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.run import ThermalRun
-from fuzzycnc_ros.studies.page.remark import Remark
-from fuzzycnc_ros.studies.page.sections import Section
+from fuzzycnc_ros.studies.page.html import Remark, Section
 from fuzzycnc_ros.studies.thermal.comparison import by_channel
 from fuzzycnc_ros.studies.thermal.judged import DEFAULT, loss_remarks, span_text, training_remark
 from fuzzycnc_ros.studies.thermal.report_data import (

@@ -15,9 +15,9 @@ from fuzzycnc_ros.components.machine.simulated_machine_config import WHOLE_SHIFT
 from fuzzycnc_ros.components.motion.tool_paths import tool_path_segments
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.runtime.records import Record, ToolPath
-from fuzzycnc_ros.studies.contour.contouring_log import ContouringLog, FollowedPath
+from fuzzycnc_ros.studies.contour.contouring import ContouringLog, FollowedPath
 from fuzzycnc_ros.studies.record_log import RecordLog
-from fuzzycnc_ros.studies.servo.positioning_log import PositioningLog, PositioningMove
+from fuzzycnc_ros.studies.servo.positioning import PositioningLog, PositioningMove
 from fuzzycnc_ros.studies.shift.shift_log import ShiftLog, compensation_runs
 from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
 

@@ -4,12 +4,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fuzzycnc_ros.studies.contour.contouring_page import Followed, plot_error_path, plot_speed
+from fuzzycnc_ros.studies.contour.contouring_page import plot_error_path, plot_speed
 from fuzzycnc_ros.studies.page.drawing import (
     ACCENT,
     FAINT,
@@ -21,72 +21,23 @@ from fuzzycnc_ros.studies.page.drawing import (
     new_figure,
     plot_style,
 )
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.soft.foam_plots import plot_tracks
-from fuzzycnc_ros.studies.soft.pattern_page import AFTER, BEFORE, Stitched, pattern_table
-from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
+from fuzzycnc_ros.studies.soft.foam_page import plot_tracks
+from fuzzycnc_ros.studies.soft.pattern_page import AFTER, BEFORE, pattern_table
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.studies.contour.contouring import FollowedPath
+    from fuzzycnc_ros.studies.shift.whole_shift_log import WholeShift
+    from fuzzycnc_ros.studies.soft.pattern import StitchedPattern
 
 
-class JobOfShift(Protocol):
-    """A job of a shift, such as `scenario.whole_shift_log.JobError`; lengths in m."""
-
-    @property
-    def name(self) -> str:
-        """Name of the path, or targets of the move."""
-
-    @property
-    def start(self) -> float:
-        """Time since the beginning of the shift [s]."""
-
-    @property
-    def duration(self) -> float:
-        """Time of the path, or until the move is within 2 um for good [s]."""
-
-    @property
-    def left(self) -> float:
-        """Thermal error while it was done, less the offsets in force."""
-
-    @property
-    def contour(self) -> float:
-        """Largest contour error; NaN for a move."""
-
-    @property
-    def positioning(self) -> float:
-        """Distance from the target at the end; NaN for a path."""
-
-    @property
-    def own(self) -> float:
-        """Error that comes from the axes."""
-
-    @property
-    def error(self) -> float:
-        """Largest error of the part."""
-
-
-class Shift(Protocol):
-    """A whole shift, such as `scenario.whole_shift_log.WholeShift`."""
-
-    @property
-    def thermal(self) -> CompensationRun:
-        """Temperatures, thermal errors and offsets."""
-
-    @property
-    def paths(self) -> Sequence[Followed]:
-        """Paths in their order."""
-
-    @property
-    def jobs(self) -> Sequence[JobOfShift]:
-        """Jobs in their order."""
-
-
-def job_table(before: Shift, after: Shift) -> Table:
+def job_table(before: WholeShift, after: WholeShift) -> Table:
     """Return the error of every job before and after, and where the rest comes from.
 
     Parameters
     ----------
-    before, after : Shift
+    before, after : WholeShift
         The same jobs without compensation at the programmed feed, and with everything on.
     """
     columns = (
@@ -124,16 +75,16 @@ def job_table(before: Shift, after: Shift) -> Table:
 
 
 def shift_page(
-    before: Shift,
-    after: Shift,
-    patterns: Mapping[str, Stitched],
+    before: WholeShift,
+    after: WholeShift,
+    patterns: Mapping[str, StitchedPattern],
     facts: Mapping[str, str],
 ) -> Page:
     """Return the page on a whole shift.
 
     Parameters
     ----------
-    before, after : Shift
+    before, after : WholeShift
         As for `job_table`.
     patterns : mapping
         The track of the second machine, as for `pattern_table`.
@@ -205,7 +156,7 @@ def shift_page(
     )
 
 
-def plot_sources(before: Shift, after: Shift) -> object:
+def plot_sources(before: WholeShift, after: WholeShift) -> object:
     """Plot the error of each job as stacked bars by source, before and after."""
     with plot_style():
         figure = new_figure(3.6)
@@ -232,7 +183,7 @@ def plot_sources(before: Shift, after: Shift) -> object:
         return figure
 
 
-def plot_shift(shift: Shift) -> object:
+def plot_shift(shift: WholeShift) -> object:
     """Plot thermal error, what is left of it, and the jobs over the shift."""
     run = shift.thermal
     measured, left = np.abs(run.measured), np.abs(run.residual())
@@ -266,7 +217,7 @@ def plot_shift(shift: Shift) -> object:
         return figure
 
 
-def _path_figures(path: Followed) -> Iterator[Figure]:
+def _path_figures(path: FollowedPath) -> Iterator[Figure]:
     yield Figure(
         f'{path.name}: where the error is',
         'The path of the tool, rapids included, coloured by its contour error.',

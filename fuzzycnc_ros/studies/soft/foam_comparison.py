@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -23,17 +23,26 @@ from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack, TrackQuality
-from fuzzycnc_ros.studies.soft.foam_model import (
-    NONE,
-    NTS,
-    PUBLISHED,
-    STS,
-    FoamComparison,
-    MethodFigures,
-    TrackFigures,
-)
+from fuzzycnc_ros.studies.page.document import INLINE
 
 Tell = Callable[[str, int, int], None]
+
+NONE, STS, NTS, PUBLISHED = 'none', 'sts', 'nts', 'published'
+
+METHODS = {
+    NONE: 'no compensation',
+    STS: 'linear rules (STS)',
+    NTS: 'hidden layer (NTS, default)',
+    PUBLISHED: 'as published: 4 inputs, ramp',
+}
+"""Ways to compensate by name, as tables and plots call them."""
+
+PUBLISHED_MEANS = {
+    NONE: (5.09, 0.44, 2.86),
+    STS: (4.06, 0.34, 5.66),
+    PUBLISHED: (2.42, 0.25, 3.05),
+}
+"""Published averages: angle error [deg], straightness [mm], time of a primitive [s]."""
 
 RUNS = 11
 """Runs of a track under each method, as published."""
@@ -56,6 +65,74 @@ _NETWORKS = {
     PUBLISHED: lambda: TSFuzzyNetwork(features='paper', width_floor=0.5),
 }
 _RAMP = CompensationConfig(accumulate='ramp', rate_max=0.5, offset_max=0.1)  # nothing limited
+
+
+@dataclass(frozen=True, eq=False)
+class MethodFigures:
+    """What one way to compensate does on one track.
+
+    Attributes
+    ----------
+    mean : TrackQuality
+        Mean of the runs, SI.
+    angle_spread : float
+        Standard deviation of the angle error over the runs [rad].
+    refused, limited : int
+        Steps that the model was not asked for, and that a limit was at work on.
+    commanded, stitched : ndarray, shape (n + 1, 2)
+        Commanded points, and the stitches of the first run [m].
+    """
+
+    mean: TrackQuality = field(metadata=INLINE)
+    angle_spread: float
+    refused: int
+    limited: int
+    commanded: Array
+    stitched: Array
+
+
+@dataclass(frozen=True, eq=False)
+class TrackFigures:
+    """One track under all methods, and learnt.
+
+    Attributes
+    ----------
+    name : str
+        What it is called.
+    angle, thickness, depth : float
+        Angle of the parallelogram [rad], thickness of the sheet and feed depth [m].
+    nominal : ndarray, shape (n + 1, 2)
+        Nominal points [m].
+    methods : mapping of str to MethodFigures
+        By name as in `METHODS`.
+    learning : mapping of str to sequence of TrackQuality
+        Means over the runs before each cycle and after the last one, by what it began with.
+    """
+
+    name: str
+    angle: float
+    thickness: float
+    depth: float
+    nominal: Array
+    methods: Mapping[str, MethodFigures]
+    learning: Mapping[str, Sequence[TrackQuality]]
+
+
+@dataclass(frozen=True, eq=False)
+class FoamComparison:
+    """All tracks.
+
+    Attributes
+    ----------
+    seed, runs : int
+        Seed of samples and runs, and runs of each track and method.
+    tracks : sequence of TrackFigures
+        The tracks.
+    """
+
+    seed: int
+    runs: int
+    tracks: Sequence[TrackFigures]
 
 
 @dataclass(frozen=True)
@@ -176,7 +253,7 @@ def compare_foam(
                 learning={name: _learning(case, paths[name], seeds) for name in (NONE, NTS)},
             )
         )
-    return FoamComparison(found, seed, runs)
+    return FoamComparison(seed, runs, found)
 
 
 def _figures(case: TrackCase, path: CompensatedPath, seeds: Sequence[int]) -> MethodFigures:

@@ -4,22 +4,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.drawing import (
+    ACCENT,
+    CLUSTER_COLOURS,
+    FAINT,
+    MUTED,
+    SECOND,
+    add_legend,
+    new_figure,
+    panel_grid,
+    plot_style,
+)
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.soft.foam_model import METHODS, NONE, NTS, PUBLISHED_MEANS
+from fuzzycnc_ros.studies.soft.foam_comparison import METHODS, NONE, NTS, PUBLISHED_MEANS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from fuzzycnc_ros.core.arrays import Array
     from fuzzycnc_ros.simulation.soft.foam_tracks import TrackQuality
-    from fuzzycnc_ros.studies.soft.foam_model import FoamComparison, FoamTraining, TrackFigures
+    from fuzzycnc_ros.studies.soft.foam_comparison import FoamComparison, TrackFigures
+    from fuzzycnc_ros.studies.soft.foam_training import FoamTraining
 
 _STARTS = {NONE: 'from nothing', NTS: 'from the model (NTS)'}
 
@@ -130,43 +141,8 @@ def comparison_remarks(found: FoamComparison) -> list[str]:
     return lines
 
 
-def comparison_document(found: FoamComparison) -> dict[str, Any]:
-    """Return all figures in SI, angles in rad, with the points of the first runs."""
-    return {
-        'seed': found.seed,
-        'runs': found.runs,
-        'tracks': [
-            {
-                'name': track.name,
-                'angle': track.angle,
-                'thickness': track.thickness,
-                'depth': track.depth,
-                'nominal': track.nominal,
-                'methods': {
-                    name: _quality(figures.mean)
-                    | {
-                        'angle_spread': figures.angle_spread,
-                        'refused': figures.refused,
-                        'limited': figures.limited,
-                        'commanded': figures.commanded,
-                        'stitched': figures.stitched,
-                    }
-                    for name, figures in track.methods.items()
-                },
-                'learning': {
-                    name: [_quality(quality) for quality in course]
-                    for name, course in track.learning.items()
-                },
-            }
-            for track in found.tracks
-        ],
-    }
-
-
 def comparison_page(found: FoamComparison, facts: Mapping[str, str]) -> Page:
     """Return the page of a comparison."""
-    from fuzzycnc_ros.studies.soft import foam_plots as plots
-
     shown = {track.name: track for track in found.tracks}
     sections = [
         Section(
@@ -179,7 +155,7 @@ def comparison_page(found: FoamComparison, facts: Mapping[str, str]) -> Page:
                     'The first run of each track without compensation, and with the default one. '
                     'The relaxed sheet shows what was dragged along: sides lean, and the figure '
                     'does not close.',
-                    plots.plot_tracks(
+                    plot_tracks(
                         {
                             name: (
                                 track.nominal,
@@ -195,7 +171,7 @@ def comparison_page(found: FoamComparison, facts: Mapping[str, str]) -> Page:
                     'First runs. Offsets that pile up along the track as published straighten '
                     'the angles and carry the figure away; offsets that fade, as the drift does, '
                     'keep it in its place.',
-                    plots.plot_deviation(
+                    plot_deviation(
                         {name: _way(track) for name, track in shown.items()},
                         {name: _deviations(track) for name, track in shown.items()},
                     ),
@@ -217,7 +193,7 @@ def comparison_page(found: FoamComparison, facts: Mapping[str, str]) -> Page:
                     'Angle error over the cycles',
                     'Each cycle takes 70\u00a0% of the deviations of one recorded run into the '
                     'offsets.',
-                    plots.plot_learning(
+                    plot_learning(
                         {
                             title: {name: t.learning[start] for name, t in shown.items()}
                             for start, title in _STARTS.items()
@@ -286,7 +262,7 @@ def training_document(found: FoamTraining) -> dict[str, Any]:
     return {
         'folds': found.folds,
         'groups': found.groups,
-        'coverage': [asdict(item) for item in found.coverage],
+        'coverage': found.coverage,
         'errors': {
             item.name: {
                 'rms': per_feed * item.rms,
@@ -299,8 +275,6 @@ def training_document(found: FoamTraining) -> dict[str, Any]:
 
 def training_page(found: FoamTraining, lines: Sequence[str], facts: Mapping[str, str]) -> Page:
     """Return the page of a training."""
-    from fuzzycnc_ros.studies.soft.foam_plots import plot_predictions
-
     used = found.errors[0]
     return Page(
         title='Model of feed compensation',
@@ -324,10 +298,6 @@ def training_page(found: FoamTraining, lines: Sequence[str], facts: Mapping[str,
     )
 
 
-def _quality(quality: TrackQuality) -> dict[str, float]:
-    return quality._asdict()
-
-
 def _way(track: TrackFigures) -> Any:
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(track.nominal, axis=0).T)))
 
@@ -341,3 +311,101 @@ def _deviations(track: TrackFigures) -> dict[str, Any]:
 
 def _range(low: float, high: float) -> str:
     return f'{low:.3g}' if low == high else f'{low:.3g} to {high:.3g}'
+
+
+def plot_tracks(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Any:
+    """Plot tracks as they are meant, and stitched before and after compensation.
+
+    Parameters
+    ----------
+    tracks : mapping
+        Nominal points, stitches without and with compensation, each of shape (n + 1, 2) [m], by
+        the title of the panel.
+    """
+    with plot_style():
+        figure, panels = panel_grid(len(tracks), columns=min(2, len(tracks)), height=2.9)
+        handles: list[Any] = []
+        for axes, (title, (nominal, before, after)) in zip(panels, tracks.items(), strict=True):
+            handles = [
+                axes.plot(*(1e3 * nominal.T), color=MUTED, linewidth=0.9)[0],
+                axes.plot(*(1e3 * before.T), 'o', color=SECOND, markersize=1.8)[0],
+                axes.plot(*(1e3 * after.T), 'o', color=ACCENT, markersize=1.8)[0],
+            ]
+            axes.set_aspect('equal', adjustable='datalim')
+            axes.set_title(title)
+            axes.set_xlabel('X [mm]')
+        for axes in panels[::2]:
+            axes.set_ylabel('Y [mm]')
+        add_legend(figure, handles, ['nominal', 'stitched before', 'stitched after'])
+        return figure
+
+
+def plot_deviation(way: Mapping[str, Array], deviation: Mapping[str, Mapping[str, Array]]) -> Any:
+    """Plot how far stitches lie from their places along the track.
+
+    Parameters
+    ----------
+    way : mapping
+        Way along the nominal track [m], by the title of the panel.
+    deviation : mapping
+        Distances [m] by title and method.
+    """
+    with plot_style():
+        figure, panels = panel_grid(len(way), columns=min(2, len(way)), height=2.3)
+        handles: dict[str, Any] = {}
+        for axes, (title, place) in zip(panels, way.items(), strict=True):
+            for number, (name, distance) in enumerate(deviation[title].items()):
+                (handles[name],) = axes.plot(
+                    1e3 * place, 1e3 * distance, color=CLUSTER_COLOURS[number], linewidth=1.2
+                )
+            axes.set_ylim(bottom=0.0)
+            axes.set_title(title)
+            axes.set_xlabel('way along the track [mm]')
+        for axes in panels[::2]:
+            axes.set_ylabel('distance from\nits place [mm]')
+        add_legend(figure, list(handles.values()), list(handles))
+        return figure
+
+
+def plot_learning(courses: Mapping[str, Mapping[str, Sequence[TrackQuality]]]) -> Any:
+    """Plot the angle error over the cycles of learning.
+
+    Parameters
+    ----------
+    courses : mapping
+        Qualities before each cycle and after the last one, by what learning began with and by
+        the track.
+    """
+    with plot_style():
+        figure = new_figure(2.8)
+        panels = list(figure.subplots(1, len(courses), sharey=True, squeeze=False).flat)
+        handles: dict[str, Any] = {}
+        for axes, (title, tracks) in zip(panels, courses.items(), strict=True):
+            for number, (name, course) in enumerate(tracks.items()):
+                errors = [float(np.degrees(quality.angle_error)) for quality in course]
+                (handles[name],) = axes.plot(
+                    errors, 'o-', color=CLUSTER_COLOURS[number], markersize=3.0
+                )
+            axes.set_title(title)
+            axes.set_xlabel('cycles of learning')
+            axes.set_xticks(range(len(course)))
+            axes.set_ylim(bottom=0.0)
+        panels[0].set_ylabel('angle error [deg]')
+        add_legend(figure, list(handles.values()), list(handles))
+        return figure
+
+
+def plot_predictions(needed: Array, predicted: Array) -> Any:
+    """Plot predicted over needed compensations, shape (k, 2) [mm per 50 mm], held out."""
+    with plot_style():
+        figure = new_figure(3.2)
+        panels = figure.subplots(1, 2)
+        for number, (axes, name) in enumerate(zip(panels, 'XY', strict=True)):
+            both = np.concatenate([needed[:, number], predicted[:, number]])
+            ends = [float(both.min()), float(both.max())]
+            axes.plot(ends, ends, color=FAINT, linewidth=0.8)
+            axes.plot(needed[:, number], predicted[:, number], 'o', color=ACCENT, markersize=2.4)
+            axes.set_title(name)
+            axes.set_xlabel('needed [mm per 50 mm]')
+        panels[0].set_ylabel('predicted\n[mm per 50 mm]')
+        return figure

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,6 @@ from fuzzycnc_ros.core.deformation.network import (
 )
 from fuzzycnc_ros.core.deformation.training import grouped_folds
 from fuzzycnc_ros.core.threads import single_threaded
-from fuzzycnc_ros.studies.soft.foam_model import Coverage, FoamTraining, MethodErrors
 
 Predictor = Callable[[Array], Array]
 Trainer = Callable[[Array, Array, NDArray[np.int64]], Predictor]
@@ -29,6 +28,73 @@ Tell = Callable[[str, int, int], None]
 
 FOLDS = 5
 """Parts that are held out in turn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Samples of one thickness.
+
+    Attributes
+    ----------
+    thickness : float
+        Thickness [m].
+    lines, arcs : int
+        Samples of each kind.
+    direction, depth, step : tuple of float
+        Least and largest direction [rad], depth and step [m].
+    """
+
+    thickness: float
+    lines: int
+    arcs: int
+    direction: tuple[float, float]
+    depth: tuple[float, float]
+    step: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class MethodErrors:
+    """Errors of one kind of model on samples that were held out.
+
+    Attributes
+    ----------
+    name : str
+        What it is called.
+    predicted : ndarray, shape (k, 2)
+        Compensations of all samples, each held out in turn [mm per 50 mm].
+    rms : float
+        Root mean square of both axes over all samples [mm per 50 mm].
+    by_thickness : mapping of float to float
+        The same by thickness [m].
+    """
+
+    name: str
+    predicted: Array
+    rms: float
+    by_thickness: Mapping[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class FoamTraining:
+    """A training, judged.
+
+    Attributes
+    ----------
+    coverage : sequence of Coverage
+        Samples by thickness.
+    needed : ndarray, shape (k, 2)
+        Compensations that were needed [mm per 50 mm].
+    errors : sequence of MethodErrors
+        Held-out errors, the model in use first.
+    folds, groups : int
+        Parts that were held out in turn, and groups of samples that were kept together.
+    """
+
+    coverage: Sequence[Coverage]
+    needed: Array
+    errors: Sequence[MethodErrors]
+    folds: int
+    groups: int
 
 
 @dataclass(frozen=True)

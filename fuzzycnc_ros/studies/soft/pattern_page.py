@@ -5,42 +5,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.sections import Page, Section
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.soft.foam_model import NONE, PUBLISHED, PUBLISHED_MEANS
-from fuzzycnc_ros.studies.soft.foam_plots import plot_deviation, plot_tracks
+from fuzzycnc_ros.studies.soft.foam_comparison import NONE, PUBLISHED, PUBLISHED_MEANS
+from fuzzycnc_ros.studies.soft.foam_page import plot_deviation, plot_tracks
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.arrays import Array
-    from fuzzycnc_ros.simulation.soft.foam_tracks import TrackQuality
-
-
-class Stitched(Protocol):
-    """A closed track as it was stitched, such as `scenario.StitchedPattern`."""
-
-    @property
-    def name(self) -> str:
-        """Name of the pattern."""
-
-    @property
-    def nominal(self) -> Array:
-        """Where the stitches are to lie, shape (n + 1, 2) [m]."""
-
-    @property
-    def stitched(self) -> Array:
-        """Where they lie, shape (n + 1, 2) [m]."""
-
-    @property
-    def deviation(self) -> Array:
-        """Distance between both, shape (n + 1,) [m]."""
-
-    def quality(self) -> TrackQuality:
-        """Return the figures of the track."""
+    from fuzzycnc_ros.studies.soft.pattern import StitchedPattern
 
 
 BEFORE, TRAINED, AFTER = 'before', 'trained', 'after'
@@ -53,7 +28,7 @@ PUBLISHED_OF = {BEFORE: PUBLISHED_MEANS[NONE], AFTER: PUBLISHED_MEANS[PUBLISHED]
 _RUNS = {BEFORE: 'no compensation', TRAINED: 'model as trained', AFTER: 'compensated'}
 
 
-def pattern_table(runs: Mapping[str, Stitched]) -> Table:
+def pattern_table(runs: Mapping[str, StitchedPattern]) -> Table:
     """Return the figures of a track beside the published averages.
 
     Parameters
@@ -99,7 +74,7 @@ def pattern_table(runs: Mapping[str, Stitched]) -> Table:
     )
 
 
-def pattern_page(runs: Mapping[str, Stitched], facts: Mapping[str, str]) -> Page:
+def pattern_page(runs: Mapping[str, StitchedPattern], facts: Mapping[str, str]) -> Page:
     """Return the page on a track that was stitched twice.
 
     Parameters

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
-from fuzzycnc_ros.studies.page.remark import Remark
+from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
 
 if TYPE_CHECKING:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many judged runs in one table: each, their median and the worst of them."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable, Collection, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,24 +16,11 @@ from fuzzycnc_ros.studies.thermal.summary import micrometres
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.fit.evaluation import Evaluation
+    from fuzzycnc_ros.studies.thermal.probed import ProbedEvaluation
+
+    Residuals = Sequence[Evaluation] | Sequence[ProbedEvaluation]
 
 Floats = NDArray[np.float64]
-
-
-class Residuals(Protocol):
-    """What is left of a run, such as an `Evaluation`; shapes (c,) [m]."""
-
-    @property
-    def channel(self) -> tuple[str, ...]:
-        """Channels."""
-
-    @property
-    def rms(self) -> Mapping[str, Floats]:
-        """Root mean square of each row of a table."""
-
-    @property
-    def largest(self) -> Mapping[str, Floats]:
-        """Largest size of each row."""
 
 
 def runs_table(judged: 'Sequence[Evaluation]') -> Table:
@@ -81,12 +68,12 @@ def runs_table(judged: 'Sequence[Evaluation]') -> Table:
     )
 
 
-def overall_table(judged: Sequence[Residuals], refused: Collection[str] = ()) -> Table:
+def overall_table(judged: 'Residuals', refused: Collection[str] = ()) -> Table:
     """Return median and worst of the root mean square and the largest residual, per candidate.
 
     Parameters
     ----------
-    judged : sequence of Residuals
+    judged : sequence of Evaluation or ProbedEvaluation
         Runs of the same channels, one at least.
     refused : collection of str
         Candidates that are marked.
@@ -111,7 +98,7 @@ def overall_table(judged: Sequence[Residuals], refused: Collection[str] = ()) ->
 
 
 def overall_document(
-    judged: Sequence[Residuals],
+    judged: 'Residuals',
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return candidate -> channel -> `median_rms_um`, `worst_rms_um`, and of the max.
 
@@ -148,13 +135,13 @@ def _figures(item: 'Evaluation') -> list[float]:
     return [float(value) for each in zip(*parts, strict=True) for value in each]
 
 
-def _common(judged: Sequence[Residuals]) -> list[str]:
+def _common(judged: 'Residuals') -> list[str]:
     """Return the candidates of all runs in the order of tables."""
     every = row_order(judged[0].rms)
     return [name for name in every if all(name in item.rms for item in judged)]
 
 
-def _overall(judged: Sequence[Residuals], name: str) -> Floats:
+def _overall(judged: 'Residuals', name: str) -> Floats:
     """Return median and worst rms, median and worst largest residual per channel, (c, 4) [m]."""
     rms = np.array([item.rms[name] for item in judged])
     largest = np.array([item.largest[name] for item in judged])

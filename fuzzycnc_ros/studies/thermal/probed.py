@@ -4,13 +4,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any, Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.components.thermal.predictor_stream import Probe, ProbeSource
+from fuzzycnc_ros.components.thermal.probe_correction import FILTERS, ProbeCorrection
+from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.fit import Evaluation
+from fuzzycnc_ros.core.thermal.fit.training import at_interval
+from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.run import (
+    JITTER_MAX,
+    REFERENCE_SAMPLES,
+    ThermalDataError,
+    ThermalRun,
+)
+from fuzzycnc_ros.runtime.records import Displacement, Stamp, nanoseconds
 from fuzzycnc_ros.studies.page.drawing import (
     ACCENT,
     FAINT,
@@ -21,15 +36,213 @@ from fuzzycnc_ros.studies.page.drawing import (
     plot_style,
     time_axis,
 )
-from fuzzycnc_ros.studies.page.html import Figure
-from fuzzycnc_ros.studies.page.sections import Section
+from fuzzycnc_ros.studies.page.html import Figure, Section
 from fuzzycnc_ros.studies.page.table import Table
 from fuzzycnc_ros.studies.thermal.comparison import LEFT, residual_document, residual_table
-from fuzzycnc_ros.studies.thermal.many_runs import Residuals, overall_document, overall_table
+from fuzzycnc_ros.studies.thermal.many_runs import overall_document, overall_table
+from fuzzycnc_ros.studies.thermal.report_data import Score
 from fuzzycnc_ros.studies.thermal.summary import candidate_label
 
-Floats = NDArray[np.float64]
+UNPROBED, HELD = 'unprobed', 'held'
+"""Rows beside those of `FILTERS`: the default alone, and the last probe without any model."""
+
 Counts = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class ProbedEvaluation:
+    """Residuals of a run that was probed now and then.
+
+    A channel's samples count once it has been probed, all rows on the same ones.  Each is judged
+    against what was known before it: a probe acts from the next sample on, never on its own.
+
+    Parameters
+    ----------
+    run : str
+        Name of the run.
+    every : float
+        Least time between two probes of a channel [s].
+    channel : tuple of str, length c
+        Channels.
+    samples, probes : ndarray of int, shape (c,)
+        Samples that count, and probes taken.
+    doubted : mapping of str to ndarray of int, shape (c,)
+        Probes that the rows 'offset' and 'kalman' did not believe.
+    rms, largest : mapping of str to ndarray, shape (c,)
+        Root mean square and largest absolute residual [m] of 'uncompensated', of the default
+        'unprobed', of the last probe 'held' without a model, and of the default under
+        `probing: offset` and `probing: kalman`; infinite if it diverged, NaN if nothing counts.
+    time : ndarray, shape (n,)
+        Time of each sample between the bounds of the evaluation [s].
+    residual : mapping of str to ndarray, shape (n, c)
+        Measured minus predicted error behind each row [m]; NaN where it does not count.
+    """
+
+    run: str
+    every: float
+    channel: tuple[str, ...]
+    samples: Counts
+    probes: Counts
+    doubted: Mapping[str, Counts]
+    rms: Mapping[str, Array]
+    largest: Mapping[str, Array]
+    time: Array
+    residual: Mapping[str, Array]
+
+
+def evaluate_probed(
+    model: ThermalModel, run: ThermalRun, judged: Evaluation, every: float
+) -> ProbedEvaluation:
+    """Correct the default's predictions by probes, and judge what is left.
+
+    Parameters
+    ----------
+    model : ThermalModel
+        Trained model.
+    run : ThermalRun
+        Run from its thermal start, as recorded.
+    judged : Evaluation
+        What `evaluate` found of both; it says between which times is probed and judged.
+    every : float
+        Least time between two probes of a channel [s].  The first is the first displacement
+        of what is judged; where none was measured when one is due, the next is taken.
+
+    Returns
+    -------
+    ProbedEvaluation
+        Root mean square and largest residual per channel, beside those of plainer ways.
+
+    Raises
+    ------
+    ThermalDataError
+        If `every` is shorter than the model's interval or longer than what is judged, or nothing
+        was measured after the first probe.
+    """
+    if every < model.interval * (1.0 - JITTER_MAX):
+        raise ThermalDataError(
+            f'probing: expected at least {model.interval:g} s between two probes, the sampling '
+            f'interval of the model, but found {every:g} s; a probe acts from the next sample on'
+        )
+    first, last = float(judged.time[0]), float(judged.time[-1])
+    if every > last - first:
+        raise ThermalDataError(
+            f'run {run.name!r}: expected at most {last - first:g} s between two probes, as long '
+            f'as what is judged, but found {every:g} s; probe more often, or judge a longer run'
+        )
+    even = at_interval(run, model.interval)
+    inside = even.inside(first, last)
+    track = _Track(model, even, every)
+    track.follow(_probes(run, even, every, run.inside(first, last)))
+    counted = np.isfinite(track.predicted[HELD][inside]) & np.isfinite(judged.measured)
+    if not counted.any():
+        raise ThermalDataError(
+            f'run {run.name!r}: expected measured displacements after the first probe, but found '
+            'none; judge a longer run'
+        )
+    residual = {
+        name: np.where(counted, judged.measured - values[inside], np.nan)
+        for name, values in track.predicted.items()
+    }
+    scores = {
+        name: [Score.of(*pair) for pair in zip(values.T, judged.measured.T, strict=True)]
+        for name, values in residual.items()
+    }
+    return ProbedEvaluation(
+        run=judged.run,
+        every=every,
+        channel=judged.channel,
+        samples=counted.sum(axis=0),
+        probes=track.probes,
+        doubted={name: item.doubted for name, item in track.corrections.items()},
+        rms={name: np.array([score.rms for score in own]) for name, own in scores.items()},
+        largest={name: np.array([score.max for score in own]) for name, own in scores.items()},
+        time=judged.time,
+        residual=residual,
+    )
+
+
+class _Track:
+    """The ways to use a probe, side by side along a run at the model's interval."""
+
+    def __init__(self, model: ThermalModel, even: ThermalRun, every: float) -> None:
+        rise = model.rises(even)
+        alone = model.recursion().run(rise)
+        # A diverged prediction counts as infinitely wrong, as where nothing is probed.
+        self._alone = np.where(np.isnan(alone), np.inf, alone)
+        self._deviation, self._distance = model.standard_deviation(rise), model.distance(rise)
+        self._channel, self._axis = model.channel, model.axis
+        self._duration = ThermalPredictorConfig().correction_time
+        self.corrections = {
+            kind: ProbeCorrection(
+                model, ThermalPredictorConfig(probing=kind, probe_interval_min=every)
+            )
+            for kind in FILTERS
+        }
+        self.probes: Counts = np.zeros(len(model.channel), dtype=np.int64)
+        self.predicted = {UNCOMPENSATED: np.zeros_like(alone), UNPROBED: self._alone}
+        for name in (HELD, *FILTERS):
+            self.predicted[name] = np.full_like(alone, np.nan)
+
+    def follow(self, samples: Iterator[tuple[Stamp, tuple[Probe, ...]]]) -> None:
+        """Predict each sample, then take the probes that came with it."""
+        held = np.full(len(self._channel), np.nan)
+        for row, (stamp, probes) in enumerate(samples):
+            self.predicted[HELD][row] = held
+            for kind, correction in self.corrections.items():
+                self.predicted[kind][row] = self._corrected(correction, row, stamp, probes)
+            for probe in probes:
+                error, _ = probe.of_channels(self._channel, self._axis)
+                held = np.where(np.isfinite(error), error, held)
+                self.probes += np.isfinite(error)
+
+    def _corrected(
+        self, correction: ProbeCorrection, row: int, stamp: Stamp, probes: tuple[Probe, ...]
+    ) -> Array:
+        """Return a sample's prediction, corrected by the probes before it, shape (c,) [m]."""
+        if not np.isfinite(self._alone[row]).all():
+            correction.pause()
+            return self._alone[row]
+        error, _ = correction.apply(
+            stamp,
+            self._alone[row],
+            self._deviation[row],
+            float(self._distance[row]),
+            probes,
+            self._duration,
+        )
+        return error
+
+
+def _probes(
+    run: ThermalRun, even: ThermalRun, every: float, usable: NDArray[np.bool_]
+) -> Iterator[tuple[Stamp, tuple[Probe, ...]]]:
+    """Yield the stamp of each sample [ns] and the probes that come with it.
+
+    Only displacements that are `usable`, shape (rows of the run,), are offered as probes.
+    """
+    source = ProbeSource(ThermalPredictorConfig(probe_interval_min=every))
+    reference = nanoseconds(even.time[REFERENCE_SAMPLES - 1])
+    noise = np.full(len(run.channel), np.nan)  # not recorded: the least one of a probe
+    waiting = iter(np.flatnonzero(usable))
+    row = next(waiting, None)
+    for stamp in map(nanoseconds, even.time):
+        while row is not None and (measured_at := nanoseconds(run.time[row])) <= stamp:
+            source.add(
+                Displacement(
+                    stamp=measured_at,
+                    frame_id='',
+                    axis=run.axis,
+                    channel=run.channel,
+                    displacement=run.displacement[row],
+                    standard_deviation=noise,
+                    includes_compensation=False,
+                )
+            )
+            row = next(waiting, None)
+        yield stamp, source.take(stamp, reference)
+
+
+Floats = NDArray[np.float64]
 
 _DRAWN = (('unprobed', FAINT, 0.9), ('held', SECOND, 0.9), ('kalman', ACCENT, 1.4))
 """Rows that are drawn, each with its colour and width, from the back to the front."""
@@ -41,39 +254,7 @@ RULE = (
 """What counts, for whoever reads the figures."""
 
 
-class Probed(Residuals, Protocol):
-    """A probed run, such as `scenario.probed_evaluation.ProbedEvaluation`; lengths in m."""
-
-    @property
-    def run(self) -> str:
-        """Name of the run."""
-
-    @property
-    def every(self) -> float:
-        """Least time between two probes of a channel [s]."""
-
-    @property
-    def samples(self) -> Counts:
-        """Samples of each channel that count."""
-
-    @property
-    def probes(self) -> Counts:
-        """Probes of each channel."""
-
-    @property
-    def doubted(self) -> Mapping[str, Counts]:
-        """Probes of each channel that a row did not believe."""
-
-    @property
-    def time(self) -> Floats:
-        """Time of each sample [s]."""
-
-    @property
-    def residual(self) -> Mapping[str, Floats]:
-        """What each row leaves, shape (n, c)."""
-
-
-def probed_table(probed: Sequence[Probed]) -> Table:
+def probed_table(probed: Sequence[ProbedEvaluation]) -> Table:
     """Return what is left of a run in each way to use its probes, or over all of several runs."""
     first = probed[0]
     if len(probed) > 1:
@@ -84,7 +265,7 @@ def probed_table(probed: Sequence[Probed]) -> Table:
     )
 
 
-def probed_lines(probed: Sequence[Probed]) -> list[str]:
+def probed_lines(probed: Sequence[ProbedEvaluation]) -> list[str]:
     """Return what else is to be said below the table, a line each."""
     lines = [RULE]
     for item in probed:
@@ -103,7 +284,7 @@ def probed_lines(probed: Sequence[Probed]) -> list[str]:
     return lines
 
 
-def probed_document(probed: Sequence[Probed]) -> dict[str, Any]:
+def probed_document(probed: Sequence[ProbedEvaluation]) -> dict[str, Any]:
     """Return all figures of probed runs.
 
     Returns
@@ -128,7 +309,7 @@ def probed_document(probed: Sequence[Probed]) -> dict[str, Any]:
     }
 
 
-def probed_section(item: Probed) -> Section:
+def probed_section(item: ProbedEvaluation) -> Section:
     """Return a section on a probed run, for a page."""
     return Section(
         f'Run {item.run}, {_every(item)}',
@@ -146,7 +327,7 @@ def probed_section(item: Probed) -> Section:
     )
 
 
-def plot_probed(item: Probed) -> Any:
+def plot_probed(item: ProbedEvaluation) -> Any:
     """Plot what is left unprobed, with the last probe held, and with the corrected model."""
     with plot_style():
         count = len(item.channel)
@@ -166,14 +347,14 @@ def plot_probed(item: Probed) -> Any:
         return figure
 
 
-def _no_better_than_held(item: Probed) -> list[str]:
+def _no_better_than_held(item: ProbedEvaluation) -> list[str]:
     """Return the channels on which probes say as much without the model as with it."""
     with_model = np.fmin(item.rms['offset'], item.rms['kalman'])
     worse = with_model >= item.rms['held']
     return [name for name, beaten in zip(item.channel, worse, strict=True) if beaten]
 
 
-def _every(item: Probed) -> str:
+def _every(item: ProbedEvaluation) -> str:
     return f'probed every {item.every / 60.0:g} min'
 
 
@@ -183,5 +364,5 @@ def _range(count: Counts) -> str:
     return str(low) if low == high else f'{low} to {high}'
 
 
-def _by_channel(item: Probed, count: Counts) -> dict[str, int]:
+def _by_channel(item: ProbedEvaluation, count: Counts) -> dict[str, int]:
     return {name: int(number) for name, number in zip(item.channel, count, strict=True)}

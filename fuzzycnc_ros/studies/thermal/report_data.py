@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
-from fuzzycnc_ros.studies.page.remark import Remark
-from fuzzycnc_ros.studies.page.sections import Section
+from fuzzycnc_ros.studies.page.document import shown_as
+from fuzzycnc_ros.studies.page.html import Remark, Section
 
 APPLIED = 'applied'
 """Name under which the error left by the offsets in force is scored."""
@@ -24,8 +24,8 @@ class ReportDataError(ValueError):
 class Score:
     """How large a residual is: largest size and root mean square [m]; inf if it diverged."""
 
-    max: float
-    rms: float
+    max: float = field(metadata=shown_as('max_um', 1e6))
+    rms: float = field(metadata=shown_as('rms_um', 1e6))
 
     @classmethod
     def of(cls, residual: NDArray[np.float64], measured: NDArray[np.float64]) -> 'Score':

@@ -7,6 +7,7 @@ from math import inf, isfinite, isnan
 from typing import Any
 
 from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, UNCOMPENSATED
+from fuzzycnc_ros.studies.page.document import to_document
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.thermal.report_data import APPLIED, CompensationRun, Score
 
@@ -155,20 +156,12 @@ def summary_document(runs: Sequence[CompensationRun]) -> dict[str, Any]:
     -----
     `summary_document(runs)['T2']['lag_ridge']['y']` is like `{'max_um': 2.4, 'rms_um': 0.9}`.
     """
-    return {
+    figures = {
         run.name: {
-            name: {
-                channel.lower(): {
-                    'max_um': _json_micrometres(score.max),
-                    'rms_um': _json_micrometres(score.rms),
-                }
-                for channel, score in zip(run.channel, of_channels, strict=True)
-            }
+            name: dict(zip(map(str.lower, run.channel), of_channels, strict=True))
             for name, of_channels in run.scores().items()
         }
         for run in runs
     }
-
-
-def _json_micrometres(length: float) -> float | None:
-    return 1e6 * length if isfinite(length) else None
+    document: dict[str, Any] = to_document(figures)
+    return document

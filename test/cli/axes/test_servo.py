@@ -9,8 +9,6 @@ import pytest
 import yaml
 
 from fuzzycnc_ros.cli.axes.servo import COMMANDS
-from fuzzycnc_ros.cli.axes.servo_bag import read_bag
-from fuzzycnc_ros.cli.axes.servo_search import swinging
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
@@ -28,6 +26,8 @@ from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.servo.positioning import run_positioning
+from fuzzycnc_ros.studies.servo.positioning_rules import swinging
+from fuzzycnc_ros.studies.servo.recorded_moves import read_bag
 
 MILLISECOND = 10**6
 

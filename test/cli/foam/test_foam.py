@@ -9,12 +9,12 @@ import pytest
 from foam_bags import Run, sample_run, write_bag
 
 from fuzzycnc_ros.cli.foam.command import COMMANDS
-from fuzzycnc_ros.cli.foam.samples import COLUMNS
 from fuzzycnc_ros.core.deformation.model import read_model
 from fuzzycnc_ros.core.deformation.offset_file import read_offsets
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
+from fuzzycnc_ros.studies.soft.foam_records import COLUMNS
 
 TRACK = FoamTrack.parallelogram(np.radians(45.0))
 

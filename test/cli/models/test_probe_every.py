@@ -11,7 +11,7 @@ import pytest
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.core.thermal.fit import evaluate
 from fuzzycnc_ros.core.thermal.model import load_model
-from fuzzycnc_ros.studies.thermal.probed_evaluation import evaluate_probed
+from fuzzycnc_ros.studies.thermal.probed import evaluate_probed
 
 
 def test_what_probing_leaves_is_in_table_figures_and_page(fuzzycnc, bag, model):

@@ -18,7 +18,7 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSch
 from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.runtime.records import nanoseconds
-from fuzzycnc_ros.studies.contour.contouring_log import ContouringLog
+from fuzzycnc_ros.studies.contour.contouring import ContouringLog
 
 START = nanoseconds(DAY_START)
 PERIOD = 1_000_000

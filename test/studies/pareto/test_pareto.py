@@ -12,6 +12,7 @@ from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
+from fuzzycnc_ros.studies.page.document import to_document
 from fuzzycnc_ros.studies.pareto import pareto as module
 from fuzzycnc_ros.studies.pareto.pareto import ERRORS, KNOBS, pareto_of
 from fuzzycnc_ros.studies.pareto.pareto_page import pareto_document, pareto_lines, pareto_table
@@ -101,7 +102,7 @@ def test_progress_ends_when_all_is_done(found):
 
 def test_document_holds_what_was_measured(found):
     pareto, _ = found
-    document = pareto_document(pareto)
+    document = to_document(pareto_document(pareto))
     assert list(document) == ['methods', 'equal_error']
     assert list(document['methods']) == list(KNOBS)
     assert list(document['equal_error']) == ['0.01', '0.05', '0.1']

@@ -9,21 +9,19 @@ from fuzzycnc_ros.core.servo.rule_learning import learn_rules
 from fuzzycnc_ros.core.servo.rule_table import SETS
 from fuzzycnc_ros.core.servo.stability import StabilityReport
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun
-from fuzzycnc_ros.studies.page.sections import render_page
+from fuzzycnc_ros.studies.page.document import to_document
+from fuzzycnc_ros.studies.page.html import render_page
 from fuzzycnc_ros.studies.servo import positioning_compare
 from fuzzycnc_ros.studies.servo import positioning_page as positioning
-from fuzzycnc_ros.studies.servo.positioning_model import (
-    LABELS,
-    ControllerFigures,
-    RandomFigures,
-    ServoComparison,
-    StepFigures,
-)
-from fuzzycnc_ros.studies.servo.positioning_plots import plot_run
+from fuzzycnc_ros.studies.servo.positioning_page import LABELS, plot_run
 from fuzzycnc_ros.studies.servo.positioning_rules import rules_table, stability_table
 from fuzzycnc_ros.studies.servo.servo_cases import (
     CONTROLLERS,
     RADIUS,
+    ControllerFigures,
+    RandomFigures,
+    ServoComparison,
+    StepFigures,
     drive_many,
     servo_cases,
     step_names,
@@ -141,7 +139,7 @@ def test_tables_of_a_comparison():
     assert 'variable_universe_static gave up on: 20 um' in lines
     assert 'variable_universe gave up on 4 random moves' in lines
     assert len(positioning_compare.others_table(comparison(moves=0)).columns) == 4
-    document = positioning_compare.comparison_document(made)
+    document = to_document(positioning_compare.comparison_document(made))
     assert document['controllers']['variable_universe']['random']['hard']['within_1'] == 0.985
 
 

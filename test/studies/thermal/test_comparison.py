@@ -12,7 +12,7 @@ from fuzzycnc_ros.core.thermal.candidate import CANDIDATES
 from fuzzycnc_ros.core.thermal.fit import Evaluation
 from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut
 from fuzzycnc_ros.core.thermal.fit.selection import SensorCount
-from fuzzycnc_ros.studies.page.remark import Remark
+from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.thermal.comparison import (
     best_candidates,
     best_of,
@@ -298,7 +298,7 @@ def test_every_candidate_has_a_label_of_its_own():
 @pytest.fixture(scope='module')
 def plotting():
     pytest.importorskip('matplotlib', reason='matplotlib is not installed')
-    from fuzzycnc_ros.studies.thermal import comparison_plots
+    from fuzzycnc_ros.studies.thermal import comparison_page as comparison_plots
 
     return comparison_plots
 
@@ -421,7 +421,7 @@ def test_sensor_curves_over_runs(plotting):
 
 def test_page_of_a_comparison(plotting):
     pytest.importorskip('jinja2', reason='jinja2 is not installed')
-    from fuzzycnc_ros.studies.page.sections import render_page
+    from fuzzycnc_ros.studies.page.html import render_page
     from fuzzycnc_ros.studies.thermal.comparison_page import comparison_page
 
     two = Comparison(

@@ -19,7 +19,7 @@ from benches.predictor_bench import (
 
 from fuzzycnc_ros.core.thermal.fit import evaluate
 from fuzzycnc_ros.core.thermal.run import ThermalDataError
-from fuzzycnc_ros.studies.thermal.probed_evaluation import evaluate_probed
+from fuzzycnc_ros.studies.thermal.probed import evaluate_probed
 
 HOUR = 3600.0
 ROWS = ('uncompensated', 'unprobed', 'held', 'offset', 'kalman')

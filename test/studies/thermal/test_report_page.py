@@ -15,14 +15,14 @@ from fuzzycnc_ros.studies.thermal.report_data import (
     ReportData,
     SensorCountCurve,
 )
-from fuzzycnc_ros.studies.thermal.report_page import render_html
+from fuzzycnc_ros.studies.thermal.report_page import report_page
 
 pytest.importorskip('matplotlib', reason='matplotlib is not installed')
 pytest.importorskip('jinja2', reason='jinja2 is not installed')
 
 from fuzzycnc_ros.studies.page import drawing
-from fuzzycnc_ros.studies.page.svg import to_inline_svg
-from fuzzycnc_ros.studies.thermal import report_plots as plots
+from fuzzycnc_ros.studies.page.html import render_page, to_inline_svg
+from fuzzycnc_ros.studies.thermal import report_page as plots
 
 
 def mill_run(name='T2', **changes):
@@ -98,7 +98,7 @@ class Outline(HTMLParser):
 
 @pytest.fixture(scope='module')
 def page():
-    return render_html(report())
+    return render_page(report_page(report()))
 
 
 def test_page_is_well_formed_and_self_contained(page):
@@ -147,7 +147,7 @@ def test_svg_follows_the_theme_of_the_page(page):
 
 
 def test_same_data_same_page(page):
-    assert render_html(report()) == page
+    assert render_page(report_page(report())) == page
 
 
 def test_optional_parts_may_be_missing():
@@ -159,7 +159,7 @@ def test_optional_parts_may_be_missing():
         offset_limit=None,
         spindle_speed=None,
     )
-    page = render_html(ReportData('Bare', [bare]))
+    page = render_page(report_page(ReportData('Bare', [bare])))
     assert Outline(page).tags.count('figure') == 3
     assert 'Provenance' not in page
     with pytest.raises(ValueError, match='expected commanded offsets'):
@@ -174,11 +174,11 @@ def test_gaps_and_divergence_do_not_break_the_page():
     run = mill_run(
         measured=measured, predicted={'classical_grey': diverged, 'lag_ridge': measured}
     )
-    page = render_html(ReportData('Gaps', [run]))
+    page = render_page(report_page(ReportData('Gaps', [run])))
     assert 'diverged' in page
     assert '<div class="from">of - µm</div>' in page
     lost = mill_run(predicted={'lag_ridge': diverged}, offset=None, applied=None)
-    assert 'diverged <small>' in render_html(ReportData('Lost', [lost]))
+    assert 'diverged <small>' in render_page(report_page(ReportData('Lost', [lost])))
 
 
 def test_many_channels_get_rows_of_two():
@@ -251,7 +251,7 @@ def test_importing_the_report_loads_neither_matplotlib_nor_jinja2():
 def test_pyplot_stays_out():
     code = (
         'import sys, numpy as np; from fuzzycnc_ros.studies.thermal.report_data import Latency;'
-        'from fuzzycnc_ros.studies.thermal.report_plots import plot_latency;'
+        'from fuzzycnc_ros.studies.thermal.report_page import plot_latency;'
         'plot_latency(Latency(np.ones(3)));'
         "print('matplotlib.pyplot' in sys.modules)"
     )

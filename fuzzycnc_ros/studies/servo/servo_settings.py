@@ -11,8 +11,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fuzzycnc_ros.cli.console import write_text
-
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.servo.axis import LinearAxis
     from fuzzycnc_ros.core.servo.controller import AxisController
@@ -146,15 +144,15 @@ def read_settings(path: Path) -> ServoSettings:
     return ServoSettings(path, str(document.get('axis', '')), found, rules)
 
 
-def write_settings(
+def settings_text(
     path: Path,
     axis: str,
     *,
     numbers: Mapping[str, float] | None = None,
     rules: RuleTable | None = None,
     about: str,
-) -> None:
-    """Write a file of settings: JSON if it is called that, else YAML."""
+) -> str:
+    """Return the text of a file of settings: JSON if the path is called that, else YAML."""
     document: dict[str, Any] = {'about': about, 'axis': axis}
     if numbers is not None:
         document['settings'] = {name: float(value) for name, value in numbers.items()}
@@ -164,11 +162,11 @@ def write_settings(
             'values': [[round(value, 6) for value in row] for row in rules.values],
         }
     if path.suffix.lower() == '.json':
-        write_text(path, json.dumps(document, indent=2) + '\n')
-        return
+        return json.dumps(document, indent=2) + '\n'
     import yaml
 
-    write_text(path, yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=99))
+    text: str = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=99)
+    return text
 
 
 def _mapping(path: Path, name: str, value: Any) -> dict[str, Any]:
