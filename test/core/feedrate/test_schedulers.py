@@ -301,7 +301,7 @@ def test_parts_give_what_the_whole_path_gives(scheduler, sizes, seed):
     'scheduler', [SCHEDULERS[3], SCHEDULERS[4], SCHEDULERS[7], SCHEDULERS[9]], ids=repr
 )
 def test_schedulers_that_need_the_whole_path_say_so(scheduler):
-    with pytest.raises(ValueError, match='expected a scheduler that can take a path in parts'):
+    with pytest.raises(ValueError, match='scheduler: expected one that can take a path in parts'):
         next(stream_ratio(scheduler, iter([wiggle()])))
 
 
