@@ -92,8 +92,9 @@ def schedule(
         typer.Option(
             metavar='NAME',
             show_default=False,
-            help='Rule that chooses the feed: log_fuzzy, fuzzy, constant, normal_acceleration, '
-            'chord_error, look_ahead, jerk_limited; that of the machine file without it.',
+            help='Rule that chooses the feed: log_fuzzy (or tolerance), fuzzy, constant, '
+            'normal_acceleration, chord_error, look_ahead, jerk_limited; that of the machine file '
+            'without it.',
         ),
     ] = None,
     blend: Annotated[

@@ -14,9 +14,9 @@ from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.trajectory import MotionSamples, limit_motion
 from fuzzycnc_ros.core.feedrate.schedule.feeds import FeedPlan, desired_feed
 from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed, ConstantNormalAcceleration
 from fuzzycnc_ros.core.feedrate.schedule.planner import Planner, PlannerSettings
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 
 PLAIN = MotionLimits(path_velocity=0.2, path_acceleration=2.0)
 SMOOTH = MotionLimits(path_velocity=0.2, path_acceleration=2.0, path_jerk=40.0)
@@ -268,9 +268,7 @@ def test_override_scales_feeds():
     [
         FuzzyScheduler(feed_max=0.2, window=9),
         FuzzyScheduler(feed_max=0.2, window_length=2e-3, smoothing='erode'),
-        LogFuzzyScheduler(
-            feed_max=0.2, tolerance=1e-5, machine_constant=2.15e-4, curvature_max=1e4
-        ),
+        ToleranceFeed(feed_max=0.2, tolerance=1e-5, machine_constant=2.15e-4, curvature_max=1e4),
     ],
 )
 @pytest.mark.parametrize('chunk', [1, 7, 1000])
@@ -344,11 +342,7 @@ def test_bad_changes_are_refused_and_change_nothing():
         ({'period': 0.0}, 'period: expected a positive number of s, but found 0.0'),
         ({'window': -1.0}, 'window: expected a positive number of s, but found -1.0'),
         (
-            {
-                'scheduler': LogFuzzyScheduler(
-                    feed_max=0.2, tolerance=1e-5, machine_constant=2.15e-4
-                )
-            },
+            {'scheduler': ToleranceFeed(feed_max=0.2, tolerance=1e-5, machine_constant=2.15e-4)},
             'which needs all of it; fix what it takes from the path, such as curvature_max',
         ),
     ],
