@@ -595,6 +595,32 @@ class ReferencePath:
         return self.place + self.geometry.node
 
     @classmethod
+    def of_geometry(cls, geometry: PathGeometry, feed: float = math.inf) -> ReferencePath:
+        """Return a whole path that rests at both ends and at its corners.
+
+        Parameters
+        ----------
+        geometry : PathGeometry
+            The path, in two axes or three.
+        feed : float
+            Programmed feed all along [m/s]; inf for none.
+        """
+        count = len(geometry.coefficient)
+        bend = np.linalg.norm(geometry.derivative(2), axis=2)
+        stop = geometry.stop.copy()
+        stop[[0, -1]] = True
+        return cls(
+            geometry,
+            0.0,
+            np.maximum(np.append(bend[:, 0], 0.0), np.append(0.0, bend[:, -1])),
+            np.zeros(count, np.intp),
+            np.zeros(count, bool),
+            np.full(count, feed),
+            stop,
+            np.zeros(count + 1),
+        )
+
+    @classmethod
     def join(cls, parts: Sequence[ReferencePath]) -> ReferencePath:
         """Return one stretch of several in a row.
 

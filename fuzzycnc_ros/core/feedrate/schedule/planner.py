@@ -352,6 +352,43 @@ class Planner:
     A change of settings holds from the last sample taken on, anywhere on the path.  Where the
     motion is too fast for new limits or feeds, it brakes with the larger of the old and the new
     acceleration until it is not; averaged motion brakes with the old.
+
+    Examples
+    --------
+    From points of a curve to samples of the motion along it, one period apart:
+
+    >>> from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
+    >>> from fuzzycnc_ros.core.feedrate.path.reference_path import PathBuilder, ReferencePath
+    >>> from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
+    >>> settings = PlannerSettings(
+    ...     ToleranceFeed(feed_max=0.1, tolerance=2e-5, machine_constant=2e-4, curvature_max=1e4),
+    ...     MotionLimits(path_velocity=0.2, path_acceleration=1.5),
+    ... )
+    >>> turn = np.linspace(0.0, np.pi, 200)
+    >>> arc = PathGeometry.from_samples(0.01 * np.column_stack([np.cos(turn), np.sin(turn)]))
+    >>> planner = Planner(settings, axes=2)
+    >>> planner.push(ReferencePath.of_geometry(arc))
+    >>> planner.finish()
+    >>> samples = planner.take(10_000)  # or as many as there are
+    >>> f'{samples.time[-1]:.3f} s, at most {1e3 * samples.speed.max():.1f} mm/s'
+    '1.039 s, at most 30.9 mm/s'
+
+    From a part program that arrives line by line to the speed at each of its segments:
+
+    >>> from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
+    >>> planner, builder = Planner(settings, axes=3), PathBuilder(blend=1e-5)
+    >>> for block in ProgramReader().blocks(['G1 X20 F6000', 'G2 X30 Y-10 J-10', 'G1 Y-30']):
+    ...     path = builder.push([block.segment])
+    ...     if path is not None:
+    ...         planner.push(path)
+    >>> planner.push(builder.finish())
+    >>> planner.finish()
+    >>> found = planner.schedule(0.0, 1.0)
+    >>> for k in range(3):
+    ...     print(f'up to {1e3 * found.speed[found.owner == k].max():.0f} mm/s')
+    up to 100 mm/s
+    up to 31 mm/s
+    up to 100 mm/s
     """
 
     def __init__(self, settings: PlannerSettings, axes: int) -> None:
