@@ -24,7 +24,7 @@ from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 
 POINTS, PIECES, REPEATS = 1_000_000, 20_000, 5
 RATE_MIN = 1.5e6
@@ -50,7 +50,7 @@ def main() -> int:
     enough = True
     for scheduler in (
         FuzzyScheduler(feed_max=0.05),
-        LogFuzzyScheduler(feed_max=0.2, tolerance=5e-5, machine_constant=2.15e-4),
+        ToleranceFeed(feed_max=0.2, tolerance=5e-5, machine_constant=2.15e-4),
     ):
 
         def schedule(scheduler=scheduler) -> np.ndarray:

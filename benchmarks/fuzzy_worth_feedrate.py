@@ -29,8 +29,12 @@ from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.fuzzy import CURVATURE_SETS, FuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.fuzzy import (
+    CURVATURE_SETS,
+    RATIO_SETS,
+    VARIATION_SETS,
+    FuzzyScheduler,
+)
 from fuzzycnc_ros.core.feedrate.schedule.plain import (
     ConstantFeed,
     ConstantNormalAcceleration,
@@ -45,6 +49,8 @@ from fuzzycnc_ros.core.feedrate.schedule.refinement import (
     UnreachableToleranceError,
     knob_at_error,
 )
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
+from fuzzycnc_ros.core.fuzzy.mamdani import Mamdani, tabulated
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 from fuzzycnc_ros.studies.pareto.pareto_path import CURVES, POINTS, curve_path
@@ -77,16 +83,48 @@ SCALE_MIN = 0.02
 TOLERANCES = (1e-7, 1e-2)
 """Tolerances between which is searched [m]."""
 
+GAP_MIN = 0.3
+"""Least distance of the sets of the rules' input [decades]."""
+
 PRECISION, ROUGH = 1e-2, 3e-2
 """By how much of themselves a tolerance, and a share of the feeds, may be off [-]: times go as the
 root of the one, and are far apart by the other."""
 
 
-class PlainLaw(LogFuzzyScheduler):
-    """`log_fuzzy` with its guard and its approach, and v ~ curvature^-1/2 instead of its rules."""
+@dataclass(frozen=True, kw_only=True, repr=False)
+class RuledFeed(ToleranceFeed):
+    """`ToleranceFeed` with the rules that its law comes from: guard and approach are the same.
 
-    def _infer(self, excess: Array, rise: Array) -> Array:
-        return -0.5 * np.clip(excess, 0.0, len(CURVATURE_SETS) - 1)
+    The sets of the input lie evenly over the decades of contour error; each lowers the logarithm
+    of the feed by half of their distance.
+
+    Parameters
+    ----------
+    centroid : bool
+        Whether centroids are taken, as Mamdani does, instead of the mean of the rules' levels
+        weighted by their memberships.
+    """
+
+    centroid: bool = False
+
+    def _ratio(self, path: SampledPath) -> Array:
+        # What the law answers before the slope says what the rules are told.
+        excess = -2.0 * np.log10(ToleranceFeed._ratio(replace(self, approach_slope=0.0), path))
+        sets = range(len(CURVATURE_SETS))
+        gap = max(GAP_MIN, 1.02 * float(excess.max()) / sets[-1])  # the last one does not saturate
+        levels = len(RATIO_SETS) - 1
+        system = Mamdani(
+            tuple(float(i) for i in sets),
+            tuple(0.5 * i for i in range(len(VARIATION_SETS))),
+            tuple(0.5 * (i - levels) for i in range(levels + 1)),
+            tuple((levels - i,) * len(VARIATION_SETS) for i in sets),
+        )
+        if self.centroid:
+            decades = gap * tabulated(system)(excess / gap, np.zeros(len(excess)))
+        else:
+            level = [system.output[row[0]] for row in system.rules]
+            decades = gap * np.interp(excess / gap, system.first, level)
+        return self._gentle(path, 10.0**decades)
 
 
 @dataclass(frozen=True)
@@ -118,9 +156,7 @@ class Method:
     knob: str = 'tolerance'
 
 
-def _of_tolerance(
-    kind: type[LogFuzzyScheduler], tolerance: float, **options: str | float
-) -> LogFuzzyScheduler:
+def _of_tolerance(kind: type[ToleranceFeed], tolerance: float, **options: bool) -> ToleranceFeed:
     return kind(
         feed_max=CONFIG.feed_max,
         tolerance=tolerance,
@@ -140,13 +176,13 @@ METHODS = (
         'published rules (Mamdani)', FUZZY, lambda _: FuzzyScheduler(feed_max=CONFIG.feed_max),
         'scale',
     ),
-    Method('log_fuzzy, the default', FUZZY, partial(_of_tolerance, LogFuzzyScheduler)),
+    Method('rules of log_fuzzy, weighted mean', FUZZY, partial(_of_tolerance, RuledFeed)),
     Method(
-        'log_fuzzy with centroids', FUZZY,
-        partial(_of_tolerance, LogFuzzyScheduler, defuzzifier='centroid'),
+        'rules of log_fuzzy, centroids', FUZZY,
+        partial(_of_tolerance, RuledFeed, centroid=True),
     ),
-    Method('sqrt(eps / m C kappa), same guard and approach', LAW,
-           partial(_of_tolerance, PlainLaw)),
+    Method('sqrt(eps / m C kappa), guard and approach: the default', LAW,
+           partial(_of_tolerance, ToleranceFeed)),
     Method('sqrt(eps / C kappa) alone', PLAIN, _law_alone),
     Method(
         'constant share of the programmed feed', PLAIN,
@@ -327,12 +363,12 @@ def worth_of_rules(
 
 
 def identity() -> float:
-    """Return by how much of itself `log_fuzzy` differs from v = sqrt(eps / (m C kappa)) at most.
+    """Return by how much of itself `RuledFeed` differs from v = sqrt(eps / (m C kappa)) at most.
 
     With guard and approach off, on the butterfly at 50 um.
     """
     path = SampledPath.from_points(butterfly(0.875).point(np.linspace(0.0, 1.0, POINTS)))
-    bare = LogFuzzyScheduler(
+    bare = RuledFeed(
         feed_max=CONFIG.feed_max,
         tolerance=CURVE_ERRORS[0],
         machine_constant=CONFIG.machine_constant,
@@ -356,7 +392,7 @@ def curves(quick: bool) -> Part:
         f'Feedrate: curves at {6e4 * CONFIG.feed_max:,.0f} mm/min',
     )
     note = (
-        'log_fuzzy with guard and approach off differs from sqrt(eps / m C kappa) by at most '
+        'rules with guard and approach off differ from sqrt(eps / m C kappa) by at most '
         f'{identity():.0e} of itself'
     )
     return replace(found, notes=(note,))

@@ -23,11 +23,11 @@ from fuzzycnc_ros.core.feedrate.motion.trajectory import Trajectory, limit_motio
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (
     ProgramSettings,
     schedule_program,
 )
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 
 __all__ = [
     'MotionLimits',
@@ -87,7 +87,7 @@ def schedule(
     feed_max = limits.path_velocity
     if not np.isfinite(feed_max):
         feed_max = float(np.linalg.norm(limits.velocity or (np.inf,)))
-    scheduler = LogFuzzyScheduler(
+    scheduler = ToleranceFeed(
         feed_max=feed_max, tolerance=tolerance, machine_constant=machine_constant
     )
     bend = np.linalg.norm(geometry.evaluate(node, 2), axis=1)

@@ -343,8 +343,9 @@ def _config(kind: type[Component], record: NodeConfiguration) -> Config:
         If it is none of this component.
     """
     values = _object(record.parameters, f'{record.node}: parameters')
+    gone = kind.CONFIG.GONE
     try:
-        return kind.CONFIG(**values)
+        return kind.CONFIG(**{k: v for k, v in values.items() if k not in gone or v != gone[k]})
     except (TypeError, ValueError) as error:
         raise ReplayError(f'{record.node}: parameters: {error}') from error
 

@@ -7,9 +7,11 @@ The ROS declaration, `params/*.yaml` and the parameter tables of the docs all fo
 """
 
 import sys
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from math import isfinite
-from typing import Any
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 Value = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
 """What a parameter can hold; tuples become ROS arrays."""
@@ -59,7 +61,16 @@ def param(
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Base of all configuration records; checks types, bounds and words."""
+    """Base of all configuration records; checks types, bounds and words.
+
+    Attributes
+    ----------
+    GONE : mapping
+        Parameters that earlier versions had, each with the value that is what is done now: a bag
+        that says so is replayed.
+    """
+
+    GONE: ClassVar[Mapping[str, Value]] = MappingProxyType({})
 
     def __post_init__(self) -> None:
         """Check every field.

@@ -41,6 +41,12 @@ def replaying(tmp_path):
     return run
 
 
+def test_parameters_that_are_gone_are_taken_at_what_is_done_now(replaying):
+    assert replaying('feedrate_scheduler', json.dumps({'log_fuzzy_braking': 0})).equivalent
+    with pytest.raises(ReplayError, match='log_fuzzy_braking'):
+        replaying('feedrate_scheduler', None, json.dumps({'log_fuzzy_braking': 3}))
+
+
 @pytest.mark.parametrize(
     ('text', 'complaint'),
     [

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 from fuzzycnc_ros.core.servo.params import VariableUniverseParams
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis
@@ -34,17 +34,21 @@ def worth():
         sys.modules.pop(name, None)
 
 
-def test_the_default_scheduler_without_guard_and_approach_is_the_square_root(worth):
+def test_rules_without_guard_and_approach_are_the_square_root(worth):
     assert worth.worth_feedrate.identity() < 1e-12
 
 
 @pytest.mark.parametrize('name', list(CURVES))
-def test_the_plain_law_takes_the_place_of_the_rules_alone(worth, name):
+def test_the_law_takes_the_place_of_the_rules_alone(worth, name):
     path = curve_path(name).sampled
     settings = {'feed_max': 0.2, 'tolerance': 5e-5, 'machine_constant': 2.15e-4}
-    rules = LogFuzzyScheduler(**settings).feed(path)
-    law = worth.worth_feedrate.PlainLaw(**settings).feed(path)
+    rules = worth.worth_feedrate.RuledFeed(**settings).feed(path)
+    law = ToleranceFeed(**settings).feed(path)
     np.testing.assert_allclose(law, rules, rtol=1e-12)
+    # centroids ripple about it
+    centroid = worth.worth_feedrate.RuledFeed(**settings, centroid=True).feed(path)
+    np.testing.assert_allclose(centroid, law, rtol=0.12)
+    assert not np.allclose(centroid, law, rtol=1e-3)
     # guard and approach are left in it
     (alone,) = (one for one in worth.worth_feedrate.METHODS if one.name.endswith('alone'))
     assert not np.allclose(law, alone.scheduler(5e-5).feed(path), rtol=0.02)

@@ -14,13 +14,13 @@ from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedule.plain import (
     ChordErrorFeed,
     JerkLimitedFeed,
     LookAheadFeed,
 )
 from fuzzycnc_ros.core.feedrate.schedule.refinement import knob_at_error, refine
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 
@@ -71,7 +71,7 @@ def published(key, feed_max):
 
 
 def dimensionless(key, tolerance, **choices):
-    scheduler = LogFuzzyScheduler(
+    scheduler = ToleranceFeed(
         feed_max=FEED_MAX, tolerance=tolerance, machine_constant=CONSTANT, **choices
     )
     return scheduler.feed(shape(key)[2])
@@ -203,7 +203,7 @@ def test_tight_arc_after_a_line_keeps_the_tolerance(radius):
     arc = np.unique(np.concatenate([np.linspace(*node[i : i + 2], 500) for i in range(3)]))
     contour = Contour(point, arc)
     curvature = np.where((arc >= node[1]) & (arc <= node[2]), 1.0 / radius, 0.0)
-    scheduler = LogFuzzyScheduler(
+    scheduler = ToleranceFeed(
         feed_max=FEED_MAX, tolerance=1e-5, machine_constant=CONSTANT, curvature_max=5e4
     )
     feed = scheduler.feed(SampledPath(arc, curvature))

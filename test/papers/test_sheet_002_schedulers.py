@@ -13,9 +13,9 @@ from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler, published_feed_rules
-from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantNormalAcceleration, JerkLimitedFeed
 from fuzzycnc_ros.core.feedrate.schedule.refinement import knob_at_error
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 from fuzzycnc_ros.core.fuzzy.mamdani import MamdaniTable
 from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 
@@ -41,7 +41,7 @@ CURVES = {
     'half butterfly': butterfly(0.4375),
 }
 PUBLISHED = FuzzyScheduler(feed_max=0.3 / 60.0, vvlf='VLF', average=15)
-LOG_FUZZY = LogFuzzyScheduler(feed_max=0.2, tolerance=5e-5, machine_constant=2.1517e-4)
+LOG_FUZZY = ToleranceFeed(feed_max=0.2, tolerance=5e-5, machine_constant=2.1517e-4)
 
 # Rules R1 to R30: down the curvature, one column of the curvature ahead after the other
 RULE_LIST = """

@@ -88,8 +88,9 @@ def schedule(
     method: Annotated[
         OptionalText,
         given(
-            'Rule that chooses the feed: log_fuzzy, fuzzy, constant, normal_acceleration, '
-            'chord_error, look_ahead, jerk_limited; that of the machine file without it.',
+            'Rule that chooses the feed: log_fuzzy (or tolerance), fuzzy, constant, '
+            'normal_acceleration, chord_error, look_ahead, jerk_limited; that of the machine file '
+            'without it.',
             metavar='NAME',
         ),
     ] = None,

@@ -18,11 +18,11 @@ from fuzzycnc_ros.components.motion.tool_paths import (
     tool_path_segments,
 )
 from fuzzycnc_ros.core.feedrate.gcode.segments import LineSegment
+from fuzzycnc_ros.core.feedrate.motion.trajectory import MotionSamples
 from fuzzycnc_ros.core.feedrate.path.curves import trident
 from fuzzycnc_ros.core.feedrate.path.nodes import NodePlan, with_nodes
 from fuzzycnc_ros.core.feedrate.path.reference_path import PathBuilder, ReferencePath
 from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
-from fuzzycnc_ros.core.feedrate.schedule.planned_motion import PlannedSamples
 from fuzzycnc_ros.core.feedrate.schedule.planner import Planner, PlannerSettings
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.records import (
@@ -55,8 +55,7 @@ def streamable(scheduler: Scheduler) -> Scheduler:
     ValueError
         If it needs the whole path, so that no part could leave before the path has ended.
     """
-    reach = scheduler.reach
-    if not np.isfinite([reach.length_behind, reach.length_ahead]).all():
+    if not scheduler.reach.bounded:
         raise ValueError(
             f'method: expected one that takes a path in parts but found {scheduler!r}, which '
             'needs all of it; take another one, or give curvature_max'
@@ -231,7 +230,7 @@ class PathRun:
                 self._complete = True
 
     def _trajectory(
-        self, stamp: int, samples: PlannedSamples, tail: PlannedSamples | None
+        self, stamp: int, samples: MotionSamples, tail: MotionSamples | None
     ) -> Emission:
         """Return a part of the trajectory, and note where its committed samples end."""
         start, committed = self.end, len(samples.arc_length)

@@ -11,7 +11,6 @@ from typing import Any
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.schedule.fuzzy import RATIO_SETS, FuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedule.plain import (
     ChordErrorFeed,
     ConstantFeed,
@@ -20,6 +19,7 @@ from fuzzycnc_ros.core.feedrate.schedule.plain import (
     LookAheadFeed,
     Scheduler,
 )
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 AXES = ('X', 'Y', 'Z')
@@ -30,16 +30,29 @@ AXES = ('X', 'Y', 'Z')
 class FeedrateSchedulerConfig(Config):
     """Parameters of `feedrate_scheduler`."""
 
+    GONE = MappingProxyType(
+        {
+            'log_fuzzy_guard_time': 0.1,
+            'log_fuzzy_guard_step': 0.5,
+            'log_fuzzy_approach_time': 0.0,
+            'log_fuzzy_approach_slope': 0.0,
+            'log_fuzzy_braking': 0,
+            'log_fuzzy_braking_points': 4,
+        }
+    )
+
     autostart: bool = param(
         False, '-', 'Configure and activate at start; otherwise a lifecycle manager does'
     )
     method: str = param(
         'log_fuzzy',
         '-',
-        'Rule that chooses the feed; look_ahead and jerk_limited need the whole path and serve '
-        'programs only',
+        'Rule that chooses the feed; log_fuzzy and tolerance are one: the root of tolerance over '
+        'margin, machine constant and curvature; look_ahead and jerk_limited need the whole path '
+        'and serve programs only',
         choices=(
             'log_fuzzy',
+            'tolerance',
             'fuzzy',
             'constant',
             'normal_acceleration',
@@ -86,8 +99,8 @@ class FeedrateSchedulerConfig(Config):
     curvature_max: float = param(
         5e4,
         '1/m',
-        'Curvature for which the sets of log_fuzzy are spread; 0 takes the largest of the path, '
-        'for programs only',
+        'Curvature that the guard of log_fuzzy reckons with at most; 0 takes the largest of the '
+        'path, for programs only',
         low=0.0,
         high=1e9,
     )
@@ -151,46 +164,6 @@ class FeedrateSchedulerConfig(Config):
         'Method log_fuzzy takes the largest curvature up to this far on both sides; 0 is none',
         low=0.0,
         high=0.1,
-    )
-    log_fuzzy_guard_time: float = param(
-        0.1,
-        's',
-        'But no farther than the feed at the sharpest point goes in this time',
-        low=0.0,
-        high=10.0,
-    )
-    log_fuzzy_approach_time: float = param(
-        0.0,
-        's',
-        'Time over which the machine sees how the speed changes; 0 takes 1.9 root of '
-        'machine_constant',
-        low=0.0,
-        high=1.0,
-    )
-    log_fuzzy_approach_slope: float = param(
-        0.0,
-        '1/s',
-        'Largest fall of the speed along the path, for the axes to catch up before a tight bend; '
-        '0 takes 1 over root of machine_constant',
-        low=0.0,
-        high=1e6,
-    )
-    log_fuzzy_guard_step: float = param(
-        0.5,
-        '-',
-        "Part of the way to its neighbours' curvature that each point also takes",
-        low=0.0,
-        high=1.0,
-    )
-    log_fuzzy_braking: int = param(
-        0,
-        '-',
-        'Sets by which log_fuzzy lowers the feed where the curvature is about to rise',
-        low=0,
-        high=len(RATIO_SETS) - 1,
-    )
-    log_fuzzy_braking_points: int = param(
-        4, '-', 'How many points before and after it then looks at', low=1, high=1000
     )
     fuzzy_vvlf: str = param(
         'MF',
@@ -293,7 +266,8 @@ def make_scheduler(config: FeedrateSchedulerConfig) -> Scheduler:
     ValueError
         If its parameters do not fit each other.
     """
-    kind, prefix = _SCHEDULERS[config.method], f'{config.method}_'
+    method = 'log_fuzzy' if config.method == 'tolerance' else config.method
+    kind, prefix = _SCHEDULERS[method], f'{method}_'
     allowed = config.tolerance / config.machine_constant  # across the path [m/s^2]
     known: dict[str, Any] = {item.name: getattr(config, item.name) for item in fields(config)}
     known |= {name.removeprefix(prefix): known[name] for name in known if name.startswith(prefix)}
@@ -326,7 +300,7 @@ def heeds_tolerance(config: FeedrateSchedulerConfig) -> bool:
 
 _SCHEDULERS: Mapping[str, type[Scheduler]] = MappingProxyType(
     {
-        'log_fuzzy': LogFuzzyScheduler,
+        'log_fuzzy': ToleranceFeed,
         'fuzzy': FuzzyScheduler,
         'constant': ConstantFeed,
         'normal_acceleration': ConstantNormalAcceleration,
@@ -336,5 +310,5 @@ _SCHEDULERS: Mapping[str, type[Scheduler]] = MappingProxyType(
     }
 )
 
-_NONE_FOR_ZERO = ('approach_time', 'approach_slope', 'curvature_max', 'window_length', 'jerk')
+_NONE_FOR_ZERO = ('curvature_max', 'window_length', 'jerk')
 """Fields for which the parameter 0 means that there is no such value."""

@@ -10,7 +10,10 @@ import pytest
 from benches.feedrate_rig import CONFIG, PROGRAM, SMALL, Rig, check_motion, distance, path_of
 
 from fuzzycnc_ros.components.motion.feedrate_run import planner_settings
-from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
+    FeedrateSchedulerConfig,
+    make_scheduler,
+)
 from fuzzycnc_ros.components.motion.tool_paths import program_tool_path, tool_path_segments
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.segments import LineSegment
@@ -203,6 +206,12 @@ def test_every_method_that_can_be_streamed_runs(method):
     check_motion(rig, config)
     tolerance = rig.records('feed_schedule')[0].tolerance
     assert np.isnan(tolerance) == (method != 'normal_acceleration')
+
+
+def test_tolerance_is_another_name_of_the_default():
+    config = replace(CONFIG, log_fuzzy_margin=2.0)
+    assert make_scheduler(replace(config, method='tolerance')) == make_scheduler(config)
+    assert make_scheduler(config).margin == 2.0
 
 
 def test_jerk_limits_run():

@@ -11,13 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.approach import SHARE_MAX, SHARE_MIN, approach_share
-from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedule.program_run import stream_ratio
-
-SCHEDULER = LogFuzzyScheduler(
-    feed_max=0.1, tolerance=1e-5, machine_constant=2e-4, curvature_max=2e4
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import (
+    SHARE_MAX,
+    SHARE_MIN,
+    ToleranceFeed,
+    approach_share,
 )
+
+SCHEDULER = ToleranceFeed(feed_max=0.1, tolerance=1e-5, machine_constant=2e-4, curvature_max=2e4)
 
 
 def straight(arc_length, lap=None):
@@ -77,18 +79,16 @@ def test_time_follows_the_machine_constant_unless_it_is_given():
 
 
 @given(st.floats(-3.0, 4.0))
-def test_mean_of_the_levels_is_the_root_law_and_the_centroid_ripples_about_it(decade):
+def test_feed_is_the_root_law(decade):
     path = SampledPath([0.0, 1.0], np.full(2, 10.0**decade))
     full = 0.1**2 * 2e-4 * SCHEDULER.margin / 1e-5
     law = min(1.0, (full * 10.0**decade) ** -0.5)
     assert SCHEDULER.bounded_ratio(path)[0] == pytest.approx(law, rel=1e-12)
-    centroid = replace(SCHEDULER, defuzzifier='centroid').bounded_ratio(path)[0]
-    assert centroid == pytest.approx(law, rel=0.06)
 
 
 @pytest.mark.parametrize(
     'choices',
-    [{}, {'braking': 3}, {'approach_time': 0.2}, {'defuzzifier': 'centroid', 'braking': 2}],
+    [{}, {'approach_time': 0.2}, {'approach_time': 0.0, 'guard_step': 0.0}],
     ids=str,
 )
 @given(st.lists(st.integers(1, 90), min_size=1, max_size=20), st.integers(0, 100))
@@ -109,7 +109,6 @@ def test_parts_give_what_the_whole_path_gives(choices, sizes, seed):
     [
         ({'approach_time': -1.0}, 'approach_time: expected a number from 0.0'),
         ({'approach_time': float('nan')}, 'approach_time: expected a number from 0.0'),
-        ({'defuzzifier': 'median'}, "defuzzifier: expected one of mean, centroid, but found 'me"),
     ],
 )
 def test_wrong_parameters_are_refused(change, message):

@@ -25,14 +25,9 @@ def streamed(geometry, speed, stream, chunk, **path):
     return found + stream.finish()
 
 
-def joined(parts, geometry, window):
+def trajectory_of(parts, window):
     """Return motion parts as one trajectory."""
-    rows = (
-        np.concatenate([*(getattr(part, name)[:-1] for part in parts), last])
-        for name in ('time', 'arc_length', 'speed', 'acceleration')
-        for last in [getattr(parts[-1], name)[-1:]]
-    )
-    return Trajectory(geometry, *rows, window)
+    return Trajectory.at_rest(parts[0].pieces, window).extended(parts)
 
 
 @pytest.mark.parametrize('kind', KINDS)
@@ -51,7 +46,7 @@ def test_parts_give_the_motion_of_the_whole(kind, jerk):
             stream = MotionStream(limits, axes, feed_max=0.5)
             assert stream.window == (window or 0.0)
             parts = streamed(geometry, speed, stream, chunk)
-            found = joined(parts, whole.geometry, stream.window)
+            found = trajectory_of(parts, stream.window)
             np.testing.assert_allclose(found.arc_length, whole.arc_length, rtol=0.0, atol=1e-12)
             np.testing.assert_allclose(found.speed, whole.speed, rtol=0.0, atol=1e-9)
             np.testing.assert_allclose(found.time, whole.time, rtol=1e-9, atol=1e-9)
@@ -89,7 +84,7 @@ def test_stops_rest_for_dwell_settling_and_window(limits):
     for more in ({}, {'settle': 0.25}):
         stream = MotionStream(limits, 2, feed_max=0.2, **more)
         parts = streamed(CORNER, speed, stream, 1, rest=0.5 if more else 0.0)
-        motion = joined(parts, None, stream.window)
+        motion = trajectory_of(parts, stream.window)
         times.append(motion.duration)
         rests = np.diff(motion.time)[np.diff(motion.arc_length) == 0.0]
         expected = stream.window + (0.75 if more else 0.0)
@@ -102,7 +97,7 @@ def test_rests_at_the_ends_are_kept():
     part.rest[:] = [0.25, 0.5]
     stream = MotionStream(PLAIN, 2, feed_max=0.2)
     found = stream.push(part, np.full(2, 0.2)) + stream.finish()
-    motion = joined(found, CORNER, 0.0)
+    motion = trajectory_of(found, 0.0)
     plain = limit_motion(CORNER.part(0, 1), 0.2, PLAIN)
     assert motion.duration == pytest.approx(plain.duration + 0.75)
     np.testing.assert_allclose(motion.along([0.2, motion.duration - 0.4])[0], [0.0, 0.1])
@@ -115,7 +110,7 @@ def test_desired_speeds_may_jump_at_nodes():
     np.testing.assert_allclose(whole.speed_at([0.05, 0.15]), [0.05, 0.15])
     stream = MotionStream(PLAIN, 2, feed_max=0.15)
     found = stream.push(reference_parts(line, 2)[0], ends) + stream.finish()
-    np.testing.assert_allclose(joined(found, line, 0.0).speed, whole.speed, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(trajectory_of(found, 0.0).speed, whole.speed, rtol=0.0, atol=1e-9)
 
 
 def test_no_path_gives_no_motion():
@@ -157,7 +152,7 @@ def test_bad_parts_are_refused_and_leave_the_stream_as_it_was():
             stream.push(part, speed)
     found += stream.push(second, np.full(2, 0.2)) + stream.finish()
     whole = limit_motion(CORNER, 0.2, PLAIN)
-    np.testing.assert_allclose(joined(found, CORNER, 0.0).speed, whole.speed, atol=1e-12)
+    np.testing.assert_allclose(trajectory_of(found, 0.0).speed, whole.speed, atol=1e-12)
     assert stream.finish() == []
     with pytest.raises(ValueError, match='it has been finished'):
         stream.push(second, 0.1)

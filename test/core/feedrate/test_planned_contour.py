@@ -2,11 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Programs as the node plans them, on the simulated axes: blends and arcs keep the tolerance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.components.motion import feedrate_run
 from fuzzycnc_ros.components.motion.feedrate_run import Header, PathRun
-from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
+    FeedrateSchedulerConfig,
+    make_scheduler,
+)
 from fuzzycnc_ros.components.motion.tool_paths import program_tool_path, tool_path_segments
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
@@ -55,11 +61,11 @@ def test_blended_program_keeps_the_tolerance(name, blend, tolerance):
     assert largest_error(planned(PROGRAMS[name], config)) <= 1.05 * tolerance
 
 
-def test_braking_into_a_tight_blend_needs_the_slope():
+def test_braking_into_a_tight_blend_needs_the_slope(monkeypatch):
     """Without it the axes are still far behind when the path turns."""
-    config = FeedrateSchedulerConfig(
-        tolerance=1e-5, blend=1e-5, settle=0.25, log_fuzzy_approach_slope=1e6
-    )
+    config = FeedrateSchedulerConfig(tolerance=1e-5, blend=1e-5, settle=0.25)
+    steep = replace(make_scheduler(config), approach_slope=1e6)
+    monkeypatch.setattr(feedrate_run, 'make_scheduler', lambda _: steep)
     assert largest_error(planned(PROGRAMS['square'], config)) > 1.5e-5
 
 

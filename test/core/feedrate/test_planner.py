@@ -11,13 +11,12 @@ from paths.random_paths import KINDS, arc, random_limits, random_path
 from paths.reference_parts import reference_parts
 
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
+from fuzzycnc_ros.core.feedrate.motion.trajectory import MotionSamples, limit_motion
 from fuzzycnc_ros.core.feedrate.schedule.feeds import FeedPlan, desired_feed
 from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed, ConstantNormalAcceleration
-from fuzzycnc_ros.core.feedrate.schedule.planned_motion import PlannedSamples
 from fuzzycnc_ros.core.feedrate.schedule.planner import Planner, PlannerSettings
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 
 PLAIN = MotionLimits(path_velocity=0.2, path_acceleration=2.0)
 SMOOTH = MotionLimits(path_velocity=0.2, path_acceleration=2.0, path_jerk=40.0)
@@ -40,7 +39,7 @@ def rest_of(planner):
     found = []
     while not planner.exhausted:
         found.append(planner.take(1000))
-    return PlannedSamples.join(found, 2)
+    return MotionSamples.join(found, 2)
 
 
 def largest_of(one, two):
@@ -99,7 +98,7 @@ def eventful(seed, kind, axes, jerk):
                 planner.finish()
         found.append(planner.take(count))
         tail = planner.tail()
-        together = PlannedSamples.join([*found[-3:], tail], axes)
+        together = MotionSamples.join([*found[-3:], tail], axes)
         assert used(together, allowed, period) <= 1.001
         assert on_path(tail, geometry) <= 1e-9
         np.testing.assert_array_equal(tail.velocity[-1], 0.0)
@@ -113,7 +112,7 @@ def eventful(seed, kind, axes, jerk):
                     planner.settings, scheduler=scheduler(), limits=new, override=float(override)
                 )
             )
-    samples = PlannedSamples.join(found, axes)
+    samples = MotionSamples.join(found, axes)
     assert used(samples, allowed, period) <= 1.001
     assert on_path(samples, geometry) <= 1e-9
     assert (np.diff(samples.arc_length) >= -1e-12).all()
@@ -169,7 +168,7 @@ def test_feed_hold_rests_on_the_path_until_it_is_over(limits):
     assert (held.position[stopping:] == held.position[stopping]).all()
     planner.change(settings)
     assert not planner.held
-    samples = PlannedSamples.join([before, held, rest_of(planner)], 2)
+    samples = MotionSamples.join([before, held, rest_of(planner)], 2)
     assert used(samples, limits, 1e-3) <= 1.001
     assert on_path(samples, CORNER) <= 1e-9
     np.testing.assert_allclose(samples.position[-1], CORNER.coefficient[-1, -1], atol=1e-12)
@@ -200,7 +199,7 @@ def test_a_hold_at_a_stop_keeps_the_rest_of_its_dwell():
         planner.take(100)
         planner.change(STANDARD)
         planner.take(100)
-    rests = PlannedSamples.join([planner.take(600)], 2).arc_length
+    rests = MotionSamples.join([planner.take(600)], 2).arc_length
     leave = arrive + 700 + int(np.argmax(rests > 0.1))
     assert leave - arrive == pytest.approx(1000, abs=2)
 
@@ -214,7 +213,7 @@ def test_tail_leads_to_rest_without_a_step(limits):
     while not planner.exhausted:
         taken = planner.take(40)
         tail = planner.tail()
-        assert used(PlannedSamples.join([taken, tail], 2), limits, 1e-3) <= 1.001
+        assert used(MotionSamples.join([taken, tail], 2), limits, 1e-3) <= 1.001
         np.testing.assert_array_equal(tail.velocity[-1], 0.0)
         # As fast as can be: 0.1 s of braking, as long again for the window, a period each
         assert len(tail) <= (102 if limits is PLAIN else 203)
@@ -228,7 +227,7 @@ def test_tails_do_not_change_the_planner():
         found.append(one.take(100))
         one.tail()
     expected = rest_of(two)
-    position = PlannedSamples.join(found, 2).position
+    position = MotionSamples.join(found, 2).position
     np.testing.assert_allclose(position, expected.position, rtol=0.0, atol=1e-15)
 
 
@@ -269,9 +268,7 @@ def test_override_scales_feeds():
     [
         FuzzyScheduler(feed_max=0.2, window=9),
         FuzzyScheduler(feed_max=0.2, window_length=2e-3, smoothing='erode'),
-        LogFuzzyScheduler(
-            feed_max=0.2, tolerance=1e-5, machine_constant=2.15e-4, curvature_max=1e4
-        ),
+        ToleranceFeed(feed_max=0.2, tolerance=1e-5, machine_constant=2.15e-4, curvature_max=1e4),
     ],
 )
 @pytest.mark.parametrize('chunk', [1, 7, 1000])
@@ -345,11 +342,7 @@ def test_bad_changes_are_refused_and_change_nothing():
         ({'period': 0.0}, 'period: expected a positive number of s, but found 0.0'),
         ({'window': -1.0}, 'window: expected a positive number of s, but found -1.0'),
         (
-            {
-                'scheduler': LogFuzzyScheduler(
-                    feed_max=0.2, tolerance=1e-5, machine_constant=2.15e-4
-                )
-            },
+            {'scheduler': ToleranceFeed(feed_max=0.2, tolerance=1e-5, machine_constant=2.15e-4)},
             'which needs all of it; fix what it takes from the path, such as curvature_max',
         ),
     ],

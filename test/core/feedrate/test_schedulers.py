@@ -17,7 +17,6 @@ from fuzzycnc_ros.core.feedrate.schedule.fuzzy import (
     FuzzyScheduler,
     published_feed_rules,
 )
-from fuzzycnc_ros.core.feedrate.schedule.log_fuzzy import LogFuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedule.plain import (
     ChordErrorFeed,
     ConstantFeed,
@@ -27,6 +26,7 @@ from fuzzycnc_ros.core.feedrate.schedule.plain import (
     chord_error_feed,
 )
 from fuzzycnc_ros.core.feedrate.schedule.program_run import stream_ratio
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 
 FEED = 0.1
 SCHEDULERS = [
@@ -39,9 +39,9 @@ SCHEDULERS = [
     FuzzyScheduler(feed_max=FEED, vvlf='VLF', average=15, smoothing='causal'),
     FuzzyScheduler(feed_max=FEED, smoothing='erode', normalisation='path', window_both=True),
     FuzzyScheduler(feed_max=FEED, window_length=1e-3, exact=True),
-    LogFuzzyScheduler(feed_max=FEED, tolerance=1e-5, machine_constant=2e-4),
-    LogFuzzyScheduler(feed_max=FEED, tolerance=1e-5, machine_constant=2e-4, braking=3),
-    LogFuzzyScheduler(feed_max=FEED, tolerance=1e-5, machine_constant=2e-4, exact=True),
+    ToleranceFeed(feed_max=FEED, tolerance=1e-5, machine_constant=2e-4),
+    ToleranceFeed(feed_max=FEED, tolerance=1e-5, machine_constant=2e-4, guard_step=0.0),
+    ToleranceFeed(feed_max=FEED, tolerance=1e-5, machine_constant=2e-4, approach_time=0.0),
 ]
 ALL = pytest.mark.parametrize('scheduler', SCHEDULERS, ids=repr)
 
@@ -154,7 +154,7 @@ LOG = SCHEDULERS[-1]
         (LOG, {'tolerance': 0.0}, 'tolerance: expected a positive number, but found 0.0'),
         (LOG, {'tolerance': -1e-5}, 'tolerance: expected a positive number'),
         (LOG, {'margin': 0.9}, 'margin: expected a number from 1.0'),
-        (LOG, {'braking': 7}, 'braking: expected a number from 0 to 6'),
+        (LOG, {'guard_step': 2.0}, 'guard_step: expected a number from 0.0 to 1.0'),
         (LOG, {'guard_length': math.nan}, 'guard_length: expected a number from 0.0'),
         (LOG, {'curvature_max': 0.0}, 'curvature_max: expected a positive number'),
     ],
@@ -216,27 +216,12 @@ def test_window_in_arc_length_does_not_depend_on_the_sampling():
     np.testing.assert_allclose(fine[::4], coarse, atol=1e-12)
 
 
-@given(st.floats(0.0, 4.0), st.floats(0.0, 4.0))
-def test_log_fuzzy_feed_falls_with_the_root_of_the_curvature(decade, other):
-    scheduler = LogFuzzyScheduler(
-        feed_max=FEED, tolerance=1e-5, machine_constant=2e-4, curvature_max=1e4
-    )
-    arc_length = np.array([0.0, 1.0])
-    ratio = [scheduler.ratio(np.full(2, 10.0**x), arc_length)[0] for x in (decade, other)]
-    full = math.log10(FEED**2 * 2e-4 * scheduler.margin / 1e-5)
-    for x, found in zip((decade, other), ratio, strict=True):
-        # Ripple of the centroid, a fiftieth of the gap between the sets, plus the table's part
-        assert math.log10(found) == pytest.approx(-0.5 * max(full + x, 0.0), abs=0.025)
-    if other > decade + 0.25:
-        assert ratio[1] <= ratio[0]
-
-
-def test_log_fuzzy_feed_goes_on_falling_beyond_the_given_curvature():
-    scheduler = LogFuzzyScheduler(
+def test_feed_of_a_tolerance_goes_on_falling_beyond_the_given_curvature():
+    scheduler = ToleranceFeed(
         feed_max=FEED, tolerance=1e-5, machine_constant=2e-4, curvature_max=1e3
     )
     ratio = [scheduler.ratio(np.full(2, x), np.array([0.0, 1.0]))[0] for x in (1e3, 4e3, 1.6e4)]
-    assert ratio[1] / ratio[0] == pytest.approx(0.5, rel=0.03)
+    assert ratio[1] / ratio[0] == pytest.approx(0.5, rel=1e-9)
     assert ratio[2] / ratio[1] == pytest.approx(0.5, rel=1e-9)
 
 
@@ -245,7 +230,7 @@ def test_guard_covers_what_lies_between_samples_and_near_peaks():
     curvature = np.full(101, 100.0)
     curvature[50] = 1e4
     path = SampledPath(arc_length, curvature)
-    scheduler = LogFuzzyScheduler(
+    scheduler = ToleranceFeed(
         feed_max=FEED, tolerance=1e-5, machine_constant=2e-4, guard_length=3.5e-5
     )
     wide = scheduler.guarded(path)
@@ -257,18 +242,6 @@ def test_guard_covers_what_lies_between_samples_and_near_peaks():
     # At the peak the feed is sqrt(1e-5 / 2e-4 / 1e4) m/s: 11 um in 5 ms.
     short = replace(scheduler, guard_time=0.005, guard_step=0.0).guarded(path)
     assert np.flatnonzero(short == 1e4).tolist() == [49, 50, 51]
-
-
-def test_braking_lowers_the_feed_only_where_the_curvature_rises():
-    arc_length = np.linspace(0.0, 0.1, 101)
-    curvature = np.where(arc_length < 0.05, 10.0, 3000.0)
-    plain = LogFuzzyScheduler(feed_max=FEED, tolerance=1e-5, machine_constant=2e-4)
-    difference = plain.ratio(curvature, arc_length) - replace(plain, braking=4).ratio(
-        curvature, arc_length
-    )
-    assert np.all(difference[:44] == 0.0)
-    assert np.all(difference[46:49] > 0.0)
-    assert np.all(difference[50:] == 0.0)
 
 
 STREAMED = [
@@ -301,7 +274,7 @@ def test_parts_give_what_the_whole_path_gives(scheduler, sizes, seed):
     'scheduler', [SCHEDULERS[3], SCHEDULERS[4], SCHEDULERS[7], SCHEDULERS[9]], ids=repr
 )
 def test_schedulers_that_need_the_whole_path_say_so(scheduler):
-    with pytest.raises(ValueError, match='expected a scheduler that can take a path in parts'):
+    with pytest.raises(ValueError, match='scheduler: expected one that can take a path in parts'):
         next(stream_ratio(scheduler, iter([wiggle()])))
 
 

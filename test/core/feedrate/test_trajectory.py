@@ -78,16 +78,6 @@ def test_axes_alone_limit_the_speed_of_a_diagonal():
     assert np.abs(motion.acceleration[:, 1]).max() == pytest.approx(0.8)
 
 
-def test_speeds_at_the_ends_are_kept():
-    geometry = straight_lines([[0.0, 0.0], [0.1, 0.0]])
-    found = limit_motion(geometry, 0.2, PLAIN, start=0.1, end=0.05)
-    np.testing.assert_allclose(found.speed_at([0.0, 0.1]), [0.1, 0.05])
-    with pytest.raises(ValueError, match=r'expected 0 m/s where jerk is limited, but found 0\.1'):
-        limit_motion(geometry, 0.2, SMOOTH, start=0.1)
-    with pytest.raises(ValueError, match='start, end: expected 0 m/s or more'):
-        limit_motion(geometry, 0.2, PLAIN, end=-0.1)
-
-
 def test_override_before_the_limits_keeps_them():
     rng = np.random.default_rng(5)
     geometry = random_path(rng, 'spline', 2)

@@ -19,10 +19,9 @@ def reference_parts(
 ) -> list[ReferencePath]:
     """Return a path in parts of `chunk` pieces; it rests for `rest` at inner stops."""
     count = len(geometry.coefficient)
-    stop = geometry.stop.copy()
+    whole = ReferencePath.of_geometry(geometry)
+    stop, curvature = whole.stop, whole.curvature
     stop[0], stop[-1] = place == 0.0, last
-    bend = np.linalg.norm(geometry.derivative(2), axis=2)
-    curvature = np.maximum(np.append(bend[:, 0], 0.0), np.append(0.0, bend[:, -1]))
     feeds = np.broadcast_to(feed, (count,))
     found = []
     for begin in range(0, count, chunk):

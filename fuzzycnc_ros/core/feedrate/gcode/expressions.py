@@ -5,9 +5,9 @@
 import math
 import re
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
-import numpy as np
+from fuzzycnc_ros.core.feedrate.gcode.degrees import cosine, degrees, sine, tangent
 
 
 class Values(Protocol):
@@ -31,10 +31,6 @@ Expression = Callable[[Values], float | None]
 
 EQUAL = 1e-4
 """Numbers closer than this count as equal in EQ and NE, in newer LinuxCNC in GE and LE too."""
-
-# LinuxCNC turns angles with long numbers: at 90 degrees that decides the sign of a cosine.
-_LONG = np.longdouble
-_PI = np.longdouble('3.14159265358979323846264338327950288')
 
 LENGTH = 512
 """Longest line with an expression; LinuxCNC takes 255."""
@@ -194,7 +190,7 @@ def _function(text: str, match: re.Match[str], depth: int) -> tuple[Expression, 
         if text[end : end + 1] != '/' or text[_skip(text, end + 1) :][:1] != '[':
             raise ExpressionError('expected ATAN[...]/[...] but found no second bracket')
         other, end = _bracket(text, _skip(text, end + 1), depth)
-        return _both(lambda y, x: _degrees(math.atan2(y, x)), inner, other), end
+        return _both(lambda y, x: degrees(math.atan2(y, x)), inner, other), end
     compute = _FUNCTIONS[name]
 
     def function(values: Values) -> float | None:
@@ -246,15 +242,6 @@ def _above(left: float, right: float) -> bool | None:
     return None if abs(left - right) < EQUAL else False
 
 
-def _degrees(angle: float) -> float:
-    return float(_LONG(angle) * 180 / _PI)
-
-
-def _turned(function: Callable[..., Any]) -> Callable[[float], float]:
-    """Return a function of an angle in degrees."""
-    return lambda value: float(function(_LONG(value) * _PI / 180))
-
-
 def _round(value: float) -> float:
     return float(int(value + math.copysign(0.5, value)))
 
@@ -287,15 +274,15 @@ _OPERATIONS: dict[str, Callable[[float, float], float | None]] = {
 
 _FUNCTIONS: dict[str, Callable[[float], float]] = {
     'ABS': abs,
-    'ACOS': lambda value: _degrees(math.acos(value)),
-    'ASIN': lambda value: _degrees(math.asin(value)),
-    'COS': _turned(np.cos),
+    'ACOS': lambda value: degrees(math.acos(value)),
+    'ASIN': lambda value: degrees(math.asin(value)),
+    'COS': cosine,
     'EXP': math.exp,
     'FIX': math.floor,
     'FUP': math.ceil,
     'LN': math.log,
     'ROUND': _round,
-    'SIN': _turned(np.sin),
+    'SIN': sine,
     'SQRT': math.sqrt,
-    'TAN': _turned(np.tan),
+    'TAN': tangent,
 }

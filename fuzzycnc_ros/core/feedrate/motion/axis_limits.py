@@ -20,11 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
-_GROUP = 16384
-"""Segments swept at a time, unless one span is longer."""
 _NO_BAND = 1e150
 """Width of a band that bounds nothing, so that sums of two stay finite."""
 _FLAT = 1e-9
@@ -80,53 +77,6 @@ class Bands:
         falls = self.slope < 0.0
         over = np.where(falls, -self.slope, 1.0)
         return np.where(falls, self.width / over, np.inf), np.where(falls, 1.0 / over, 0.0)
-
-
-def node_minimum(segment: Array) -> Array:
-    """Return the smaller value of the segments on both sides of each node, shape (m + 1,)."""
-    return np.asarray(np.minimum(np.append(segment, np.inf), np.append(np.inf, segment)))
-
-
-def fastest_speed(geometry: PathGeometry, wanted: Array, limits: MotionLimits) -> Array:
-    """Return the fastest squared speeds at the nodes, shape (m + 1,) [m^2/s^2].
-
-    Parameters
-    ----------
-    geometry : PathGeometry
-        The path.
-    wanted : array, shape (m + 1,)
-        Squared desired speeds; those of the ends are the squared speeds there [m^2/s^2].
-    limits : MotionLimits
-        Limits of velocity and acceleration; those of jerk have no effect.
-    """
-    table = limits.table(geometry.axes)
-    found = np.array(wanted, dtype=float)
-    found[geometry.stop] = 0.0
-    fence = np.concatenate([[0], np.flatnonzero(geometry.stop), [len(found) - 1]])
-    begin = 0
-    while begin < len(fence) - 1:  # spans between stops know nothing of each other
-        end = int(np.searchsorted(fence, fence[begin] + _GROUP, 'right')) - 1
-        end = max(end, begin + 1)
-        first, last = int(fence[begin]), int(fence[end])
-        part = slice(first, last + 1)
-        found[part] = _fastest(geometry.part(first, last), found[part], table)
-        begin = end
-    return found
-
-
-def _fastest(geometry: PathGeometry, cap: Array, table: Array) -> Array:
-    """Return the fastest squared speeds of some spans."""
-    bands = acceleration_bands(geometry, table)
-    cap = np.minimum(cap, node_minimum(bands.fastest))
-    cap[:-1] = np.minimum(cap[:-1], bands.most)
-    _sweep_spans(bands, cap, geometry.stop)
-    return cap
-
-
-def _sweep_spans(bands: Bands, cap: Array, stop: NDArray[np.bool_]) -> None:
-    """Lower squared speeds at the nodes to the fastest ones; those at stops must be 0."""
-    brake_spans(bands, cap, stop)
-    rise_spans(bands, cap, stop)
 
 
 def brake_spans(bands: Bands, cap: Array, stop: NDArray[np.bool_]) -> None:

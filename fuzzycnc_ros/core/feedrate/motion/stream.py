@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.motion.average import (
     AVERAGE_EDGE,
+    Shares,
     range_minimum,
     share_limits,
     windows,
@@ -21,7 +22,6 @@ from fuzzycnc_ros.core.feedrate.motion.axis_limits import acceleration_bands
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.pieces import Pieces, squares
 from fuzzycnc_ros.core.feedrate.motion.sweeps import BandSweep, Braking, RiseSweep
-from fuzzycnc_ros.core.feedrate.motion.trajectory import timed
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 if TYPE_CHECKING:
@@ -126,9 +126,9 @@ class _AverageProfile:
             self._note(behind)
             self._time, self._done = passed, len(behind)
 
-    def push(self, pieces: Pieces) -> None:
-        """Take the next pieces."""
-        cap, rise = self._note(pieces)
+    def push(self, pieces: Pieces, shares: Shares | None = None) -> None:
+        """Take the next pieces, and their shares of the limits where they are known already."""
+        cap, rise = self._note(pieces, shares)
         self._first.push(pieces.place, cap, 2.0 * rise * pieces.length, pieces.stop)
 
     def settle(self, *, ended: bool = False) -> _Profile:
@@ -179,9 +179,10 @@ class _AverageProfile:
         """Return how the motion could go on to rest."""
         return _Profile(self._second.to_rest(), self._rise)
 
-    def _note(self, pieces: Pieces) -> Array:
+    def _note(self, pieces: Pieces, shares: Shares | None = None) -> Array:
         """Keep the largest squared speeds and accelerations of the next pieces; return them."""
-        shares = share_limits(pieces.geometry, pieces.square, self._table)
+        if shares is None:
+            shares = share_limits(pieces.geometry, pieces.square, self._table)
         rise = np.minimum(shares.rise, 0.5 * self._window * shares.jolt)
         found = np.stack([shares.cap, rise])
         self._limit = np.concatenate([self._limit, found], axis=1)
@@ -258,6 +259,37 @@ class MotionEntry:
     passed: Array | None = None
 
 
+_WINDOWS = tuple(2.0**power for power in range(-6, 1))
+"""Windows tried, as shares of the longest useful one."""
+
+
+def fastest_window(pieces: Pieces, table: Array, feed_max: float) -> float:
+    """Return that of several lengths of the average with which a path takes the least time [s].
+
+    Parameters
+    ----------
+    pieces : Pieces
+        The whole path, with squared desired speeds.
+    table : array, shape (3, d + 1)
+        Limits as `MotionLimits.table` gives them, jerk among them.
+    feed_max : float
+        No desired speed is above it [m/s].
+    """
+    fine = pieces.fine(table, feed_max)
+    shares = share_limits(fine.geometry, fine.square, table)
+    # A longer window than the longest of these admits no more acceleration anywhere.
+    longest = 2.0 * float((shares.rise / shares.jolt).max())
+
+    def duration(window: float) -> float:
+        profile = _AverageProfile(table, window)
+        profile.push(fine, shares)
+        speed = np.sqrt(profile.settle(ended=True).square)
+        moving = float((2.0 * fine.length / (speed[:-1] + speed[1:])).sum())
+        return moving + window * int(fine.stop[1:].sum())
+
+    return min((longest * share for share in _WINDOWS), key=duration)
+
+
 def default_window(limits: MotionLimits, axes: int, feed_max: float) -> float:
     """Return the length of the average that suits some limits [s]; 0 without limits of jerk.
 
@@ -272,8 +304,39 @@ def default_window(limits: MotionLimits, axes: int, feed_max: float) -> float:
     return float(min(2.0 * acceleration / jerk, np.sqrt(2.0 * fastest / jerk)))
 
 
+def timed(
+    place: Array, length: Array, square: Array, dwell: Array, start: float
+) -> tuple[Array, Array, Array, Array]:
+    """Return time, arc length, speed and acceleration at the instants of a motion.
+
+    Parameters
+    ----------
+    place, square : array, shape (m + 1,)
+        Arc length [m] and squared speeds [m^2/s^2] at the nodes, the square linear in between.
+    length : array, shape (m,)
+        Lengths of the pieces [m].
+    dwell : array, shape (m,)
+        Rests at the first m nodes, at which the speed is 0 where they are not [s].
+    start : float
+        When the motion comes to the first node [s].
+    """
+    speed = np.sqrt(square)
+    moving = 2.0 * length / (speed[:-1] + speed[1:])
+    rise = np.append(np.diff(square) / (2.0 * length), 0.0)
+    time = np.cumsum(np.append(start, moving + dwell))
+    rests = np.flatnonzero(dwell)
+    if not len(rests):
+        return time, place, speed, rise
+    return (
+        np.insert(time, rests + 1, time[rests] + dwell[rests]),
+        np.insert(place, rests + 1, place[rests]),
+        np.insert(speed, rests + 1, 0.0),
+        np.insert(rise, rests, 0.0),
+    )
+
+
 class MotionStream:
-    """`limit_motion` for a path that arrives in parts, with bounded memory.
+    """The motion along a path that arrives in parts, within limits and with bounded memory.
 
     Motion leaves as soon as no continuation of the path can change it.  Given the same window and
     `feed_max`, it is that of the whole path, however the path is cut into parts.

@@ -5,38 +5,35 @@
 Without limits of jerk the squared speed runs straight between the nodes (`axis_limits`).  With
 them, the limits at each place are first shared out into the largest speed, acceleration and jerk
 along the path; the fastest motion within speed and acceleration is then averaged over a window in
-time (`motion_average`).  At stops the motion rests for the length of the window.
+time (`average`).  At stops the motion rests for the length of the window.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.motion.average import (
-    Shares,
-    range_minimum,
-    share_limits,
-    windows,
-)
-from fuzzycnc_ros.core.feedrate.motion.axis_limits import fastest_speed, node_minimum
-from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits, sweep
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.pieces import Pieces, squares
+from fuzzycnc_ros.core.feedrate.motion.stream import MotionPart, MotionStream, fastest_window
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
-_WINDOWS = 2.0 ** np.arange(-6, 1)
-"""Windows tried, as shares of the longest useful one."""
+_BATCH = 1024
+"""Samples taken at a time."""
+_SPARE = 256
+"""Instants or pieces that have to be out of use before any is dropped."""
 
 
-@dataclass(frozen=True)
-class _Samples:
-    """Trajectory at a fixed period: time (k,) [s]; derivatives of position, each (k, d) [SI].
+@dataclass(frozen=True, eq=False)
+class MotionSamples:
+    """Samples of a trajectory: time (k,) [s]; derivatives of the position, each (k, d) [SI].
 
-    `arc_length` (k,) [m] and `speed` (k,) [m/s] are those along the path.
+    `arc_length` is that from the start of the path, `speed` that along the path, both (k,)
+    [m, m/s].
     """
 
     time: Array
@@ -46,50 +43,124 @@ class _Samples:
     arc_length: Array
     speed: Array
 
+    def __len__(self) -> int:
+        return len(self.time)
 
-@dataclass(frozen=True)
+    @classmethod
+    def join(cls, parts: Sequence[MotionSamples], axes: int) -> MotionSamples:
+        """Return samples that follow each other as one; `axes` is the number d."""
+        row, table = np.empty(0), np.empty((0, axes))
+        void = cls(row, table, table, table, row, row)
+        rows = ([getattr(one, item.name) for one in (void, *parts)] for item in fields(cls))
+        return cls(*(np.concatenate(row) for row in rows))
+
+
+@dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Motion along a path.
+    """Motion along a path, or along the stretch of it that is still of use.
+
+    `limit_motion` makes that of a whole path; `at_rest` and `extended` put together what a
+    `MotionStream` returns.
 
     Attributes
     ----------
-    geometry : PathGeometry
-        The path.
+    pieces : Pieces
+        At least those m that `arc_length` covers.
+    rise : array, shape (m,)
+        Largest change of speed that each of them leaves, for motion that is averaged [m/s^2].
     time, arc_length, speed, acceleration : array, shape (k,)
         Motion before averaging: from each instant on, the acceleration is constant until the
-        next [s, m, m/s, m/s^2].
+        next [s, m, m/s, m/s^2]; at rest before the first and after the last.
     window : float
         Length of the average [s]; 0 for none.
     """
 
-    geometry: PathGeometry
+    pieces: Pieces
+    rise: Array
     time: Array
     arc_length: Array
     speed: Array
     acceleration: Array
-    window: float = 0.0
+    window: float
+
+    @classmethod
+    def at_rest(cls, pieces: Pieces, window: float) -> Trajectory:
+        """Return the motion that rests at the beginning of some pieces at time 0."""
+        still = np.zeros(1)
+        return cls(pieces, np.zeros(len(pieces)), still, pieces.place[:1], still, still, window)
+
+    @property
+    def geometry(self) -> PathGeometry:
+        """The pieces, node from 0."""
+        return self.pieces.geometry
 
     @property
     def duration(self) -> float:
-        """Time from start to end [s]."""
+        """Time from the start of the path to the end of the motion, average included [s]."""
         return float(self.time[-1]) + self.window
+
+    @property
+    def rests(self) -> float:
+        """When the motion, average included, has come to its last place for good [s]."""
+        arrived = int(np.searchsorted(self.arc_length, self.arc_length[-1]))
+        return float(self.time[arrived]) + (self.window if arrived else 0.0)
+
+    def extended(self, parts: Sequence[MotionPart]) -> Trajectory:
+        """Return this motion and what follows it, one part or more."""
+        pieces = [part.pieces for part in parts]
+        rise = [np.zeros(len(part.pieces)) if part.rise is None else part.rise for part in parts]
+        if self.pieces.place[-1] <= pieces[0].place[0]:
+            pieces.insert(0, self.pieces)
+            rise.insert(0, self.rise)
+        time, arc_length, speed, acceleration = (
+            np.concatenate(
+                [
+                    getattr(self, name)[:-1],
+                    *(getattr(part, name)[:-1] for part in parts),
+                    getattr(parts[-1], name)[-1:],
+                ]
+            )
+            for name in ('time', 'arc_length', 'speed', 'acceleration')
+        )
+        return Trajectory(
+            Pieces.join(pieces),
+            np.concatenate(rise),
+            time,
+            arc_length,
+            speed,
+            acceleration,
+            self.window,
+        )
+
+    def since(self, time: float) -> Trajectory:
+        """Return the motion from the instant before a time on; the same if that is not less."""
+        first = int(self._index(np.array([time]))[0])
+        at = int(np.searchsorted(self.pieces.place, self.arc_length[first], 'right')) - 1
+        at = int(np.clip(at, 0, len(self.pieces) - 1))
+        if max(first, at) < _SPARE:
+            return self
+        return Trajectory(
+            self.pieces.part(at, len(self.pieces)),
+            self.rise[at:],
+            self.time[first:],
+            self.arc_length[first:],
+            self.speed[first:],
+            self.acceleration[first:],
+            self.window,
+        )
 
     def along(self, time: ArrayLike) -> tuple[Array, Array, Array]:
         """Return arc length, speed and acceleration along the path at times (k,) [s]."""
-        at = np.clip(np.asarray(time, dtype=float), 0.0, self.duration)
-        if self.window == 0.0:
-            return self._plain(at)
-        here, speed_here, _ = self._plain(at)
-        there, speed_there, _ = self._plain(at - self.window)
-        mean = (self._area(at) - self._area(at - self.window)) / self.window
-        return (
-            np.asarray(mean, dtype=float),
-            (here - there) / self.window,
-            (speed_here - speed_there) / self.window,
-        )
+        at = np.asarray(time, dtype=float)
+        order = np.argsort(at, kind='stable')
+        found = np.empty((3, len(at)))
+        for begin in range(0, len(at), _BATCH):
+            some = order[begin : begin + _BATCH]
+            found[:, some] = self._along(at[some])
+        return found[0], found[1], found[2]
 
-    def sample(self, period: float) -> _Samples:
-        """Return the trajectory every `period` [s]; the last sample is at or after the end.
+    def sample(self, period: float) -> MotionSamples:
+        """Return samples every `period` [s] from 0; the last one is at or after the end.
 
         Raises
         ------
@@ -98,68 +169,131 @@ class Trajectory:
         """
         if not 0.0 < period < np.inf:
             raise ValueError(f'period: expected a positive number of s, but found {period}')
-        time = period * np.arange(int(np.ceil(self.duration / period - 1e-9)) + 1)
-        place, speed, rise = self.along(time)
-        tangent, bend = (self.geometry.evaluate(place, order) for order in (1, 2))
-        velocity = tangent * speed[:, np.newaxis]
-        return _Samples(
-            np.asarray(time, dtype=float),
-            self.geometry.evaluate(place),
-            velocity,
-            tangent * rise[:, np.newaxis] + bend * speed[:, np.newaxis] ** 2,
-            place,
-            np.asarray(np.linalg.norm(velocity, axis=1), dtype=float),
-        )
+        return self.at(period * np.arange(int(np.ceil(self.duration / period - 1e-9)) + 1))
+
+    def at(self, time: ArrayLike) -> MotionSamples:
+        """Return samples at times (k,) [s]."""
+        times = np.asarray(time, dtype=float)
+        found = []
+        for begin in range(0, len(times), _BATCH):
+            some = times[begin : begin + _BATCH]
+            place, speed, rise = self.along(some)
+            position, tangent, bend = self._on_path(place)
+            velocity = tangent * speed[:, np.newaxis]
+            acceleration = tangent * rise[:, np.newaxis] + bend * speed[:, np.newaxis] ** 2
+            speed = np.asarray(np.linalg.norm(velocity, axis=1))
+            found.append(MotionSamples(some, position, velocity, acceleration, place, speed))
+        return MotionSamples.join(found, self.geometry.axes)
+
+    def state(self, time: float) -> tuple[float, float, float]:
+        """Return arc length and speed before averaging [m, m/s], and how long it rests then [s].
+
+        The rest behind the last instant does not count.
+        """
+        at = int(self._index(np.array([time]))[0])
+        place, speed, _ = (float(found[0]) for found in self._plain(np.array([time])))
+        rests = self.speed[at] == 0.0 and self.acceleration[at] == 0.0
+        left = float(self.time[at + 1]) - time if rests and at + 1 < len(self.time) else 0.0
+        return place, speed, left
+
+    def passed(self, place: Array) -> Array:
+        """Return when the motion left places that it has passed, shape (k,) [s]."""
+        at = np.searchsorted(self.arc_length, place, 'right') - 1
+        return np.asarray(self.time[np.maximum(at, 0)])
 
     def speed_at(self, arc_length: ArrayLike) -> Array:
-        """Return the speeds at places on the path, shape (k,) [m/s]."""
+        """Return the speeds at places on the path, shape (k,), none or more [m/s]."""
         place = np.asarray(arc_length, dtype=float)
         if self.window == 0.0:
             moving = np.append(np.diff(self.arc_length) > 0.0, True)
-            square = np.interp(place, self.arc_length[moving], self.speed[moving] ** 2)
-            return np.asarray(np.sqrt(square))
-        low, high = np.zeros(len(place)), np.full(len(place), self.duration)
+            square = self.speed[moving] ** 2
+            return np.asarray(np.sqrt(np.interp(place, self.arc_length[moving], square)))
+        low, high = np.full(len(place), self.time[0]), np.full(len(place), self.duration)
         for _ in range(52):  # halves the interval down to the spacing of doubles
             middle = 0.5 * (low + high)
-            late = self.along(middle)[0] >= place
-            low, high = np.where(late, low, middle), np.where(late, middle, high)
+            reached = self.along(middle)[0] >= place
+            low, high = np.where(reached, low, middle), np.where(reached, middle, high)
         return self.along(high)[1]
 
-    def _plain(self, at: Array) -> tuple[Array, Array, Array]:
-        """Motion before averaging, at rest before the start and after the end."""
-        index = np.clip(np.searchsorted(self.time, at, 'right') - 1, 0, len(self.time) - 1)
-        since = np.maximum(at - self.time[index], 0.0)
-        rise = np.where(at < 0.0, 0.0, self.acceleration[index])
-        speed = np.where(at < 0.0, 0.0, self.speed[index])
+    def until(self, time: float, square: float) -> tuple[Array, Array, Array, Array]:
+        """Return the instants up to a time, where the motion is cut at a squared speed."""
+        count = int(np.searchsorted(self.time, time, 'left'))
+        place, _, _ = self.state(time)
         return (
-            self.arc_length[index] + (speed + 0.5 * rise * since) * since,
+            np.append(self.time[:count], time),
+            np.append(self.arc_length[:count], place),
+            np.append(self.speed[:count], np.sqrt(square)),
+            np.append(self.acceleration[:count], 0.0),
+        )
+
+    def _index(self, at: Array) -> Array:
+        return np.clip(np.searchsorted(self.time, at, 'right') - 1, 0, len(self.time) - 1)
+
+    def _along(self, at: Array) -> tuple[Array, Array, Array]:
+        """Return arc length, speed and acceleration along the path at rising times."""
+        here, speed, rise = self._plain(at)
+        if self.window == 0.0:
+            return here, speed, rise
+        there, speed_there, _ = self._plain(at - self.window)
+        # Areas from a place and a time nearby, so that little cancels.
+        first = self._index(at[:1] - self.window)[0]
+        some = slice(first, self._index(at[-1:])[0] + 1)
+        origin = self.arc_length[first]
+        pieces = _area(
+            self.arc_length[some][:-1] - origin,
+            self.speed[some][:-1],
+            self.acceleration[some][:-1],
+            np.diff(self.time[some]),
+        )
+        area = np.append(0.0, np.cumsum(pieces))
+        mean = (self._areas(at, area, first) - self._areas(at - self.window, area, first)) / (
+            self.window
+        )
+        return (
+            np.where(here == there, here, origin + mean),  # at rest, the very place
+            (here - there) / self.window,
+            (speed - speed_there) / self.window,
+        )
+
+    def _plain(self, at: Array) -> tuple[Array, Array, Array]:
+        """Return arc length, speed and acceleration before averaging."""
+        index = self._index(at)
+        since = np.maximum(at - self.time[index], 0.0)
+        rise, speed = self.acceleration[index], self.speed[index]
+        return (
+            np.asarray(self.arc_length[index] + (speed + 0.5 * rise * since) * since),
             np.maximum(speed + rise * since, 0.0),
             rise,
         )
 
-    def _area(self, at: Array) -> Array:
-        """Integral of arc length over time; in long doubles, for differences of it count."""
-        index = np.clip(np.searchsorted(self.time, at, 'right') - 1, 0, len(self.time) - 1)
-        # Before the start the path's beginning, arc length 0, adds nothing.
-        since = np.maximum(at - self.time[index], 0.0)
+    def _areas(self, at: Array, area: Array, first: int) -> Array:
+        """Return integrals of arc length over time since instant `first`."""
+        index = self._index(at)
+        # Before the first instant the motion rests.
+        since = at - self.time[index]
+        moving = since >= 0.0
         return np.asarray(
-            self._areas[index]
-            + self._piece(
-                self.arc_length[index], self.speed[index], self.acceleration[index], since
+            area[index - first]
+            + _area(
+                self.arc_length[index] - self.arc_length[first],
+                np.where(moving, self.speed[index], 0.0),
+                np.where(moving, self.acceleration[index], 0.0),
+                since,
             )
         )
 
-    @cached_property
-    def _areas(self) -> Array:
-        """Integral of arc length up to each instant."""
-        step = np.diff(self.time)
-        piece = self._piece(self.arc_length[:-1], self.speed[:-1], self.acceleration[:-1], step)
-        return np.append(np.longdouble(0.0), np.cumsum(piece))
+    def _on_path(self, place: Array) -> tuple[Array, Array, Array]:
+        """Return positions and their first two derivatives at places (k,) [m]."""
+        nodes = self.pieces.place
+        low, high = np.searchsorted(nodes, [place.min(), place.max()], 'right') - 1
+        low = int(np.clip(low, 0, len(self.pieces) - 1))
+        geometry = self.geometry.part(low, max(int(high), low) + 1)
+        local = place - nodes[low]
+        return geometry.evaluate(local), geometry.evaluate(local, 1), geometry.evaluate(local, 2)
 
-    @staticmethod
-    def _piece(place: Array, speed: Array, rise: Array, since: Array) -> Array:
-        span = since.astype(np.longdouble)
-        return np.asarray(span * (place + span * (speed / 2.0 + rise * span / 6.0)))
+
+def _area(place: Array, speed: Array, rise: Array, since: Array) -> Array:
+    return np.asarray(since * (place + since * (speed / 2.0 + rise * since / 6.0)))
 
 
 def limit_motion(
@@ -167,12 +301,10 @@ def limit_motion(
     speed: ArrayLike,
     limits: MotionLimits,
     *,
-    start: float = 0.0,
-    end: float = 0.0,
     window: float | None = None,
     feed_max: float | None = None,
 ) -> Trajectory:
-    """Return the motion that follows the desired speeds as far as the limits allow.
+    """Return the motion from rest to rest that follows desired speeds as far as limits allow.
 
     Parameters
     ----------
@@ -183,9 +315,6 @@ def limit_motion(
         [m/s]; lower values serve as given speeds of junctions.  In between the square is linear.
     limits : MotionLimits
         Kept at every moment.
-    start, end : float
-        Speeds at the ends [m/s]; lower ones are taken where these cannot be had.  With an average
-        both ends are at rest.
     window : float, optional
         Length of the average [s]; by default the fastest of several with limits of jerk, and no
         average without.
@@ -195,89 +324,12 @@ def limit_motion(
     Raises
     ------
     ValueError
-        If a speed is not positive and finite, a shape differs, or `start` or `end` is not 0
-        where the motion is averaged.
+        If a speed is not positive and finite, a shape differs, or a number is out of its range.
     """
     pieces = Pieces.of_geometry(geometry, squares(speed, len(geometry.coefficient)))
-    if not (0.0 <= start < np.inf and 0.0 <= end < np.inf):
-        raise ValueError(f'start, end: expected 0 m/s or more, but found {start} and {end}')
-    table = limits.table(geometry.axes)
-    fine = pieces.fine(table, feed_max or float(np.sqrt(pieces.square.max())))
-    if window is None and not limits.limits_jerk:
-        cap = np.minimum(
-            np.append(fine.square[:, 0], np.inf), np.append(np.inf, fine.square[:, 1])
-        )
-        cap[[0, -1]] = np.minimum(cap[[0, -1]], [start**2, end**2])
-        return _timed(fine.geometry, fastest_speed(fine.geometry, cap, limits))
-    if start or end:
-        raise ValueError(
-            f'start, end: expected 0 m/s where jerk is limited, but found {start} and {end}'
-        )
-    if window is not None and not 0.0 < window < np.inf:
-        raise ValueError(f'window: expected a positive number of s, but found {window}')
-    shares = share_limits(fine.geometry, fine.square, table)
-    # A longer window than the longest of these admits no more acceleration anywhere.
-    longest = 2.0 * float((shares.rise / shares.jolt).max())
-    tried = [window] if window is not None else [longest * share for share in _WINDOWS]
-    found = [_averaged(fine.geometry, shares, float(one)) for one in tried]
-    return min(found, key=lambda one: one.duration)
-
-
-def timed(
-    place: Array, length: Array, square: Array, dwell: Array, start: float = 0.0
-) -> tuple[Array, Array, Array, Array]:
-    """Return time, arc length, speed and acceleration at the instants of a motion.
-
-    Parameters
-    ----------
-    place, square : array, shape (m + 1,)
-        Arc length [m] and squared speeds [m^2/s^2] at the nodes, the square linear in between.
-    length : array, shape (m,)
-        Lengths of the pieces [m].
-    dwell : array, shape (m,)
-        Rests at the first m nodes, at which the speed is 0 where they are not [s].
-    start : float
-        When the motion comes to the first node [s].
-    """
-    speed = np.sqrt(square)
-    moving = 2.0 * length / (speed[:-1] + speed[1:])
-    rise = np.append(np.diff(square) / (2.0 * length), 0.0)
-    time = np.cumsum(np.append(start, moving + dwell))
-    rests = np.flatnonzero(dwell)
-    if not len(rests):
-        return time, place, speed, rise
-    return (
-        np.insert(time, rests + 1, time[rests] + dwell[rests]),
-        np.insert(place, rests + 1, place[rests]),
-        np.insert(speed, rests + 1, 0.0),
-        np.insert(rise, rests, 0.0),
-    )
-
-
-def _timed(
-    geometry: PathGeometry, square: Array, dwell: float = 0.0, window: float = 0.0
-) -> Trajectory:
-    """Return the motion with squared speeds at the nodes; it rests for `dwell` at stops."""
-    rests = np.where(geometry.stop[:-1], dwell, 0.0)
-    motion = timed(geometry.node, np.diff(geometry.node), square, rests)
-    return Trajectory(geometry, *motion, window)
-
-
-def _averaged(geometry: PathGeometry, shares: Shares, window: float) -> Trajectory:
-    """Return the fastest motion whose average over `window` [s] keeps to the shares."""
-    rise = np.minimum(shares.rise, 0.5 * window * shares.jolt)
-    first = _timed(geometry, _swept(geometry, shares.cap, rise)).time
-    # No motion within smaller limits covers the ground faster, so what comes within the window
-    # of it lies among these segments, and on this side of every stop.
-    low, high = windows(first, geometry.stop, window, 0, len(rise))
-    cap, rise = (range_minimum(values, low, high) for values in (shares.cap, rise))
-    return _timed(geometry, _swept(geometry, cap, rise), window, window)
-
-
-def _swept(geometry: PathGeometry, cap: Array, rise: Array) -> Array:
-    """Return the largest squared speeds at the nodes, at rest at the ends and at stops."""
-    found = node_minimum(cap)
-    found[[0, -1]] = 0.0
-    found[geometry.stop] = 0.0
-    gain = 2.0 * rise * np.diff(geometry.node)
-    return sweep(sweep(found[::-1], gain[::-1])[::-1], gain)
+    feed_max = feed_max or float(np.sqrt(pieces.square.max()))
+    if window is None and limits.limits_jerk:
+        window = fastest_window(pieces, limits.table(geometry.axes), feed_max)
+    stream = MotionStream(limits, geometry.axes, feed_max=feed_max, window=window)
+    parts = stream.take(pieces) + stream.finish()
+    return Trajectory.at_rest(pieces, stream.window).extended(parts)

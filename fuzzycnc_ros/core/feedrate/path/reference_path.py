@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import islice, pairwise
 
 import numpy as np
@@ -594,6 +595,32 @@ class ReferencePath:
         return self.place + self.geometry.node
 
     @classmethod
+    def of_geometry(cls, geometry: PathGeometry, feed: float = math.inf) -> ReferencePath:
+        """Return a whole path that rests at both ends and at its corners.
+
+        Parameters
+        ----------
+        geometry : PathGeometry
+            The path, in two axes or three.
+        feed : float
+            Programmed feed all along [m/s]; inf for none.
+        """
+        count = len(geometry.coefficient)
+        bend = np.linalg.norm(geometry.derivative(2), axis=2)
+        stop = geometry.stop.copy()
+        stop[[0, -1]] = True
+        return cls(
+            geometry,
+            0.0,
+            np.maximum(np.append(bend[:, 0], 0.0), np.append(0.0, bend[:, -1])),
+            np.zeros(count, np.intp),
+            np.zeros(count, bool),
+            np.full(count, feed),
+            stop,
+            np.zeros(count + 1),
+        )
+
+    @classmethod
     def join(cls, parts: Sequence[ReferencePath]) -> ReferencePath:
         """Return one stretch of several in a row.
 
@@ -673,7 +700,7 @@ class PathBuilder:
         self._count = 0
         self._kept: Shapes | None = None  # the last one, whose end is not known yet
         self._head = 0.0  # how much of it has left with the junction before it [m]
-        self._place = np.longdouble(0.0)
+        self._place = Fraction()
         self._halt, self._rest = True, 0.0  # asked for since the last segment that moves
         # Curvature, stop and rest of the last node that has left, and its point.
         self._first: tuple[float, bool, float] = (0.0, True, 0.0)
@@ -774,7 +801,7 @@ class PathBuilder:
         pieces = _assemble(shapes, self._head, self.blend, self._easing, last=last)
         found = self._path(pieces, last) if len(pieces.length) else None
         if found is not None:
-            self._place += np.longdouble(found.geometry.length)
+            self._place += Fraction(found.geometry.length)
             self._first = (
                 float(found.curvature[-1]),
                 bool(found.stop[-1]),
@@ -785,10 +812,6 @@ class PathBuilder:
         return found
 
     def _path(self, pieces: _Pieces, last: bool) -> ReferencePath:
-        count = len(pieces.length)
-        node = np.zeros(count + 1)
-        # Long doubles: the sums of parts and of the whole then agree to the last digits.
-        node[1:] = np.cumsum(pieces.length.astype(np.longdouble))
         coefficient, curvature = pieces.coefficient, pieces.curvature
         stop, rest = pieces.stop, pieces.rest
         # Neighbours have computed the same point each: what is left of the digits would be a gap.
@@ -800,7 +823,7 @@ class PathBuilder:
         if last:
             stop[-1], rest[-1] = True, self._rest
         return ReferencePath(
-            PathGeometry(coefficient, node, _inner(stop)),
+            PathGeometry(coefficient, _running_sums(pieces.length), _inner(stop)),
             float(self._place),
             curvature,
             pieces.owner,
@@ -868,6 +891,23 @@ def reference_path(
         raise ValueError('exact_stop: expected one flag for each segment, but found more')
     parts.append(builder.finish())
     return ReferencePath.join([part for part in parts if part is not None])
+
+
+def _running_sums(length: Array) -> Array:
+    """Return the sums of the first 0..m lengths, shape (m + 1,), rounded once each [m].
+
+    Those of parts and of the whole then agree to the last digits.  What is summed are whole
+    numbers, of units of the last digit of the total and of 2^-40 of these.
+    """
+    power = int(np.frexp(length.sum())[1]) - 52
+    whole = np.floor(np.ldexp(length, -power))
+    rest = np.floor(np.ldexp(length - np.ldexp(whole, power), 40 - power))
+    units, parts = (np.append(0, np.cumsum(one.astype(np.int64))) for one in (whole, rest))
+    units += parts >> 40
+    parts &= (1 << 40) - 1
+    return np.asarray(
+        np.ldexp(units.astype(float), power) + np.ldexp(parts.astype(float), power - 40)
+    )
 
 
 def _inner(stop: NDArray[np.bool_]) -> NDArray[np.bool_]:

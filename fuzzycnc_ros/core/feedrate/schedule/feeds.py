@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.path.sampled_path import WINDOW_EDGE, SampledPath
+from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
 
 if TYPE_CHECKING:
@@ -58,22 +58,6 @@ def feed_limit(scheduler: Scheduler, override: float) -> float:
     return scheduler.feed_max * (override if scheduler.relative else min(override, 1.0))
 
 
-def check_streamable(scheduler: Scheduler) -> None:
-    """Refuse a scheduler that cannot take a path in parts.
-
-    Raises
-    ------
-    ValueError
-        If its reach is not finite.
-    """
-    reach = scheduler.reach
-    if not np.isfinite([reach.length_behind, reach.length_ahead]).all():
-        raise ValueError(
-            f'scheduler: expected one that can take a path in parts, but found {scheduler!r}, '
-            'which needs all of it; fix what it takes from the path, such as curvature_max'
-        )
-
-
 class FeedPlan:
     """Scheduled and desired feeds at the nodes of a reference path that arrives in parts.
 
@@ -91,7 +75,7 @@ class FeedPlan:
     """
 
     def __init__(self, scheduler: Scheduler, override: float = 1.0) -> None:
-        check_streamable(scheduler)
+        scheduler.check_streamable()
         self._scheduler, self._override = scheduler, override
         self.place = np.empty(0)
         self.curvature = np.empty(0)
@@ -125,7 +109,7 @@ class FeedPlan:
 
     def change(self, scheduler: Scheduler, override: float) -> None:
         """Schedule the nodes that are kept anew."""
-        check_streamable(scheduler)
+        scheduler.check_streamable()
         self._scheduler, self._override = scheduler, override
         self._scheduled = np.empty(0)
         self._schedule()
@@ -175,26 +159,16 @@ class FeedPlan:
 
     def _needed(self, node: int) -> int:
         """Return the first node that the feed at a node depends on."""
-        reach = self._scheduler.reach
-        first = max(min(node, len(self.place) - 1) - reach.points_behind, 0)
-        low = self.place[first] - reach.length_behind * WINDOW_EDGE
-        return int(np.searchsorted(self.place, low))
+        return self._scheduler.reach.first_needed(self.place, node)
 
     def _schedule(self) -> None:
         """Schedule the nodes whose reach has arrived."""
         if not len(self.place):
             return
-        reach, done = self._scheduler.reach, len(self._scheduled)
-        ready = len(self.place)
+        done, ready = len(self._scheduled), len(self.place)
         if not self._finished:
-            length = reach.length_ahead * WINDOW_EDGE
-            if length:
-                ready = int(np.searchsorted(self.place, self.place[-1] - length))
             # The last node belongs to the next piece too, which may bend more.
-            ready = min(ready - reach.points_ahead, len(self.place) - 1)
-            if length and ready > 0:
-                # What lies within the length ahead depends on nodes ahead of it in its turn.
-                ready = int(np.searchsorted(self.place, self.place[ready - 1] - length))
+            ready = min(self._scheduler.reach.ready(self.place), ready - 1)
         if ready <= done:
             return
         first = self._needed(done)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
+from fuzzycnc_ros.core.feedrate.path.sampled_path import WINDOW_EDGE, SampledPath
 from fuzzycnc_ros.core.feedrate.schedule.smoothing import (
     erode,
     limit_acceleration,
@@ -42,6 +42,31 @@ class Reach:
     points_ahead: int = 0
     length_behind: float = 0.0
     length_ahead: float = 0.0
+
+    @property
+    def bounded(self) -> bool:
+        """Whether a path can be taken in parts."""
+        return isfinite(self.length_behind) and isfinite(self.length_ahead)
+
+    def ready(self, arc_length: Array) -> int:
+        """Return for how many of the points that have arrived, (n,) [m], all ahead is here."""
+        points, length = self.points_ahead, self.length_ahead * WINDOW_EDGE
+        if not length:
+            return max(len(arc_length) - points, 0)
+        known = int(np.searchsorted(arc_length, arc_length[-1] - length)) - points
+        if known <= 0:
+            return 0
+        # What lies within the length ahead depends on points ahead of it in its turn.
+        return int(np.searchsorted(arc_length, arc_length[known - 1] - length))
+
+    def first_needed(self, arc_length: Array, point: int) -> int:
+        """Return the first of the points, (n,) [m], that the feed at one, or behind, depends on.
+
+        The last one stays in any case, so that what follows is seen to follow it.
+        """
+        first = max(min(point, len(arc_length) - 1) - self.points_behind, 0)
+        length = self.length_behind * WINDOW_EDGE
+        return int(np.searchsorted(arc_length, arc_length[first] - length))
 
 
 WHOLE_PATH = Reach(length_behind=inf, length_ahead=inf)
@@ -128,6 +153,20 @@ class Scheduler(ABC):
     def reach(self) -> Reach:
         """How far the feed at a point depends on the path elsewhere."""
         return Reach()
+
+    def check_streamable(self) -> None:
+        """Refuse a path in parts.
+
+        Raises
+        ------
+        ValueError
+            If the reach is not bounded.
+        """
+        if not self.reach.bounded:
+            raise ValueError(
+                f'scheduler: expected one that can take a path in parts, but found {self!r}, '
+                'which needs all of it; fix what it takes from the path, such as curvature_max'
+            )
 
     def bounded_ratio(self, path: SampledPath) -> Array:
         """Return the feed as part of `feed_max`.

@@ -19,17 +19,15 @@ from fuzzycnc_ros.core.feedrate.motion.stream import (
     MotionPart,
     MotionStream,
     default_window,
+    timed,
 )
 from fuzzycnc_ros.core.feedrate.motion.sweeps import Braking
-from fuzzycnc_ros.core.feedrate.motion.trajectory import timed
-from fuzzycnc_ros.core.feedrate.schedule.feeds import FeedPlan, check_streamable, feed_limit
+from fuzzycnc_ros.core.feedrate.motion.trajectory import MotionSamples, Trajectory
+from fuzzycnc_ros.core.feedrate.schedule.feeds import FeedPlan, feed_limit
 from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
-from fuzzycnc_ros.core.feedrate.schedule.planned_motion import PlannedMotion, PlannedSamples
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath
-
-__all__ = ['PlannedFeed', 'PlannedSamples', 'Planner', 'PlannerSettings']
 
 REMAINDER_MIN = 1e-6
 """Pieces are not cut closer to their ends [m], where positions would not tell their bend."""
@@ -91,7 +89,7 @@ class Cut:
 
     Attributes
     ----------
-    motion : PlannedMotion
+    motion : Trajectory
         The motion up to here and, as planned, behind.
     time, rest : float
         When this is, and how long the motion rests here from then on [s].
@@ -103,7 +101,7 @@ class Cut:
         Squared speeds planned ahead, to rest at the last place [m, m^2/s^2].
     """
 
-    motion: PlannedMotion
+    motion: Trajectory
     time: float
     rest: float
     behind: Pieces
@@ -118,13 +116,13 @@ class Cut:
         entry = float(self.square[0])
         return _strongest_braking(self.ahead, entry, self.place, self.square, limits)
 
-    def ended(self) -> PlannedMotion:
+    def ended(self) -> Trajectory:
         """Return the motion up to here."""
         pieces = self.behind if len(self.behind) else self.ahead.part(0, 1)
         rows = self.motion.until(self.time, float(self.square[0]))
-        return PlannedMotion(pieces, np.zeros(len(pieces)), *rows, self.motion.window)
+        return Trajectory(pieces, np.zeros(len(pieces)), *rows, self.motion.window)
 
-    def braked(self, braking: Braking) -> PlannedMotion:
+    def braked(self, braking: Braking) -> Trajectory:
         """Return the motion up to here and to rest."""
         place = braking.place
         rows = self.motion.until(self.time, float(self.square[0]))
@@ -136,7 +134,7 @@ class Cut:
         end = max(int(np.searchsorted(self.ahead.place, place[-1])), 1)
         pieces = Pieces.join([self.behind, self.ahead.part(0, min(end, len(self.ahead)))])
         rise = np.append(np.zeros(len(self.behind)), self.rise[:end])
-        return PlannedMotion(pieces, rise, *rows, self.motion.window)
+        return Trajectory(pieces, rise, *rows, self.motion.window)
 
     def entry(self, braking: Braking, feeds: FeedPlan) -> MotionEntry:
         """Return how motion within other limits or feeds takes over."""
@@ -168,7 +166,7 @@ class _Outlook:
 
     Attributes
     ----------
-    motion : PlannedMotion
+    motion : Trajectory
         Motion that is final.
     stream : MotionStream or None
         What plans the motion behind it; nothing while the feed is held.
@@ -184,7 +182,7 @@ class _Outlook:
         When motion was cut last, and until when it rests there [s].
     """
 
-    motion: PlannedMotion
+    motion: Trajectory
     stream: MotionStream | None
     entry: MotionEntry | None
     pending: Pieces
@@ -307,7 +305,7 @@ class PlannerSettings:
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
                 raise ValueError(f'{name}: expected a positive number of s, but found {value}')
-        check_streamable(self.scheduler)
+        self.scheduler.check_streamable()
 
 
 _ROUNDING = 1e-9
@@ -354,6 +352,43 @@ class Planner:
     A change of settings holds from the last sample taken on, anywhere on the path.  Where the
     motion is too fast for new limits or feeds, it brakes with the larger of the old and the new
     acceleration until it is not; averaged motion brakes with the old.
+
+    Examples
+    --------
+    From points of a curve to samples of the motion along it, one period apart:
+
+    >>> from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
+    >>> from fuzzycnc_ros.core.feedrate.path.reference_path import PathBuilder, ReferencePath
+    >>> from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
+    >>> settings = PlannerSettings(
+    ...     ToleranceFeed(feed_max=0.1, tolerance=2e-5, machine_constant=2e-4, curvature_max=1e4),
+    ...     MotionLimits(path_velocity=0.2, path_acceleration=1.5),
+    ... )
+    >>> turn = np.linspace(0.0, np.pi, 200)
+    >>> arc = PathGeometry.from_samples(0.01 * np.column_stack([np.cos(turn), np.sin(turn)]))
+    >>> planner = Planner(settings, axes=2)
+    >>> planner.push(ReferencePath.of_geometry(arc))
+    >>> planner.finish()
+    >>> samples = planner.take(10_000)  # or as many as there are
+    >>> f'{samples.time[-1]:.3f} s, at most {1e3 * samples.speed.max():.1f} mm/s'
+    '1.039 s, at most 30.9 mm/s'
+
+    From a part program that arrives line by line to the speed at each of its segments:
+
+    >>> from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
+    >>> planner, builder = Planner(settings, axes=3), PathBuilder(blend=1e-5)
+    >>> for block in ProgramReader().blocks(['G1 X20 F6000', 'G2 X30 Y-10 J-10', 'G1 Y-30']):
+    ...     path = builder.push([block.segment])
+    ...     if path is not None:
+    ...         planner.push(path)
+    >>> planner.push(builder.finish())
+    >>> planner.finish()
+    >>> found = planner.schedule(0.0, 1.0)
+    >>> for k in range(3):
+    ...     print(f'up to {1e3 * found.speed[found.owner == k].max():.0f} mm/s')
+    up to 100 mm/s
+    up to 31 mm/s
+    up to 100 mm/s
     """
 
     def __init__(self, settings: PlannerSettings, axes: int) -> None:
@@ -364,7 +399,7 @@ class Planner:
         self._feeds = FeedPlan(settings.scheduler, settings.override)
         self._stream = self._new_stream(settings)
         self._pending = Pieces.none(axes)  # pieces that are not in the stream yet
-        self._motion: PlannedMotion | None = None  # none before the first part of the path
+        self._motion: Trajectory | None = None  # none before the first part of the path
         self._finished = False  # the whole path is here
         self._complete = False  # and all of its motion final
         self._entry: MotionEntry | None = None  # of the stream, and None at the path's start
@@ -438,7 +473,7 @@ class Planner:
         pieces = Pieces.of_path(path, np.zeros((len(path.geometry.coefficient), 2)))
         if self._motion is None:
             pieces.stop[0] = True
-            self._motion = PlannedMotion.at_rest(pieces.part(0, 1), self._window)
+            self._motion = Trajectory.at_rest(pieces.part(0, 1), self._window)
             self._begin = float(pieces.place[0])
         self._feeds.append(path)
         self._pending = Pieces.join([self._pending, pieces])
@@ -451,7 +486,7 @@ class Planner:
             self._feeds.finish()
             self._advance()
 
-    def take(self, count: int) -> PlannedSamples:
+    def take(self, count: int) -> MotionSamples:
         """Return the next samples, fewer only at the path's end.
 
         Raises
@@ -470,28 +505,28 @@ class Planner:
                 f'{self._time(last)} s; push more of the path first'
             )
         if self._motion is None or last < self._taken:
-            return PlannedSamples.join([], self._axes)
+            return MotionSamples.join([], self._axes)
         self._drop()
         times = self._times(self._taken, last + 1)
         if self._complete and last == self._count - 1:
-            times[-1] = max(times[-1], self._motion.end + _PAST)
-        found = self._motion.sample(times)
+            times[-1] = max(times[-1], self._motion.duration + _PAST)
+        found = self._motion.at(times)
         self._keep, self._taken = self._taken, last + 1
         return found
 
-    def tail(self) -> PlannedSamples:
+    def tail(self) -> MotionSamples:
         """Return the fastest way to rest from the last taken sample, at least one sample.
 
         The last one is at rest on the path.  The planner stays as it is.
         """
         if self._motion is None:
-            return PlannedSamples.join([], self._axes)
+            return MotionSamples.join([], self._axes)
         cut = self._cut()
         braked = cut.braked(cut.braking(self._settings.limits.table(self._axes)))
         since = (braked.rests - self._time(self._taken - 1)) / self._settings.period
         times = self._times(self._taken, self._taken + max(int(np.ceil(since)), 1))
         times[-1] = max(times[-1], braked.rests + _PAST)
-        return braked.sample(times)
+        return braked.at(times)
 
     def schedule(self, low: float, high: float) -> PlannedFeed:
         """Return the feed at the nodes from arc length `low` to `high` [m].
@@ -529,7 +564,7 @@ class Planner:
                 'two paths, or give `window` at the start'
             )
         settings.limits.table(self._axes)
-        check_streamable(settings.scheduler)
+        settings.scheduler.check_streamable()
         self._feeds.change(settings.scheduler, settings.override)
         self._settings = settings
         if self._motion is None:
@@ -541,7 +576,7 @@ class Planner:
     def _count(self) -> int:
         """Number of samples of the whole path, once all of its motion is final."""
         assert self._motion is not None
-        return int(np.ceil(self._motion.end / self._settings.period - _ROUNDING)) + 1
+        return int(np.ceil(self._motion.duration / self._settings.period - _ROUNDING)) + 1
 
     def _time(self, sample: int) -> float:
         return self._settings.period * sample

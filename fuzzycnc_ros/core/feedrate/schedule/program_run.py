@@ -28,7 +28,7 @@ from fuzzycnc_ros.core.feedrate.path.nodes import (
     with_nodes,
 )
 from fuzzycnc_ros.core.feedrate.path.reference_path import PathBuilder, ReferencePath
-from fuzzycnc_ros.core.feedrate.path.sampled_path import WINDOW_EDGE, SampledPath
+from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
 
@@ -180,42 +180,20 @@ def stream_ratio(scheduler: Scheduler, parts: Iterable[SampledPath]) -> Iterator
         If the scheduler needs the whole path, or the arc lengths of the parts do not follow each
         other.
     """
+    scheduler.check_streamable()
     reach = scheduler.reach
-    if not np.isfinite([reach.length_behind, reach.length_ahead]).all():
-        raise ValueError(
-            f'expected a scheduler that can take a path in parts, but found {scheduler!r}, which '
-            'needs all of it; fix what it takes from the path, such as curvature_max'
-        )
     kept: SampledPath | None = None
     done = 0  # points of `kept` whose ratios have left
     for part in parts:
         kept = part if kept is None else _joined(kept, part)
-        ready = _ready(kept.arc_length, reach.points_ahead, reach.length_ahead)
+        ready = reach.ready(kept.arc_length)
         if ready <= done:
             continue
         yield scheduler.bounded_ratio(kept)[done:ready]
-        first = _first_needed(kept.arc_length, ready, reach.points_behind, reach.length_behind)
+        first = reach.first_needed(kept.arc_length, ready)
         kept, done = _from_point(kept, first), ready - first
     if kept is not None:
         yield scheduler.bounded_ratio(kept)[done:]
-
-
-def _ready(arc_length: Array, points: int, length: float) -> int:
-    """Return how many points have all that is ahead of them."""
-    if not length:
-        return max(len(arc_length) - points, 0)
-    known = int(np.searchsorted(arc_length, arc_length[-1] - length * WINDOW_EDGE)) - points
-    if known <= 0:
-        return 0
-    # What lies within the length ahead depends on points ahead of it in its turn.
-    return int(np.searchsorted(arc_length, arc_length[known - 1] - length * WINDOW_EDGE))
-
-
-def _first_needed(arc_length: Array, ready: int, points: int, length: float) -> int:
-    """Return the first point that the next one to leave depends on."""
-    # The last point stays in any case, so that what follows is seen to follow it.
-    first = max(min(ready, len(arc_length) - 1) - points, 0)
-    return int(np.searchsorted(arc_length, arc_length[first] - length * WINDOW_EDGE))
 
 
 def _from_point(path: SampledPath, first: int) -> SampledPath:
@@ -391,8 +369,7 @@ class ProgramRun:
                 first = 1  # the others begin with the last node of the one before
 
         scheduler = self._settings.scheduler
-        reach = scheduler.reach
-        if np.isfinite([reach.length_behind, reach.length_ahead]).all():
+        if scheduler.reach.bounded:
             ratios = stream_ratio(scheduler, samples())
         else:
             whole = list(samples())

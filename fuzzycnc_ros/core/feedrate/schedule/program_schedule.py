@@ -20,7 +20,6 @@ from fuzzycnc_ros.core.feedrate.motion.stream import MotionPart, MotionStream
 from fuzzycnc_ros.core.feedrate.path.nodes import own_curvature, with_ramps
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath
-from fuzzycnc_ros.core.feedrate.schedule.approach import APPROACH
 from fuzzycnc_ros.core.feedrate.schedule.program_run import (
     Observer,
     ProgramRun,
@@ -28,6 +27,7 @@ from fuzzycnc_ros.core.feedrate.schedule.program_run import (
     Source,
 )
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXIS_COUNT, ProgramSettings
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import APPROACH
 
 __all__ = [
     'Observer',

@@ -1,6 +1,10 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fuzzy scheduler of the feed with dimensionless logarithmic inputs, which keeps a tolerance."""
+"""Feed v = sqrt(tolerance / (margin C curvature)), which keeps a contour tolerance.
+
+What braking into a bend adds to the contour error, and speeding up out of it takes away, counts
+as curvature (`approach_share`).
+"""
 
 from dataclasses import dataclass
 from math import inf, sqrt
@@ -8,33 +12,36 @@ from math import inf, sqrt
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
+from fuzzycnc_ros.core.feedrate.path.sampled_path import WINDOW_EDGE, SampledPath
 from fuzzycnc_ros.core.feedrate.path.windows import window_maximum
-from fuzzycnc_ros.core.feedrate.schedule.approach import APPROACH, approach_share, gentle
-from fuzzycnc_ros.core.feedrate.schedule.fuzzy import (
-    CURVATURE_SETS,
-    RATIO_SETS,
-    VARIATION_SETS,
-)
 from fuzzycnc_ros.core.feedrate.schedule.plain import (
     CURVATURE_FLOOR,
     WHOLE_PATH,
     Reach,
     Scheduler,
 )
-from fuzzycnc_ros.core.fuzzy.mamdani import Mamdani, memberships, tabulated
 
-GAP_MIN = 0.3  # least one between the centres of the logarithmic sets [decades]
+APPROACH = 1.9
+"""Time over which a machine sees how the speed changes, over the root of its constant C."""
+
+SHARE_MIN, SHARE_MAX = 0.5, 4.0
+"""Bounds of the share.
+
+The lower one is that of a path left from rest; the upper one is reached where a tight arc follows
+a line: with 1.5 such arcs of 0.5 mm leave twice a tolerance of 10 um.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class LogFuzzyScheduler(Scheduler):
-    """Fuzzy feed that keeps a contour tolerance, method sheet 002 section 7.
+class ToleranceFeed(Scheduler):
+    """Feed v = sqrt(tolerance / (margin C curvature)), with a guard and an approach to bends.
 
-    The first input is log10(curvature feed_max^2 C / tolerance): how many decades of contour
-    error full feed would leave above the tolerance, with what the approach to each point adds.
-    The output is the logarithm of the ratio.  All of them are free of units, so that a path and
-    its enlargement get the same ratios.
+    A machine whose contour error is C times its normal acceleration keeps the tolerance by it.
+    The law comes from the fuzzy scheduler of method sheet 002 section 7, whose inputs are free of
+    units: log10(curvature feed_max^2 C / tolerance), how many decades of contour error full feed
+    would leave above the tolerance, against the logarithm of the ratio.  Weighted by their
+    memberships, its rules lie on this straight line (`benchmarks/fuzzy_worth_feedrate.py`), so
+    that none are left.  A path and its enlargement get the same ratios.
 
     Parameters
     ----------
@@ -60,31 +67,21 @@ class LogFuzzyScheduler(Scheduler):
         Each point also takes the curvature this part of the way to its neighbours, 0 to 1: what
         may lie between samples.  The logarithm of the curvature is taken as linear there.
     curvature_max : float or None
-        Curvature for which the sets are spread [1/m], positive; None for the largest of the
-        path.  Needed where a path is scheduled in parts; above it the feed goes on falling with
-        the root of the curvature.
-    braking : int
-        Sets by which the feed is lowered where the curvature is about to rise by two gaps of the
-        first input's sets, 0 to 6; 0 leaves the second input without effect.
-    braking_points : int
-        How many points before and after the second input sees, at least 1.
-    defuzzifier : str
-        `mean`: of the levels of all rules, weighted by the product of their memberships, so
-        that the rules follow curvature^-1/2; `centroid`, which ripples about it.
-    exact : bool
-        Whether to infer each point's centroid instead of looking it up in a table.
+        Curvature that the guard reckons with at most [1/m], positive; None for the largest of the
+        path.  Needed where a path is scheduled in parts; the law holds above it too.
 
     Notes
     -----
-    The sheet takes the centroid, knows no approach and designs for the tolerance over 1.3.  So,
-    with a margin of 1.25, the errors of its five shapes, 2000 points each, lie between 0.88 and
-    1.04 times the tolerance; with the approach, whose time and margin were chosen on other
-    curves, between 0.97 and 1.00, in 6 % less time.  Without the guard they reach 1.24.
+    The sheet takes centroids, which ripple about the law by up to 5 %, knows no approach and
+    designs for the tolerance over 1.3.  So, with a margin of 1.25, the errors of its five shapes,
+    2000 points each, lie between 0.88 and 1.04 times the tolerance; with the approach, whose time
+    and margin were chosen on other curves, between 0.97 and 1.00, in 6 % less time.  Without the
+    guard they reach 1.24.
 
     Examples
     --------
     >>> circle = np.full(3, 500.0), np.array([0.0, 0.01, 0.02])
-    >>> scheduler = LogFuzzyScheduler(feed_max=0.2, tolerance=5e-5, machine_constant=2.15e-4)
+    >>> scheduler = ToleranceFeed(feed_max=0.2, tolerance=5e-5, machine_constant=2.15e-4)
     >>> feed = 0.2 * scheduler.ratio(*circle)
     >>> (1e6 * scheduler.margin * 2.15e-4 * 500.0 * feed**2).round().tolist()
     [50.0, 50.0, 50.0]
@@ -99,18 +96,12 @@ class LogFuzzyScheduler(Scheduler):
     guard_time: float = 0.1
     guard_step: float = 0.5
     curvature_max: float | None = None
-    braking: int = 0
-    braking_points: int = 4
-    defuzzifier: str = 'mean'
-    exact: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_positive('tolerance', 'machine_constant')
         if self.curvature_max is not None:
             self._check_positive('curvature_max')
-        self._check_points('braking_points')
-        self._check_choice('defuzzifier', ('mean', 'centroid'))
         for name, low, high in (
             ('margin', 1.0, inf),
             ('approach_time', 0.0, inf),
@@ -118,43 +109,20 @@ class LogFuzzyScheduler(Scheduler):
             ('guard_length', 0.0, inf),
             ('guard_time', 0.0, inf),
             ('guard_step', 0.0, 1.0),
-            ('braking', 0, len(RATIO_SETS) - 1),
         ):
             value = getattr(self, name)
             if value is not None and (not low <= value <= high or value == inf):
                 raise ValueError(
-                    f'LogFuzzyScheduler: {name}: expected a number from {low} to {high}, '
+                    f'ToleranceFeed: {name}: expected a number from {low} to {high}, '
                     f'but found {value}'
                 )
 
     @property
-    def system(self) -> Mamdani:
-        """Rules from the two inputs to the logarithm of the ratio, all over the gap of the sets.
-
-        Each set of the first input lowers the output by half a gap: v ~ curvature^-1/2.
-        """
-        levels = len(RATIO_SETS) - 1
-        last = len(VARIATION_SETS) - 1
-        rules = tuple(
-            tuple(
-                max(levels - row - (self.braking * column + last // 2) // last, 0)
-                for column in range(last + 1)
-            )
-            for row in range(len(CURVATURE_SETS))
-        )
-        return Mamdani(
-            tuple(float(i) for i in range(len(CURVATURE_SETS))),
-            tuple(0.5 * i for i in range(len(VARIATION_SETS))),
-            tuple(0.5 * (i - levels) for i in range(len(RATIO_SETS))),
-            rules,
-        )
-
-    @property
     def reach(self) -> Reach:
-        """Guard, approach and the second input; all of it if the path spreads the sets."""
+        """Guard and approach; the whole path if its largest curvature bounds the guard."""
         if self.curvature_max is None:
             return WHOLE_PATH
-        points = (1 if self.guard_step else 0) + (self.braking_points if self.braking else 0)
+        points = 1 if self.guard_step else 0
         behind = self.guard_length + self._approach_length
         ahead = self.guard_length
         if self._approach_slope:  # from there full feed may fall to nothing
@@ -230,36 +198,70 @@ class LogFuzzyScheduler(Scheduler):
     def _ratio(self, path: SampledPath) -> Array:
         near = self._near(path)
         excess = self.excess(self._beside(path, near))
-        rise = np.zeros(len(excess))
-        if self.braking:
-            points = self.braking_points
-            rise = window_maximum(excess, points, points, closed=path.closed) - excess
         if self._approach_time:
-            speed = self.feed_max * 10.0 ** (-0.5 * np.maximum(self.excess(near), 0.0))
+            speed = self.feed_max * 10.0 ** _decades(self.excess(near))
             if path.programmed is not None:
                 speed = np.minimum(speed, path.programmed)
             reach = self._approach_time, self._approach_length
             excess += np.log10(approach_share(path, speed, *reach))
-        worst = excess.max()
-        if self.curvature_max is not None:
-            worst = self.excess(np.array(self.curvature_max))
-        # A little room, so that the sharpest point does not saturate
-        gap = max(GAP_MIN, 1.02 * float(worst) / (len(CURVATURE_SETS) - 1))
-        decades = gap * self._infer(excess / gap, rise / gap)
-        # Beyond the last set, which only a given `curvature_max` leaves, the law goes on.
-        decades -= 0.5 * np.maximum(excess - gap * (len(CURVATURE_SETS) - 1), 0.0)
-        ratio: Array = 10.0**decades
-        if self._approach_slope:
-            return gentle(path, ratio, self._approach_slope / self.feed_max)
-        return ratio
+        return self._gentle(path, 10.0 ** _decades(excess))
 
-    def _infer(self, excess: Array, rise: Array) -> Array:
-        """Return the levels of the output; they and the inputs are over the gap of the sets."""
-        system = self.system
-        if self.defuzzifier == 'centroid':
-            return (system if self.exact else tabulated(system))(excess, rise)
-        level = np.array(system.output)[np.array(system.rules)]
-        if not self.braking:
-            return np.asarray(np.interp(excess, system.first, level[:, 0]))
-        row, column = memberships(excess, system.first), memberships(rise, system.second)
-        return np.asarray((row * (level @ column)).sum(axis=0))
+    def _gentle(self, path: SampledPath, ratio: Array) -> Array:
+        """Return the ratios lowered so far that the speed falls by no more than the slope.
+
+        What brakes at v dv/ds = -slope v comes to a slow place with the lag of that place, times a
+        constant, however fast it was before; steeper braking still lags by what it was.
+        """
+        if not self._approach_slope:
+            return ratio
+        arc, wanted = path.arc_length, ratio
+        if path.lap is not None:  # the second round tells the first what comes behind its end
+            arc, wanted = np.append(arc, arc + path.lap), np.append(wanted, wanted)
+        drop = self._approach_slope / self.feed_max * (arc - arc[0])
+        least = np.minimum.accumulate((wanted + drop)[::-1])[::-1] - drop
+        return np.asarray(np.minimum(ratio, least[: len(ratio)]))
+
+
+def _decades(excess: Array) -> Array:
+    """Return the logarithm of the ratio: v ~ curvature^-1/2, full feed without an excess."""
+    return np.asarray(-0.5 * np.maximum(excess, 0.0))
+
+
+def approach_share(path: SampledPath, speed: Array, time: float, length: float) -> Array:
+    """Return the contour error over that of the normal acceleration alone, (v' + v) / 2v.
+
+    Parameters
+    ----------
+    path : SampledPath
+        Path of m points.
+    speed : ndarray, shape (m,)
+        Speed v at its points [m/s], positive.
+    time : float
+        The speed v' is that of the place which lies `time * v` behind [s], positive.
+    length : float
+        But no farther behind than this, nor before the first point there [m].
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        Shares, `SHARE_MIN` to `SHARE_MAX`; 1 where the speed stays the same.
+
+    Notes
+    -----
+    A machine follows with the mean of its reference over the recent past, weighted by its
+    impulse response.  In moments m2, m3 of that about its mean delay, the position is the
+    delayed reference plus m2/2 times its acceleration, less m3/6 times its jerk.  At a constant
+    normal acceleration k v^2 the jerk points inwards by k v dv/dt, so that the error is
+
+        m2/2 k v^2 (1 - m3 / (3 m2) dv/ds),  C = m2/2:
+
+    what brakes before a bend still pulls when the path has turned.  The slope dv/ds is taken
+    over the way of twice the time m3 / (3 m2), over which the machine sees it.
+    """
+    behind = path.arc_length - time * speed
+    if path.lap is None:
+        # A part of a path knows no more than the points within `length`.
+        first = np.searchsorted(path.arc_length, path.arc_length - length * WINDOW_EDGE)
+        np.maximum(behind, path.arc_length[first], out=behind)
+    earlier = np.interp(behind, path.arc_length, speed, period=path.lap)
+    return np.clip(0.5 * (earlier / speed + 1.0), SHARE_MIN, SHARE_MAX)
