@@ -8,6 +8,7 @@ import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
@@ -45,7 +46,33 @@ class CommandGroup:
     commands: Mapping[str, Callable[..., Any]]
 
 
-Commands = Mapping[str, Callable[..., Any] | CommandGroup]
+@dataclass(frozen=True)
+class Later:
+    """A command, or a group of them, whose module is imported when it is used.
+
+    Parameters
+    ----------
+    job : str
+        Heading under which the help lists it.
+    place : str
+        Module, a colon, and the name of its function; without a name the module is a group, of
+        which it has the manual in `HELP` and the commands in `COMMANDS`.
+    help : str
+        First paragraph of its manual.
+    """
+
+    job: str
+    place: str
+    help: str
+
+    def load(self) -> Callable[..., Any] | CommandGroup:
+        """Return it."""
+        path, _, name = self.place.partition(':')
+        module = import_module(path)
+        return getattr(module, name) if name else CommandGroup(module.HELP, module.COMMANDS)
+
+
+Commands = Mapping[str, Callable[..., Any] | CommandGroup | Later]
 """Commands in the order of the help; each one's docstring is its manual."""
 
 
@@ -83,11 +110,31 @@ class Application:
         self._watching = watching
 
         class InOrder(TyperGroup):
-            """Lists groups of commands where they stand among the others, not ahead of them."""
+            """Lists commands in their order, under headings, and loads one when it is used."""
 
             def list_commands(self, ctx: Any) -> list[str]:
                 """Return the names of the commands."""
                 return list(commands)
+
+            def get_command(self, ctx: Any, cmd_name: str) -> Any:
+                """Return a command, None if there is none of that name."""
+                command = commands.get(cmd_name)
+                if isinstance(command, Later) and cmd_name not in self.commands:
+                    holder = typer.Typer(rich_markup_mode=None, context_settings=_SETTINGS)
+                    _add(holder, {cmd_name: command.load()})
+                    self.commands.update(typer.main.get_group(holder).commands)
+                return super().get_command(ctx, cmd_name)
+
+            def format_commands(self, ctx: Any, formatter: Any) -> None:
+                """Write what each command does, by jobs, without loading any."""
+                later = {n: item for n, item in commands.items() if isinstance(item, Later)}
+                for job in dict.fromkeys(item.job for item in later.values()):
+                    with formatter.section(job):
+                        formatter.write_dl(
+                            [(n, item.help) for n, item in later.items() if item.job == job]
+                        )
+                if not later:
+                    super().format_commands(ctx, formatter)
 
         self.typer = typer.Typer(
             name=name,
@@ -100,7 +147,7 @@ class Application:
             rich_markup_mode=None,
             context_settings=_SETTINGS,
         )
-        _add(self.typer, commands)
+        _add(self.typer, {n: item for n, item in commands.items() if not isinstance(item, Later)})
         self.typer.callback()(_common)
 
     def run(self, arguments: Sequence[str]) -> int:

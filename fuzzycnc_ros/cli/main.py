@@ -2,33 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Entry point of the command `fuzzycnc`: its subcommands."""
 
-from fuzzycnc_ros.cli.application import Application, CommandGroup, Commands
-from fuzzycnc_ros.cli.axes.machine import COMMANDS as MACHINE_COMMANDS
-from fuzzycnc_ros.cli.axes.machine import HELP as MACHINE_HELP
-from fuzzycnc_ros.cli.axes.position import position
-from fuzzycnc_ros.cli.axes.servo import COMMANDS as SERVO_COMMANDS
-from fuzzycnc_ros.cli.axes.servo import HELP as SERVO_HELP
-from fuzzycnc_ros.cli.bags.import_csv import import_csv
-from fuzzycnc_ros.cli.bags.info import info
-from fuzzycnc_ros.cli.bags.record import record
-from fuzzycnc_ros.cli.bags.replay import replay
-from fuzzycnc_ros.cli.demo.command import demo
-from fuzzycnc_ros.cli.foam.command import COMMANDS as FOAM_COMMANDS
-from fuzzycnc_ros.cli.foam.command import HELP as FOAM_HELP
-from fuzzycnc_ros.cli.live.operate import COMMANDS as OPERATE_COMMANDS
-from fuzzycnc_ros.cli.live.operate import HELP as OPERATE_HELP
-from fuzzycnc_ros.cli.live.security import COMMANDS as SECURITY_COMMANDS
-from fuzzycnc_ros.cli.live.security import HELP as SECURITY_HELP
-from fuzzycnc_ros.cli.live.up import up
-from fuzzycnc_ros.cli.models.compare import compare
-from fuzzycnc_ros.cli.models.curve import curve
-from fuzzycnc_ros.cli.models.evaluate import evaluate
-from fuzzycnc_ros.cli.models.simulate import simulate
-from fuzzycnc_ros.cli.models.train import train
-from fuzzycnc_ros.cli.programs.advise import advise
-from fuzzycnc_ros.cli.programs.pareto import pareto
-from fuzzycnc_ros.cli.programs.schedule import schedule
-from fuzzycnc_ros.cli.schema import schema
+from fuzzycnc_ros.cli.application import Application, Commands, Later
 
 HELP = """Measure, predict and compensate the thermal error of a CNC machine.
 
@@ -72,29 +46,113 @@ Patterns on soft material, straightened beforehand:
 """
 
 COMMANDS: Commands = {
-    'demo': demo,
-    'up': up,
-    'operate': CommandGroup(OPERATE_HELP, OPERATE_COMMANDS),
-    'simulate': simulate,
-    'record': record,
-    'replay': replay,
-    'train': train,
-    'evaluate': evaluate,
-    'compare': compare,
-    'curve': curve,
-    'machine': CommandGroup(MACHINE_HELP, MACHINE_COMMANDS),
-    'advise': advise,
-    'schedule': schedule,
-    'pareto': pareto,
-    'position': position,
-    'servo': CommandGroup(SERVO_HELP, SERVO_COMMANDS),
-    'foam': CommandGroup(FOAM_HELP, FOAM_COMMANDS),
-    'import-csv': import_csv,
-    'security': CommandGroup(SECURITY_HELP, SECURITY_COMMANDS),
-    'info': info,
-    'schema': schema,
+    'demo': Later(
+        'Try',
+        'fuzzycnc_ros.cli.demo.command:demo',
+        'Watch a simulated mill warm up for two shifts while its thermal error is compensated.',
+    ),
+    'simulate': Later(
+        'Try',
+        'fuzzycnc_ros.cli.models.simulate:simulate',
+        'Run a thermal shift of the simulated mill in one process, much faster than live.',
+    ),
+    'import-csv': Later(
+        'Calibrate',
+        'fuzzycnc_ros.cli.bags.import_csv:import_csv',
+        'Import the recording of a real machine from a CSV table into a bag.',
+    ),
+    'train': Later(
+        'Calibrate',
+        'fuzzycnc_ros.cli.models.train:train',
+        'Train thermal models on recorded runs, and write them with their scores to one file.',
+    ),
+    'evaluate': Later(
+        'Calibrate',
+        'fuzzycnc_ros.cli.models.evaluate:evaluate',
+        "Compare a model's predictions with what was measured, beside plain baselines.",
+    ),
+    'compare': Later(
+        'Calibrate',
+        'fuzzycnc_ros.cli.models.compare:compare',
+        'Compare all models on runs that none of them has seen.',
+    ),
+    'curve': Later(
+        'Calibrate',
+        'fuzzycnc_ros.cli.models.curve:curve',
+        'Show how the error on unseen runs falls with the number of sensors.',
+    ),
+    'up': Later(
+        'Run',
+        'fuzzycnc_ros.cli.live.up:up',
+        'Bring up and supervise the graph of one machine or several; Ctrl-C takes all of it down.',
+    ),
+    'operate': Later(
+        'Run',
+        'fuzzycnc_ros.cli.live.operate',
+        'Act at a running machine: look, activate, set limits, reference and probe.',
+    ),
+    'record': Later(
+        'Run',
+        'fuzzycnc_ros.cli.bags.record:record',
+        'Record the topics of a live machine, undecoded, until Ctrl-C.',
+    ),
+    'replay': Later(
+        'Run',
+        'fuzzycnc_ros.cli.bags.replay:replay',
+        'Recompute the outputs in a bag from its inputs, and compare them byte by byte.',
+    ),
+    'info': Later(
+        'Run',
+        'fuzzycnc_ros.cli.bags.info:info',
+        'Show what is in a bag: topics, counts, types, times, attachments, and what is wrong.',
+    ),
+    'advise': Later(
+        'Part programs',
+        'fuzzycnc_ros.cli.programs.advise:advise',
+        'Show what keeps a contour tolerance on LinuxCNC, and recommend the fastest remedy.',
+    ),
+    'schedule': Later(
+        'Part programs',
+        'fuzzycnc_ros.cli.programs.schedule:schedule',
+        'Choose the feeds of a part program, so that the contour error keeps a tolerance.',
+    ),
+    'pareto': Later(
+        'Part programs',
+        'fuzzycnc_ros.cli.programs.pareto:pareto',
+        'Show what contour error each scheduling method leaves, and in what time.',
+    ),
+    'machine': Later(
+        'Axes',
+        'fuzzycnc_ros.cli.axes.machine',
+        'Write down what is known of your machine, in one file for all commands.',
+    ),
+    'position': Later(
+        'Axes',
+        'fuzzycnc_ros.cli.axes.position:position',
+        'Move a simulated axis to a position and judge how it gets there.',
+    ),
+    'servo': Later(
+        'Axes',
+        'fuzzycnc_ros.cli.axes.servo',
+        'Compare, learn, tune and judge controllers that position an axis.',
+    ),
+    'foam': Later(
+        'Soft material',
+        'fuzzycnc_ros.cli.foam.command',
+        'Straighten patterns on soft material: show, train, compensate, learn.',
+    ),
+    'schema': Later(
+        'For developers',
+        'fuzzycnc_ros.cli.schema:schema',
+        'Print the JSON Schema of a configuration file, so that editors complete and check it.',
+    ),
+    'security': Later(
+        'For developers',
+        'fuzzycnc_ros.cli.live.security',
+        'Let each node of a machine do what it needs, and nobody else anything.',
+    ),
 }
-"""The subcommands in the order of the help; each one's docstring is its manual."""
+"""The subcommands in the order of the help, by jobs; nothing is imported for the help."""
 
 APPLICATION = Application('fuzzycnc', HELP, COMMANDS, watching=('demo', 'up', 'record'))
 run = APPLICATION.run

@@ -197,8 +197,8 @@ def test_commands_and_options_exist(page):
         command, words = typer.main.get_command(APPLICATION.typer), line.split()[1:]
         # down to the command itself: `servo tune` is one of `servo`
         while words and not words[0].startswith('--') and hasattr(command, 'commands'):
-            assert words[0] in command.commands, line
-            command, words = command.commands[words[0]], words[1:]
+            command, words = command.get_command(None, words[0]), words[1:]
+            assert command is not None, line
         if hasattr(command, 'commands'):
             continue
         options = {o for item in command.params for o in (*item.opts, *item.secondary_opts)}
