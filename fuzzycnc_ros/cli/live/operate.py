@@ -49,19 +49,26 @@ def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
     fuzzycnc operate status --machine mill_1
     """
     check_ros('operate')
-    from fuzzycnc_ros.cli.live.operator_client import Operator
     from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
+    from fuzzycnc_ros.runtime.records import CompensationApplied
     from fuzzycnc_ros.studies.page.table import Column, Table
 
     machine = machine_name(machine)
     monitor = Monitor([machine])
     try:
-        monitor.spin(LISTENING)
+        applied = monitor.listen(machine, CompensationApplied, 'compensation_applied')
+        monitor.settle(machine, LISTENING)
+        nodes = sorted(
+            node for (where, node), view in monitor.views.items() if where == machine and view.told
+        )
+        if not nodes:
+            raise GraphError(_nobody(machine))
+        if monitor.operator.has_publisher(f'/{machine}/compensation_applied'):
+            monitor.operator.spin_until(
+                lambda: bool(applied), PATIENCE, 'topic compensation_applied'
+            )
     finally:
         monitor.close()
-    nodes = sorted(node for where, node in monitor.views if where == machine)
-    if not nodes:
-        raise GraphError(_nobody(machine))
     rows = []
     for name in nodes:
         view = monitor.view(machine, name)
@@ -84,13 +91,11 @@ def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
             tuple(rows),
         )
     )
-    with Operator(machine, patience=PATIENCE) as operator:
-        operator.pause(LISTENING)
-        applied = _applied(operator)
-    if applied is not None:
+    if applied:
+        newest = applied[-1]
         offsets = ', '.join(
             f'{axis} {offset / MICRO:+.2f} um'
-            for axis, offset in zip(applied.axis, applied.offset, strict=True)
+            for axis, offset in zip(newest.axis, newest.offset, strict=True)
         )
         say(f'offsets in force: {offsets or "none"}')
     keys = ('node', 'state', 'rate', 'latency_ms', 'health', 'trouble')

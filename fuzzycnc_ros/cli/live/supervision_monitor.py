@@ -11,12 +11,15 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from fuzzycnc_ros.cli.live.operator_client import Operator
-from fuzzycnc_ros.ros.topics import message_class
-from fuzzycnc_ros.runtime.component import Level
+from fuzzycnc_ros.ros.topics import create_subscription, message_class, subscription_qos
+from fuzzycnc_ros.runtime.component import Durability, Level
 from fuzzycnc_ros.runtime.host import NodeConfiguration
+from fuzzycnc_ros.runtime.records import Record
 
 SILENT = 5.0
 """Wall time [s] without a word from a node, which reports every second."""
+DISCOVERED = 0.5
+"""Wall time [s] after which the nodes of a running machine have been found."""
 _SPIN = 0.1
 
 
@@ -47,6 +50,11 @@ class NodeView:
     trouble: tuple[str, ...] = ()
     activity: dict[str, str] = field(default_factory=dict)
 
+    @property
+    def told(self) -> bool:
+        """Whether the node has said anything of itself."""
+        return self.heard_at > 0.0 or bool(self.lifecycle)
+
     def silent(self, now: float) -> bool:
         """Whether nothing has been heard for long."""
         return self.heard_at > 0.0 and now - self.heard_at > SILENT
@@ -58,8 +66,8 @@ class Monitor:
     def __init__(self, machines: Sequence[str]) -> None:
         self.views: dict[tuple[str, str], NodeView] = {}
         self._began = time.monotonic()
-        self._operator = Operator('')
-        node = self._operator.node
+        self.operator = Operator('')
+        node = self.operator.node
         node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 1000)
         # Latched by every node of a machine: of each the newest is wanted.
         kept = QoSProfile(
@@ -75,13 +83,29 @@ class Monitor:
                 kept,
             )
 
+    def listen(self, machine: str, record: type[Record], topic: str) -> list[Any]:
+        """Return the messages of a topic of a machine, a list that grows while it listens."""
+        heard: list[Any] = []
+        place, qos = f'/{machine}/{topic}', subscription_qos(Durability.STREAM)
+        create_subscription(self.operator.node, record.TYPE, place, heard.append, qos)
+        return heard
+
+    def settle(self, machine: str, patience: float) -> None:
+        """Listen until each node of a machine has reported, for no longer than a time [s]."""
+        self.spin_until(DISCOVERED)
+        while self.age < patience:
+            nodes = {name for where, name in self.present() if where == machine}
+            if nodes and all(self.view(machine, name).heard_at for name in nodes):
+                return
+            self.spin()
+
     def close(self) -> None:
         """Leave the graph."""
-        self._operator.__exit__(None, None, None)
+        self.operator.__exit__(None, None, None)
 
     def spin(self, duration: float = _SPIN) -> None:
         """Listen for some wall time [s]."""
-        self._operator.pause(duration)
+        self.operator.pause(duration)
 
     @property
     def age(self) -> float:
@@ -94,7 +118,7 @@ class Monitor:
 
     def present(self) -> set[tuple[str, str]]:
         """Return machines and nodes that are in the graph, or died in it a while ago."""
-        found = self._operator.node.get_node_names_and_namespaces()
+        found = self.operator.node.get_node_names_and_namespaces()
         return {(where.strip('/'), name) for name, where in found}
 
     def view(self, machine: str, node: str) -> NodeView:
