@@ -142,9 +142,13 @@ class Wish:
     def __init__(self) -> None:
         self.number = 0
         self._heard_at = -ONE_WISH
+        self._repeating = self._lost = False
 
     def hear(self, number: int, frame: FrameType | None) -> None:
         """Take a signal."""
+        if self._repeating:  # what is raised here would be lost as well
+            self._lost = True
+            return
         now = time.monotonic()
         again = now - self._heard_at < ONE_WISH
         self.number, self._heard_at = self.number or number, now
@@ -155,9 +159,13 @@ class Wish:
         """Repeat a wish whose exception was lost where none can be raised, as in a finaliser."""
         if not issubclass(lost.exc_type, Interrupted):
             return False
+        self._repeating = self._lost = True
+        while self._lost:
+            self._lost = False
+            # From another thread: this one is still in the place where nothing can be raised.
+            threading.Timer(AGAIN, os.kill, (os.getpid(), self.number)).start()
         self._heard_at = -ONE_WISH
-        # From another thread: this one is still in the place where nothing can be raised.
-        threading.Timer(AGAIN, os.kill, (os.getpid(), self.number)).start()
+        self._repeating = False
         return True
 
 

@@ -5,6 +5,7 @@
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 from processes import wait_for
@@ -25,7 +26,22 @@ def never():
     return False
 
 
-def test_wish_that_meets_a_finaliser_is_repeated():
+class EarlyTimer(threading.Timer):
+    """Takes so long to start that its signal is there before, the first time."""
+
+    started = 0
+
+    def start(self):
+        EarlyTimer.started += 1
+        if EarlyTimer.started == 1:
+            signal.raise_signal(signal.SIGTERM)
+        else:
+            super().start()
+
+
+@pytest.mark.parametrize('timer', [threading.Timer, EarlyTimer])
+def test_wish_that_meets_a_finaliser_is_repeated(monkeypatch, timer):
+    monkeypatch.setattr('fuzzycnc_ros.ros.processes.threading.Timer', timer)
     with interruptible() as wish:
         item = Finalised()
         with pytest.raises(Interrupted):  # noqa: PT012

@@ -18,7 +18,7 @@ SHOWN = r'T1\x1b]0;title\x07\x1b[2J\u202e\x0anext'
 class Talkative:
     """A node that logs what it is given twice, at other levels, and is done."""
 
-    exit_code, done = 0, True
+    exit_code, done, executor = 0, True, 'lean'
 
     def __init__(self):
         self.node = rclpy.create_node('talkative')
