@@ -243,6 +243,8 @@ class FeedrateSchedulerConfig(Config):
             If they do not; the message names the parameter.
         """
         super().__post_init__()
+        if self.method == 'tolerance':  # another name of the same, unknown to what follows
+            object.__setattr__(self, 'method', 'log_fuzzy')
         for name in ('axis_velocity', 'axis_acceleration', 'axis_jerk'):
             found = len(getattr(self, name))
             if found != len(AXES):
@@ -266,8 +268,7 @@ def make_scheduler(config: FeedrateSchedulerConfig) -> Scheduler:
     ValueError
         If its parameters do not fit each other.
     """
-    method = 'log_fuzzy' if config.method == 'tolerance' else config.method
-    kind, prefix = _SCHEDULERS[method], f'{method}_'
+    kind, prefix = _SCHEDULERS[config.method], f'{config.method}_'
     allowed = config.tolerance / config.machine_constant  # across the path [m/s^2]
     known: dict[str, Any] = {item.name: getattr(config, item.name) for item in fields(config)}
     known |= {name.removeprefix(prefix): known[name] for name in known if name.startswith(prefix)}

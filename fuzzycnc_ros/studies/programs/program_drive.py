@@ -40,7 +40,11 @@ from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes
 from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
 
 METHODS = tuple(
-    {item.name: item for item in fields(FeedrateSchedulerConfig)}['method'].metadata['choices']
+    name
+    for item in fields(FeedrateSchedulerConfig)
+    if item.name == 'method'
+    for name in item.metadata['choices']
+    if name != 'tolerance'  # another name of log_fuzzy
 )
 """All schedulers, as a machine file names them."""
 

@@ -277,7 +277,7 @@ def test_work_in_other_turns_gives_the_same_parts():
         ({'path_acceleration': 0.0}, 'path_acceleration = 0.0 is outside'),
         ({'axis_jerk': (1.0,)}, 'axis_jerk: expected one limit each for X, Y, Z but found 1'),
         ({'method': 'fuzzy', 'fuzzy_curvature_centres': (1.0, 2.0)}, 'curvature_centres'),
-        ({'method': 'best'}, 'method: expected one of log_fuzzy, fuzzy'),
+        ({'method': 'best'}, 'method: expected one of log_fuzzy, tolerance, fuzzy'),
     ],
 )
 def test_configuration_that_makes_no_sense_is_refused(changes, message):
