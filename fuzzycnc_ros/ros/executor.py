@@ -17,7 +17,7 @@ from typing import Any
 
 from rclpy.context import Context
 from rclpy.exceptions import InvalidHandle
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor, TimeoutObject
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -137,13 +137,14 @@ class LeanExecutor(SingleThreadedExecutor):
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """Execute nothing more."""
         ended = bool(super().shutdown(timeout_sec))
+        self._ready.clear()
         if not self._waiting:  # else the thread that waits lets go
             self._let_go()
         return ended
 
     def _spin_once_impl(
         self,
-        timeout_sec: float | TimeoutObject | None = None,
+        timeout_sec: Any = None,
         wait_condition: Callable[[], bool] = lambda: False,
     ) -> None:
         if self._coroutines_wait():
@@ -152,10 +153,8 @@ class LeanExecutor(SingleThreadedExecutor):
             super()._spin_once_impl(timeout_sec, wait_condition)
             return
         if not self._ready:
-            self._wait(
-                timeout_sec.timeout if isinstance(timeout_sec, TimeoutObject) else timeout_sec,
-                wait_condition,
-            )
+            # A `TimeoutObject` where it waits for a future.
+            self._wait(getattr(timeout_sec, 'timeout', timeout_sec), wait_condition)
         if self._ready:
             self._ready.popleft()()
 

@@ -251,6 +251,19 @@ def test_tasks_are_done(bench):
     assert task.result() == 'done'
 
 
+def test_nothing_is_called_after_a_shutdown(bench):
+    publisher, _ = bench.talk()
+    other, _ = bench.talk('other')
+    sent(publisher, 1)
+    sent(other, 2)
+    time.sleep(0.2)  # both are ready at once
+    bench.until(lambda: bool(bench.heard))
+    count = len(bench.heard)
+    bench.executor.shutdown()
+    bench.executor.spin_once(0.05)
+    assert len(bench.heard) == count
+
+
 def test_another_thread_ends_a_wait(bench):
     threading.Timer(0.1, bench.executor.shutdown).start()
     bench.executor.spin()
