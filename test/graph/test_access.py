@@ -25,6 +25,7 @@ from fuzzycnc_ros.ros.access import (
     RECORDER,
     access_of,
 )
+from fuzzycnc_ros.runtime.records import CompensationApplied
 
 pytestmark = pytest.mark.ros
 
@@ -177,7 +178,8 @@ def test_the_operator_may_create_what_it_creates_and_ask_every_node(created):
     assert denied(has, allowed(OPERATOR)) == set()
     monitor = Monitor(['mill'])
     try:
-        has = settled(monitor._operator.node, OPERATOR, '/')
+        monitor.listen('mill', CompensationApplied, 'compensation_applied')
+        has = settled(monitor.operator.node, OPERATOR, '/')
     finally:
         monitor.close()
     # Its node stands outside of the machine, under the same enclave.
