@@ -16,6 +16,7 @@ from fuzzycnc_ros.core.thermal.candidate import STANDARD
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, judge, splits
 from fuzzycnc_ros.core.thermal.run import ThermalRun
+from fuzzycnc_ros.papers.thermal import ALL_CONTENDERS
 
 TRAINING_ROWS = 5791
 CYCLES = (0, 991, 1951, 2911, 3871, 4831, 5791)
@@ -115,8 +116,12 @@ def test_reading_the_speed_beats_the_same_model_without_it(evaluation):
 @pytest.fixture(scope='module')
 def comparison(recording):
     """Each thermal cycle in turn held out, sensors, settings and choice from the others."""
+    names = (*STANDARD, *LIBRARY)
     return Comparison(
-        tuple(judge(part, candidates=(*STANDARD, *LIBRARY)) for part in splits([recording]))
+        tuple(
+            judge(part, candidates=names, contenders=ALL_CONTENDERS)
+            for part in splits([recording])
+        )
     )
 
 
