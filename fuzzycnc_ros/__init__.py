@@ -3,7 +3,7 @@
 """Open compensation stack for CNC machines as a ROS 2 node graph.
 
 Doors for Python, loaded when they are first used: `fuzzycnc_ros.thermal`, `.feedrate`, `.servo`
-and `.soft`; `docs/python.md` shows each of them.
+and `.soft`; `docs/tutorials/python.md` shows each of them.
 """
 
 from importlib import import_module

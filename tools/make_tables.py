@@ -238,7 +238,7 @@ def marked(text: str) -> str:
 
 
 def parameters_page() -> str:
-    """Return docs/parameters.md."""
+    """Return docs/reference/parameters.md."""
     head = ('parameter', 'type', 'default', 'unit', 'allowed', 'live', 'meaning')
     lines = [
         GENERATED,
@@ -352,18 +352,18 @@ def service_rows() -> Iterator[tuple[str, ...]]:
 
 
 def topics_page() -> str:
-    """Return docs/topics.md."""
+    """Return docs/reference/topics.md."""
     lines = [
         GENERATED,
         '# Topics, services and actions',
         '',
         'Topic names are relative: the namespace is the machine, as in `/mill/temperatures`. What',
         'each field means, its unit and its sign stand in the `.msg` files of',
-        '[`msg_defs/`](../msg_defs/msg); what holds for all of them in',
+        '[`msg_defs/`](../../msg_defs/msg); what holds for all of them in',
         '[conventions.md](conventions.md).',
         '',
         *(f'- *{key.value}*: {text.split(": ")[1]}' for key, text in QOS.items()),
-        '- Why which depth: [architecture.md](architecture.md#quality-of-service).',
+        '- Why which depth: [architecture.md](../explanation/architecture.md#quality-of-service).',
         '',
         '## Who writes, who reads',
         '',
@@ -413,8 +413,8 @@ def topics_page() -> str:
 def files() -> dict[Path, str]:
     """Return everything that is generated: path to content."""
     made = {ROOT / 'params' / f'{node.name}.yaml': params_file(node) for node in nodes()}
-    made[ROOT / 'docs' / 'parameters.md'] = parameters_page()
-    made[ROOT / 'docs' / 'topics.md'] = topics_page()
+    made[ROOT / 'docs' / 'reference' / 'parameters.md'] = parameters_page()
+    made[ROOT / 'docs' / 'reference' / 'topics.md'] = topics_page()
     return made
 
 
@@ -429,7 +429,7 @@ def main() -> int:
             continue
         stale.append(str(path.relative_to(ROOT)))
         if not check:
-            path.parent.mkdir(exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(content)
     if stale:
         print(f'{"out of date" if check else "written"}: {", ".join(stale)}')

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The interface of an adapter to a controller, and what one tells in a cycle.
 
-docs/opcua-output.md shows how to write one.
+docs/how-to/opcua-output.md shows how to write one.
 
 An adapter only speaks the controller's language.  Owner, expiry, slew, epochs and adoption are the
 business of the component behind which it stands.

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What each node may do in a graph that lets nobody do anything else (docs/security.md).
+"""What each node may do in a graph that lets nobody do anything else (docs/how-to/security.md).
 
 Topics come from the declarations of the components; what nodes have beside them stands here.
 Names are relative to the machine, `~/` to the node, or absolute.

@@ -1,6 +1,9 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of a node: message classes, QoS (docs/architecture.md says why these depths), routes."""
+"""Topics of a node: message classes, QoS, routes.
+
+docs/explanation/architecture.md says why these depths.
+"""
 
 from collections.abc import Callable, Collection, Mapping
 from functools import cache

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node's side of a lock-step run over DDS: take turns (docs/architecture.md).
+"""A node's side of a lock-step run over DDS: take turns (docs/explanation/architecture.md).
 
 A turn names, for every topic that the node reads, the sequence number of its newest message.
 The node first waits until it has received all of them, so neither the order of arrival nor the

@@ -76,7 +76,7 @@ RecordT = TypeVar('RecordT', bound=Record)
 
 
 class Durability(Enum):
-    """How a topic is kept; the host maps it to QoS (docs/architecture.md)."""
+    """How a topic is kept; the host maps it to QoS (docs/explanation/architecture.md)."""
 
     STREAM = 'stream'
     """Reliable, volatile; deep on the publisher's side."""

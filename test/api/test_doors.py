@@ -140,7 +140,7 @@ def test_a_pattern_is_compensated_by_a_trained_model():
 
 
 def test_the_page_runs_as_it_stands(runs, tmp_path, monkeypatch, root):
-    """Every block of docs/python.md, on files and arrays of the names that it uses."""
+    """Every block of docs/tutorials/python.md, on files and arrays of the names that it uses."""
     pytest.importorskip('matplotlib', reason='matplotlib is not installed')
     monkeypatch.chdir(tmp_path)
     lines = ['time,t1,t2,z']
@@ -156,11 +156,13 @@ def test_the_page_runs_as_it_stands(runs, tmp_path, monkeypatch, root):
     x, s = foam_samples(0)
     names = {'points': infinity().sample(200, even=True), 'x': x, 's': s}
     blocks = re.findall(
-        r'^```python\n(.*?)^```', (root / 'docs' / 'python.md').read_text(), re.M | re.S
+        r'^```python\n(.*?)^```',
+        (root / 'docs' / 'tutorials' / 'python.md').read_text(),
+        re.M | re.S,
     )
     assert len(blocks) == 4
     for block in blocks:
-        exec(compile(block, 'docs/python.md', 'exec'), names)
+        exec(compile(block, 'docs/tutorials/python.md', 'exec'), names)
     assert (tmp_path / 'friday.png').stat().st_size > 10_000
     assert names['samples'].position.shape[1] == 2
     assert abs(names['duty']) <= 1.0

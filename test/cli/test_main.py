@@ -127,7 +127,9 @@ def commands_in(path):
     return [line.strip() for line in text.splitlines() if line.strip().startswith('fuzzycnc ')]
 
 
-@pytest.mark.parametrize('page', ['README.md', 'docs/your-own-recording.md', 'docs/bags.md'])
+@pytest.mark.parametrize(
+    'page', ['README.md', 'docs/tutorials/your-own-recording.md', 'docs/reference/bags.md']
+)
 def test_command_lines_in_the_docs_use_options_that_exist(fuzzycnc, root, page):
     lines = commands_in(root / page)
     assert lines

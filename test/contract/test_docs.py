@@ -62,9 +62,12 @@ def commands(text: str) -> list[str]:
 
 
 def test_the_pages_were_found():
-    assert {'README.md', 'CHANGELOG.md', 'docs/architecture.md', 'docs/conventions.md'} <= {
-        label(page) for page in PAGES
-    }
+    assert {
+        'README.md',
+        'CHANGELOG.md',
+        'docs/explanation/architecture.md',
+        'docs/reference/conventions.md',
+    } <= {label(page) for page in PAGES}
 
 
 @for_each(TABLES['files']().items(), lambda case: label(case[0]))
@@ -224,7 +227,7 @@ def routes() -> set[tuple[str, str, str, bool]]:
 
 
 def test_picture_of_the_graph_is_the_declaration():
-    text = (ROOT / 'docs' / 'architecture.md').read_text()
+    text = (ROOT / 'docs' / 'explanation' / 'architecture.md').read_text()
     drawn = {
         (writer, topic, reader, arrow == '-.->')
         for writer, arrow, topic, reader in re.findall(
@@ -247,8 +250,8 @@ def test_picture_of_the_readme_shows_declared_routes():
 
 
 def figures(section: str) -> dict[str, list[float]]:
-    """Return the rows of the table below a heading of docs/thermal.md: name to numbers."""
-    text = (ROOT / 'docs' / 'thermal.md').read_text()
+    """Return the rows of the table below a heading of the thermal page: name to numbers."""
+    text = (ROOT / 'docs' / 'explanation' / 'methods' / 'thermal.md').read_text()
     body = text.partition(f'## {section}')[2].partition('\n## ')[0]
     found = {}
     for line in re.findall(r'^\| (.+) \|$', body, re.M):

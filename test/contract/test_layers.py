@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The rings of docs/architecture.md: imports run inward only, and the inner rings know no ROS."""
+"""The rings of docs/explanation/architecture.md: imports run inward, inner rings know no ROS."""
 
 import ast
 import subprocess

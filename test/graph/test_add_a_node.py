@@ -65,7 +65,7 @@ def test_its_test_passes(tree):
 def test_tables_know_it(tree):
     run(tree, 'tools/make_tables.py')
     assert 'humidity_max: 0.7' in (tree / 'params' / 'humidity_guard.yaml').read_text()
-    assert '`guarded_error`' in (tree / 'docs' / 'topics.md').read_text()
+    assert '`guarded_error`' in (tree / 'docs' / 'reference' / 'topics.md').read_text()
 
 
 @pytest.mark.ros

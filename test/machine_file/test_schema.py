@@ -34,7 +34,7 @@ def test_built_in_machines_and_new_files_are_valid(validator, name):
 
 
 def test_the_example_of_the_docs_is_valid(validator, root):
-    page = (root / 'docs' / 'machine-file.md').read_text()
+    page = (root / 'docs' / 'reference' / 'machine-file.md').read_text()
     examples = re.findall(r'^```yaml\n(machine:.*?)^```', page, re.M | re.S)
     assert examples
     for example in examples:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The file that says where a control is, and which of its variables take part in compensation.
 
-docs/opcua-output.md describes it with examples.
+docs/how-to/opcua-output.md describes it with examples.
 """
 
 from collections.abc import Mapping

@@ -133,13 +133,14 @@ def deactivate(node: ManagedNode = 'compensator', machine: MachineName = 'mill')
 
 def set_values(
     values: Annotated[
-        list[str], typer.Argument(metavar='NODE.NAME=VALUE...', help='See docs/parameters.md.')
+        list[str],
+        typer.Argument(metavar='NODE.NAME=VALUE...', help='See docs/reference/parameters.md.'),
     ],
     machine: MachineName = 'mill',
 ) -> None:
     """Set live parameters of running nodes, until they are started again.
 
-    Values are checked by the rules of `docs/parameters.md`, in SI units.
+    Values are checked by the rules of `docs/reference/parameters.md`, in SI units.
 
         fuzzycnc operate set compensator.offset_max=10e-6 compensator.slew_max=5e-8
     """

@@ -20,7 +20,7 @@ HELP = """Let each node of a machine do what it needs, and nobody else anything.
 
     fuzzycnc security write policies --machine mill
 
-See docs/security.md. It needs a ROS 2 installation whose middleware has security.
+See docs/how-to/security.md. It needs a ROS 2 installation whose middleware has security.
 """
 
 VERSION = '0.2.0'

@@ -63,7 +63,7 @@ def simulate(
         typer.Option(
             show_default=False,
             metavar='NODE.NAME=VALUE',
-            help='Parameter of a node, see docs/parameters.md; repeat.',
+            help='Parameter of a node, see docs/reference/parameters.md; repeat.',
         ),
     ] = None,
     out: Annotated[

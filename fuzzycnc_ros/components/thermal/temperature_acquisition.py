@@ -76,7 +76,7 @@ class TemperatureAcquisitionConfig(Config):
         '',
         '-',
         'File that names devices and where their values lie, for the source devices '
-        '(docs/temperature-drivers.md)',
+        '(docs/how-to/temperature-drivers.md)',
     )
     interval: float = param(60.0, 's', 'Sampling interval of the output', low=0.01, high=3600.0)
     range_low: float = param(

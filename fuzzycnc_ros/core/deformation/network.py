@@ -375,7 +375,7 @@ class TSFuzzyNetwork(RegressionEstimator):
     Notes
     -----
     A Gaussian process on physical features predicts the sheet's data better than the paper's
-    network does; docs/deformation.md says by how much.
+    network does; docs/explanation/methods/deformation.md says by how much.
     """
 
     def __init__(

@@ -145,7 +145,9 @@ def mean_square_error(sums: Array, weight: Array, constant: Array) -> Array:
 def stable_grey_from_sums(
     moments: Moments, train: Sequence[int], scale: Array, ridge: float
 ) -> tuple[NDArray[np.int64], Array]:
-    """Choose the pole of the stable grey model per channel, docs/thermal-fuzzy-and-grey.md.
+    """Choose the pole of the stable grey model per channel.
+
+    docs/explanation/methods/thermal-fuzzy-and-grey.md says how well that does.
 
     Parameters
     ----------

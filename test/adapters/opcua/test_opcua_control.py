@@ -279,7 +279,7 @@ def test_the_schema_takes_what_is_read_and_refuses_what_is_not(root):
             read['state']['on'] = read['state'].pop(True)
         return read
 
-    page = (root / 'docs' / 'opcua-output.md').read_text()
+    page = (root / 'docs' / 'how-to' / 'opcua-output.md').read_text()
     examples = re.findall(r'^```yaml\n(url:.*?)^```', page, re.M | re.S)
     good = FILE.format(host='10.0.0.7', port=4840, timeout=2.0)
     good = good.replace('1e-9', '1.0e-9')  # a number in YAML 1.1 too

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What docs/opcua-output.md shows: the program of the control, and an adapter of one's own."""
+"""What docs/how-to/opcua-output.md shows: the control's program, an adapter of one's own."""
 
 import re
 from pathlib import Path
@@ -16,7 +16,9 @@ from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge, OpcuaBridgeCon
 from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import Compensation, nanoseconds
 
-GUIDE = (Path(__file__).parents[3] / 'docs' / 'opcua-output.md').read_text(encoding='utf-8')
+GUIDE = (Path(__file__).parents[3] / 'docs' / 'how-to' / 'opcua-output.md').read_text(
+    encoding='utf-8'
+)
 MICRON = 1e-6
 CYCLE = 0.1
 

@@ -188,7 +188,7 @@ def test_credentials(tmp_path):
 
 
 def test_every_example_of_the_docs_is_a_device_file(root, read, tmp_path):
-    page = (root / 'docs' / 'temperature-drivers.md').read_text()
+    page = (root / 'docs' / 'how-to' / 'temperature-drivers.md').read_text()
     examples = re.findall(r'^```yaml\n(devices:\n.*?)^```', page, re.M | re.S)
     assert len(examples) >= 2
     for name in ('own.der', 'own-key.pem', 'control.der', 'control-user.yaml'):
@@ -200,7 +200,7 @@ def test_every_example_of_the_docs_is_a_device_file(root, read, tmp_path):
 def test_the_schema_takes_what_is_read_and_refuses_what_is_not(root):
     jsonschema = pytest.importorskip('jsonschema')
     validator = jsonschema.Draft202012Validator(DeviceFile.model_json_schema())
-    page = (root / 'docs' / 'temperature-drivers.md').read_text()
+    page = (root / 'docs' / 'how-to' / 'temperature-drivers.md').read_text()
     examples = re.findall(r'^```yaml\n(devices:\n.*?)^```', page, re.M | re.S)
     for text in [*examples, MODBUS, OPC_UA]:
         validator.validate(yaml.safe_load(text))

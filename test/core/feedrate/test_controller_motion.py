@@ -154,7 +154,7 @@ def test_waits_and_gaps():
     ],
 )
 def test_what_linuxcnc_took_and_left(name, mode, feed, duration, error):
-    """LinuxCNC 2.9, measured: docs/linuxcnc-feedrate.md, more runs."""
+    """LinuxCNC 2.9, measured: docs/explanation/linuxcnc-feedrate.md, more runs."""
     curve = CURVES[name](SHEET_SCALES[name])
     point = 1e3 * curve.point(np.linspace(0.0, 1.0, 2000))
     start = f'G92 X{point[0, 0]:.5f} Y{point[0, 1]:.5f} Z0\n'

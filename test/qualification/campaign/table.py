@@ -15,7 +15,7 @@ _FIGURES = {
     Kind.DRIVE: ('Driven axes', 'beyond their stretch', 'largest step of the axes'),
     Kind.PATTERN: ('Patterns', 'largest offset', 'its largest step'),
 }
-"""Title, worst distance and worst change of each kind; docs/faults.md has them in full."""
+"""Title, worst distance and worst change of each kind; all are in docs/explanation/faults.md."""
 
 
 def listing(names: Sequence[str]) -> Table:

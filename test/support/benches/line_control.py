@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A control that takes offset lines: the program of docs/opcua-output.md, step by step."""
+"""A control that takes offset lines: the program of docs/how-to/opcua-output.md, step by step."""
 
 import numpy as np
 

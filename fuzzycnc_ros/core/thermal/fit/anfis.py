@@ -36,7 +36,9 @@ FADE = 1.5
 
 
 class Anfis(ThermalRegressor):
-    """Adaptive neuro-fuzzy inference system on the rises, docs/thermal-fuzzy-and-grey.md.
+    """Adaptive neuro-fuzzy inference system on the rises.
+
+    docs/explanation/methods/thermal-fuzzy-and-grey.md says what it is worth.
 
     Parameters
     ----------
@@ -177,7 +179,8 @@ class GreyAnfis(ThermalRegressor):
     Notes
     -----
     The published text has both models but does not say how they are joined.  In series the
-    corrector learns what the grey model leaves, docs/thermal-fuzzy-and-grey.md.
+    corrector learns what the grey model leaves
+    (docs/explanation/methods/thermal-fuzzy-and-grey.md).
     """
 
     def __init__(

@@ -43,7 +43,7 @@ def run_rows(runs: Sequence[ThermalRun]) -> list[slice]:
 def selection_folds(runs: Sequence[ThermalRun]) -> tuple[NDArray[np.int64], list[Fold]]:
     """Return the stretch of each stacked sample, and the folds for choosing sensors.
 
-    Leave one run out; a single run is chained forward, docs/thermal.md.
+    Leave one run out; a single run is chained forward, docs/explanation/methods/thermal.md.
 
     Raises
     ------

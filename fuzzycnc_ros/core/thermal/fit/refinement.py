@@ -1,6 +1,9 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Improve a choice of sensors on held-out samples, docs/thermal.md, step 4 of choosing."""
+"""Improve a choice of sensors on held-out samples.
+
+It is step 4 of choosing sensors in docs/explanation/methods/thermal.md.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
