@@ -9,10 +9,11 @@ import argparse
 import re
 import sys
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -410,11 +411,56 @@ def topics_page() -> str:
     return '\n'.join(lines) + '\n'
 
 
+def bibliography() -> dict[str, dict[str, str]]:
+    """Return the entries of the bibliography: key to fields."""
+    text = (ROOT / 'docs' / 'reference' / 'bibliography.bib').read_text(encoding='utf-8')
+    return {
+        key: dict(re.findall(r'(\w+) = \{(.*?)\}(?=,)', body))
+        for key, body in re.findall(r'^@\w+\{(\w+),\n(.*?)^\}', text, re.M | re.S)
+    }
+
+
+def citation(entry: Mapping[str, str]) -> str:
+    """Return an entry as people read it."""
+    found = [entry['author'].replace(' and ', ', '), f'"{entry["title"]}"']
+    place = entry.get('journal') or entry.get('booktitle') or entry.get('publisher')
+    place = place or entry.get('institution', '')
+    if 'volume' in entry:
+        number = f'({entry["number"]})' if 'number' in entry else ''
+        place += f' {entry["volume"]}{number}'
+    found += [item for item in (place, entry.get('year', '')) if item]
+    if 'pages' in entry:
+        found.append('pp. ' + entry['pages'].replace('--', '-'))
+    if 'doi' in entry:
+        address = quote(entry['doi'], safe='/')  # some have brackets, which end a link
+        found.append(f'[doi:{entry["doi"]}](https://doi.org/{address})')
+    if 'url' in entry:
+        found.append(f'[{entry["url"].split("/")[2]}]({entry["url"]})')
+    note = f' {entry["note"]}.' if 'note' in entry else ''
+    return ', '.join(found) + '.' + note
+
+
+def bibliography_page() -> str:
+    """Return docs/reference/bibliography.md."""
+    lines = [
+        GENERATED,
+        '# Bibliography',
+        '',
+        'Docstrings and pages cite by these keys. The same entries as BibTeX:',
+        '[bibliography.bib](bibliography.bib). First come the five published systems.',
+        '',
+    ]
+    for key, entry in bibliography().items():
+        lines += [f'## {key}', '', citation(entry), '', f'*{entry["used"]}.*', '']
+    return '\n'.join(lines)
+
+
 def files() -> dict[Path, str]:
     """Return everything that is generated: path to content."""
     made = {ROOT / 'params' / f'{node.name}.yaml': params_file(node) for node in nodes()}
     made[ROOT / 'docs' / 'reference' / 'parameters.md'] = parameters_page()
     made[ROOT / 'docs' / 'reference' / 'topics.md'] = topics_page()
+    made[ROOT / 'docs' / 'reference' / 'bibliography.md'] = bibliography_page()
     return made
 
 

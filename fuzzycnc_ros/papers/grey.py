@@ -4,11 +4,7 @@
 
 References
 ----------
-.. [1] T.-L. Tien, "A research on the grey prediction model GM(1,n)", 2012: GMC(1,N).
-.. [2] B. Zeng, C. Luo, S. Liu, Y. Bai, C. Li, "Development of an optimization method for the
-   GM(1,N) model", 2016: OGM(1,N).
-.. [3] N.-M. Xie, S.-F. Liu, "Discrete grey forecasting model and its optimization", 2009:
-   DGM(1,N).
+[tien2012] for GMC(1,N), [zeng2016] for OGM(1,N), [xie2009] for DGM(1,N).
 """
 
 from dataclasses import dataclass, field, replace

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The docs say what is there: generated tables, links, names, commands, the picture, figures."""
 
+import ast
 import re
 import runpy
 from functools import cache
@@ -326,3 +327,39 @@ def test_figures_of_the_real_spindle_are_measured(data):
     for name, numbers in printed.items():
         found = 1e6 * judged.rms[name]
         np.testing.assert_allclose(found, numbers, rtol=0.0, atol=FIGURE_TOLERANCE)
+
+
+def cited() -> dict[str, str]:
+    """Return the first file that cites each key: [key] in text, a link to it on a page."""
+    found: dict[str, str] = {}
+    for path in (*(ROOT / 'fuzzycnc_ros').rglob('*.py'), *(ROOT / 'test').rglob('*.py')):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                keys = re.findall(r'\[([a-z]+(?:\d{4}|_[a-z]+))\]', node.value)
+                section = node.value.partition('References\n')[2]
+                keys += re.findall(r'^ *\[([^\]\s]+)\]', section.partition('\n\n')[0], re.M)
+                found |= {key: label(path) for key in keys if key not in found}
+    for page in PAGES:
+        for key in re.findall(r'bibliography\.md#(\w+)\)', page.read_text()):
+            found.setdefault(key, label(page))
+    return found
+
+
+def test_every_source_that_is_cited_is_in_the_bibliography():
+    entries = TABLES['bibliography']()
+    missing = {key: where for key, where in cited().items() if key not in entries}
+    assert not missing
+    assert {'deng2014', 'ding_zeng', 'lin2021', 'kang2007', 'long2014'} <= set(entries)
+    assert all({'author', 'title', 'used'} <= set(entry) for entry in entries.values())
+
+
+def test_references_are_keys():
+    """A section References of a docstring names keys; where they lead is in the bibliography."""
+    entries = TABLES['bibliography']()
+    for path in (ROOT / 'fuzzycnc_ros').rglob('*.py'):
+        for body in re.findall(
+            r'^ *References\n *-{10}\n(.*?)(?:\n\n|""")', path.read_text(), re.M | re.S
+        ):
+            keys = re.findall(r'\[(\w+)\]', body)
+            assert keys, f'{label(path)}: expected keys of the bibliography but found {body!r}'
+            assert set(keys) <= set(entries), label(path)

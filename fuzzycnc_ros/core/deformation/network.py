@@ -4,8 +4,7 @@
 
 References
 ----------
-.. [1] Deng, Chen, Chen, Wu, Zhang, Wu, Chen, "Deformation-compensated modeling of flexible
-   material processing based on T-S fuzzy neural network and fuzzy clustering", 2014.
+[deng2014]
 """
 
 from collections.abc import Sequence
@@ -323,7 +322,7 @@ def samples_needed(rules: int, folds: int = 1) -> int:
 
 
 class TSFuzzyNetwork(RegressionEstimator):
-    """T-S fuzzy neural network of feed compensation, [1]_.
+    """T-S fuzzy neural network of feed compensation, [deng2014].
 
     Parameters
     ----------

@@ -4,11 +4,7 @@
 
 References
 ----------
-.. [1] J. C. Bezdek, "Pattern Recognition with Fuzzy Objective Function Algorithms", 1981.
-.. [2] X. L. Xie, G. Beni, "A validity measure for fuzzy clustering", 1991.
-.. [3] D. E. Gustafson, W. C. Kessel, "Fuzzy clustering with a fuzzy covariance matrix", 1979.
-.. [4] R. Babuska, P. J. van der Veen, U. Kaymak, "Improved covariance estimation for
-   Gustafson-Kessel clustering", 2002.
+[bezdek1981], [xie1991], [gustafson1978], [babuska2002]
 """
 
 from abc import ABC, abstractmethod
@@ -109,7 +105,7 @@ def _memberships_by_distance(distance: Array, m: float) -> Array:
 
 
 class FuzzyCMeans(FuzzyPartition):
-    """Fuzzy c-means, [1]_.
+    """Fuzzy c-means, [bezdek1981].
 
     Parameters
     ----------
@@ -143,7 +139,7 @@ class FuzzyCMeans(FuzzyPartition):
     partition_coefficient_ : float
         Mean squared membership sum, in [1/n_clusters, 1]; 1 is crisp, 1/n_clusters collapsed.
     xie_beni_ : float
-        Compactness over separation, [2]_; smaller is better, NaN if two centres coincide.
+        Compactness over separation, [xie1991]; smaller is better, NaN if two centres coincide.
 
     Notes
     -----
@@ -271,14 +267,14 @@ def _xie_beni(objective: float, centers: Array, samples: int) -> float:
 
 
 _CONDITION_MAX = 1e8
-"""Largest ratio of the eigenvalues of a cluster's covariance, [4]_."""
+"""Largest ratio of the eigenvalues of a cluster's covariance, [babuska2002]."""
 
 DISTANCE_MIN = 1e-12
 """Floor of the squared distances: a sample may lie on a centre."""
 
 
 class GustafsonKessel(FuzzyPartition):
-    """Regularised Gustafson-Kessel clustering, [3]_ with [4]_.
+    """Regularised Gustafson-Kessel clustering, [gustafson1978] with [babuska2002].
 
     Parameters
     ----------

@@ -3,11 +3,11 @@
 """Takagi-Sugeno rules with Gaussian sets: inference, and hybrid learning.
 
 Each epoch solves all consequents by one ridge regression and takes one gradient step on the
-Gaussian sets, [1]_.
+Gaussian sets [jang1993].
 
 References
 ----------
-.. [1] J.-S. R. Jang, "ANFIS: adaptive-network-based fuzzy inference system", 1993.
+[jang1993], [takagi1985]
 """
 
 from dataclasses import dataclass, replace

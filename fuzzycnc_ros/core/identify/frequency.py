@@ -4,7 +4,7 @@
 
 References
 ----------
-L. Ljung: System Identification: Theory for the User. 2nd ed., Prentice Hall, 1999 (chapter 6).
+[ljung1999], chapter 6.
 """
 
 from __future__ import annotations

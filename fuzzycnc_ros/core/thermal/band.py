@@ -188,7 +188,7 @@ def fitted_band(residual: Array, distance: Array, folds: int) -> Band:
 
     The growth is the one under which they are most likely, if they are normal; the deviation of
     each channel then is the least one whose band holds 95 % of them, as in split conformal
-    prediction [1]_, times what few folds leave unknown of another run (Student's t).
+    prediction [lei2018], times what few folds leave unknown of another run (Student's t).
 
     Parameters
     ----------
@@ -202,9 +202,7 @@ def fitted_band(residual: Array, distance: Array, folds: int) -> Band:
 
     References
     ----------
-    .. [1] J. Lei, M. G'Sell, A. Rinaldo, R. J. Tibshirani, L. Wasserman, "Distribution-free
-       predictive inference for regression", Journal of the American Statistical Association
-       113(523), 2018, pp. 1094-1111, doi:10.1080/01621459.2017.1307116.
+    [lei2018]
     """
     bands = [
         Band(held_out_deviation(residual / _widening(distance, growth)[:, np.newaxis]), growth)

@@ -8,9 +8,7 @@ squared prediction error (Q statistic) across them.
 
 References
 ----------
-.. [1] J. E. Jackson, G. S. Mudholkar, "Control procedures for residuals associated with principal
-   component analysis", Technometrics 21(3), 1979, pp. 341-349,
-   doi:10.1080/00401706.1979.10489779.
+[jackson1979]
 """
 
 from collections.abc import Sequence

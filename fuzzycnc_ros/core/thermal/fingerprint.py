@@ -8,8 +8,7 @@ the run is judged later has its share of them.
 
 References
 ----------
-.. [1] A. Z. Broder, "On the resemblance and containment of documents", Compression and Complexity
-   of Sequences, 1997, pp. 21-29, doi:10.1109/SEQUEN.1997.666900.
+[broder1997]
 """
 
 from collections.abc import Iterator, Sequence

@@ -341,7 +341,7 @@ class DriftAlarm:
 
     References
     ----------
-    E. S. Page, Continuous inspection schemes, Biometrika 41 (1954) 100-115.
+    [page1954]
 
     Examples
     --------

@@ -4,8 +4,7 @@
 
 References
 ----------
-.. [1] A. Janot, M. Gautier, M. Brunot, "Data set and reference models of EMPS", Workshop on
-   Nonlinear System Identification Benchmarks, 2019: the ball-screw axis.
+[janot2019] for the ball-screw axis.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@
 
 References
 ----------
-.. [1] Method sheet 001: fuzzy c-means clustering of the sensors, ranking inside the clusters by
-   correlation or grey relational grade; the refinement by held-out runs goes beyond the paper.
+[ding_zeng]: fuzzy c-means clustering of the sensors, ranking inside the clusters by correlation or
+grey relational grade; the refinement by held-out runs goes beyond the paper.
 """
 
 from collections.abc import Sequence
