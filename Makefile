@@ -81,6 +81,10 @@ format: setup ## Rewrite the sources in the project's format
 tables: setup ## Write the generated tables of the docs and params/*.yaml anew
 	@'$(BIN)/python' tools/make_tables.py
 
+.PHONY: docs
+docs: setup ## Build the site into build/docs/html; warnings and dead links are errors
+	@$(ROS) '$(BIN)/python' tools/make_docs.py $(ARGS)
+
 .PHONY: test-floor
 test-floor: ## Core and components without ROS on Ubuntu 24.04's versions (Python 3.12)
 	@python=$$(tools/find_python.sh $(or $(PYTHON),python3.12)) && \

@@ -27,6 +27,7 @@ command_line = ['typer', 'rich', 'pyyaml', *bags]
 report = ['jinja2', 'matplotlib']
 ml = ['scikit-learn', 'threadpoolctl']
 tables = ['pandas']
+docs = ['furo', 'myst-parser', 'sphinx', 'textstat<0.7.5']
 device_files = ['pydantic>=2.7', 'pyyaml']
 modbus = ['pymodbus>=3.10', *device_files]
 opcua = ['asyncua>=1.1.5', 'cryptography', *device_files]
@@ -71,6 +72,7 @@ setup(
     extras_require={
         'bags': bags,
         'cli': command_line,
+        'docs': docs,
         'ml': ml,
         'modbus': modbus,
         'opcua': opcua,

@@ -37,6 +37,7 @@ SLICE = 36  # packages for one run of pip: what an interrupted set-up loses at m
 LATER = {
     'apsw',
     'asyncua',
+    'babel',
     'cryptography',
     'fonttools',
     'hypothesis',
@@ -49,6 +50,7 @@ LATER = {
     'scikit-learn',
     'scipy',
     'scipy-stubs',
+    'sphinx',
     'toppra',
 }
 
