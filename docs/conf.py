@@ -45,6 +45,7 @@ KEY = re.compile(rf'\[({"|".join(KEYS)})\]')
 
 html_theme = 'furo'
 html_title = f'fuzzycnc {version}'
+templates_path = ['_templates']
 html_static_path = ['_static']
 html_css_files = ['site.css']
 html_copy_source = False

@@ -20,7 +20,7 @@ from fuzzycnc_ros.core.thermal.recursions.grey import development_of, pole_of
 
 @dataclass(frozen=True, eq=False)
 class DifferencedGreyRecursion(Recursion):
-    """Grey model with constants of each channel, method sheet 001 section 3.2.
+    """Grey model with constants of each channel.
 
     y(k) = pole y(k-1) + gain x(k) + constant for k >= 3, with pole gain x(k-1) on top if drivers
     are averaged; y(1) = initial, y(2) = start + gain x(1) + gain x(2), likewise.
@@ -85,7 +85,7 @@ class DifferencedGreyRecursion(Recursion):
             return first_order_lags(self.pole, forced)
 
     def with_interval(self, ratio: float) -> 'DifferencedGreyRecursion':
-        """Return the recursion for an interval `ratio` times as long, method sheet 001, 3.1.
+        """Return the recursion for an interval `ratio` times as long.
 
         Time constants, steady state and the decay of the start remain.
 
@@ -113,13 +113,13 @@ class DifferencedGreyRecursion(Recursion):
 
 
 class GreyVariant(GreyModel):
-    """Grey model with constants, method sheet 001 section 3.2.
+    """Grey model with constants.
 
     Parameters
     ----------
     kind : {'convolution', 'optimised', 'discrete'}
         'convolution' is GMC(1,N): averaged drivers, a constant, solved by the trapezium rule;
-        'optimised' is OGM(1,N): eq. (12) plus h1 (k-1) + h2, solved exactly;
+        'optimised' is OGM(1,N): [ding_zeng] eq. (12) plus h1 (k-1) + h2, solved exactly;
         'discrete' is DGM(1,N): the next accumulated value is regressed on the present one.
     interval : float
         Sampling interval of the training samples [s].

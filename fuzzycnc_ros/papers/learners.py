@@ -304,7 +304,7 @@ class GaussianProcess(ThermalRegressor):
     -----
     Rises and target are standardised; the three variances and the one length scale are those of
     the largest marginal likelihood, from scikit-learn's own start, without restarts.  Neighbours
-    in time are nearly equal, so that more than 200 samples of the duties of method sheet 001
+    in time are nearly equal, so that more than 200 samples of the duties of the simulated mill
     make the fit slower (0.4 s with 200, 2.1 s with 400 samples) and the held-out error not
     smaller (1.4 um rms in Y with 200, 1.8 um with 400); so do length scales of their own for
     each rise (1.7 um).
@@ -396,10 +396,10 @@ class Mlp(ThermalRegressor):
 
     Notes
     -----
-    Thirty tanh nodes are the network of method sheet 003.  L-BFGS is what scikit-learn advises
+    Thirty tanh nodes are the network of [kang2007].  L-BFGS is what scikit-learn advises
     for few samples.  The penalty is that of the linear models; with scikit-learn's own, 1e-4 over
-    all samples, the held-out error on the duties of method sheet 001 is 2.5 instead of 1.5 um rms
-    in Y and 1.6 instead of 1.1 um in Z.
+    all samples, the held-out error on the duties of the simulated mill is 2.5 instead of 1.5 um
+    rms in Y and 1.6 instead of 1.1 um in Z.
 
     Examples
     --------

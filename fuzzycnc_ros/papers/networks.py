@@ -44,7 +44,7 @@ _PRESENT = np.array([0])
 
 @dataclass(frozen=True, eq=False)
 class MovingAverageRecursion(DelayedRecursion):
-    """Autoregressive model with moving averages of the rises, method sheet 003 section 2.
+    """Autoregressive model with moving averages of the rises [kang2007].
 
     y(n) = drive x + feedback y(n-1..n-K) + offset, cut at the limit, where x holds the rises at
     all delays.  The cut output is what feeds back: nothing else bounds a recursion that is not
@@ -85,7 +85,7 @@ class MovingAverageRecursion(DelayedRecursion):
 
 
 class Arma(ThermalRegressor):
-    """Autoregressive model with moving averages of the rises, method sheet 003 section 2.
+    """Autoregressive model with moving averages of the rises [kang2007].
 
     y(n) = c_0 + sum_k c_k y(n-k) + sum_j b_j x(n-j), fitted with the measured past outputs and
     run with its own.
@@ -218,7 +218,7 @@ class _PlainNetwork(ThermalRegressor):
 
 
 class LinearNetwork(_PlainNetwork):
-    """Linear regression whose output feeds a small network (LR/NN), method sheet 003 section 2.
+    """Linear regression whose output feeds a small network (LR/NN) [kang2007].
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ class LinearNetwork(_PlainNetwork):
 
 
 class StaticNetwork(_PlainNetwork):
-    """Network on the present rises (FNN), method sheet 003 section 2.
+    """Network on the present rises (FNN) [kang2007].
 
     Parameters
     ----------
@@ -312,7 +312,7 @@ class StaticNetwork(_PlainNetwork):
 
 
 class DynamicNetwork(_PlainNetwork):
-    """Network on the rises of the last samples, method sheet 003 section 6.
+    """Network on the rises of the last samples [kang2007].
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""GMC(1,N), OGM(1,N) and DGM(1,N): method sheet 001 section 3.2."""
+"""GMC(1,N), OGM(1,N) and DGM(1,N) [tien2012], [zeng2016], [xie2009]."""
 
 import numpy as np
 import pytest

@@ -62,7 +62,7 @@ def test_stitches_are_those_of_the_commanded_points(recorded, name):
 @pytest.mark.replay
 def test_the_track_is_straightened(recorded):
     before, after = (recorded[name][0].quality() for name in ('none', 'model'))
-    # method sheet 000 section 8
+    # as on the page about soft material
     assert np.degrees(before.angle_error) == pytest.approx(5.1822, abs=0.01)
     assert 1e3 * before.straightness == pytest.approx(0.4073, abs=0.005)
     assert after.angle_error <= 0.2 * before.angle_error

@@ -47,7 +47,7 @@ def limit_offsets(
     progress_min: float = 0.2,
     size: tuple[float, float] | None = None,
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Return offsets within their limits (method sheet 000 section 6.4).
+    """Return offsets within their limits.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ _FOLD_FROM = np.radians(-30.0)  # directions are folded into half a turn from he
 
 @dataclass(frozen=True, kw_only=True)
 class CompensationConfig(Config):
-    """How outputs of a model become offsets of a path (method sheet 000 sections 6.4 and 6.5)."""
+    """How outputs of a model become offsets of a path."""
 
     accumulate: str = param(
         'leaky', '-', 'How offsets add up along the path', choices=('leaky', 'ramp')
@@ -451,7 +451,7 @@ def learn_offsets(
 
     Examples
     --------
-    Three cycles on the test track of method sheet 000, a recorded run each:
+    Three cycles on the test track, a recorded run each:
 
     >>> from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
     >>> from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack

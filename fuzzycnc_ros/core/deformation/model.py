@@ -25,7 +25,7 @@ from fuzzycnc_ros.core.fuzzy.takagi_sugeno import normalised_firing
 
 @dataclass(frozen=True, eq=False)
 class Antecedent:
-    """Rules of method sheet 000 section 3.3.
+    """Rules of [deng2014]: memberships and fitness.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def _log_sum(logarithm: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RuleNetwork:
-    """Rules and weights in the units of inputs and outputs; method sheet 000 section 3.4.
+    """Rules and weights in the units of inputs and outputs [deng2014].
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ SUPPORT_QUANTILE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Gate:
-    """Box of the training samples and the least support; method sheet 000 section 6.4.
+    """Box of the training samples and the least support.
 
     Support alone is no guard: it is a sum over single inputs, and a deep foot in a thin sheet has
     an ordinary depth and an ordinary thickness.  So the box bounds depth over thickness as well.
@@ -269,7 +269,7 @@ NOISE_VARIANCE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class AxisGain:
-    """Gains k with s = k s_model, by scalar recursive least squares; method sheet 000 section 6.6.
+    """Gains k with s = k s_model, by scalar recursive least squares.
 
     Parameters
     ----------

@@ -131,7 +131,7 @@ class _Clustered:
 
 
 def cluster(rows: _Rows, recipe: _Recipe, rng: np.random.Generator) -> _Clustered:
-    """Return rules from a clustering of inputs and outputs joined, sections 3.1 to 3.3."""
+    """Return rules from a clustering of inputs and outputs joined [deng2014]."""
     scaled, input_scale = _standardised(rows.inputs)
     output, output_scale = _standardised(rows.output)
     joined = np.concatenate([scaled, output], axis=1)
@@ -373,7 +373,7 @@ class TSFuzzyNetwork(RegressionEstimator):
 
     Notes
     -----
-    A Gaussian process on physical features predicts the sheet's data better than the paper's
+    A Gaussian process on physical features predicts the simulated data better than the paper's
     network does; docs/explanation/methods/deformation.md says by how much.
     """
 

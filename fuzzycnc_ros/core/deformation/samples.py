@@ -67,7 +67,7 @@ def identify_relaxation(
     """Identify how the drift fades from one run of straight sides.
 
     The drift commanded minus stitched is taken for D + o_side with
-    D' = D exp(-length / leak_length) + g_side length (method sheet 000 section 6.5); for each
+    D' = D exp(-length / leak_length) + g_side length; for each
     fading length the g and o follow by least squares, and the length with the least residual is
     kept.  Ratio of o to g, over all sides, is `prompt_length`.
 
@@ -233,7 +233,7 @@ def samples_of_paths(paths: list[RecordedPath]) -> PathSamples:
     """Return the samples of recorded paths.
 
     A sample is the drift against the fed length of a primitive that begins on a fresh sheet,
-    without offsets (method sheet 000 section 8): 50 mm of a line, 30 mm of an arc, and of longer
+    without offsets: 50 mm of a line, 30 mm of an arc, and of longer
     ones that much.  Sides of a path of lines that come later, or were compensated, give the rate
     of their drift beside its fading, see `identify_relaxation`, from which their sample follows.
 

@@ -115,7 +115,7 @@ def cost_and_gradient(
 def gradient(
     hidden: Array, pull: Array, error: Array, samples: TrainingSamples
 ) -> tuple[Array, Array]:
-    """Return the gradients of 1/2 sum e^2 by w_ij and w_jk, section 3.5.
+    """Return the gradients of 1/2 sum e^2 by w_ij and w_jk [deng2014].
 
     Parameters
     ----------

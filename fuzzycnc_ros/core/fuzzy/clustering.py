@@ -97,7 +97,7 @@ class FuzzyPartition(ClusterEstimator, ABC):
 
 
 def _memberships_by_distance(distance: Array, m: float) -> Array:
-    """Return memberships by squared distances (..., c, n); method sheet 001 eq. (7)."""
+    """Return memberships by squared distances (..., c, n), [ding_zeng] eq. (7)."""
     nearness = distance.min(axis=-2, keepdims=True) / distance
     if m != 2.0:
         nearness **= 1.0 / (m - 1.0)
@@ -131,7 +131,7 @@ class FuzzyCMeans(FuzzyPartition):
     labels_ : ndarray, shape (n,)
         Cluster of highest membership of each sample.
     objective_ : float
-        Objective J of the kept start, eq. (8), in squared units of the samples.
+        Objective J of the kept start, [ding_zeng] eq. (8), in squared units of the samples.
     objective_history_ : ndarray, shape (n_iter_,)
         J after each iteration; it never increases.
     n_iter_ : int
@@ -219,7 +219,10 @@ class FuzzyCMeans(FuzzyPartition):
 def _iterate(
     points: Array, starts: Array, m: float, max_iter: int, tol: float
 ) -> tuple[Array, Array]:
-    """Alternate eqs. (9) and (7) from all starts (r, c, n); return the best and its history."""
+    """Alternate [ding_zeng] eqs. (9) and (7) from all starts (r, c, n).
+
+    Return the best and its history.
+    """
     membership = starts
     active = np.arange(len(starts))
     history: list[list[float]] = [[] for _ in starts]
@@ -390,7 +393,7 @@ class GustafsonKessel(FuzzyPartition):
 
 
 class ClassValues(NamedTuple):
-    """What the clusters say of output values, method sheet 000 section 3.2.
+    """What the clusters say of output values [deng2014].
 
     Parameters
     ----------
@@ -477,7 +480,7 @@ def _round_covariance(points: Array, regularisation: float) -> Array:
 def _iterate_with_norms(
     points: Array, seeds: Array, m: float, mixed: Array, share: float, max_iter: int, tol: float
 ) -> _Found:
-    """Alternate the equations of section 3.1 from centres (r, c, p); return the best start."""
+    """Alternate memberships and centres [gustafson1978] (r, c, p); return the best start."""
     apart = points - seeds[:, :, np.newaxis]
     distance = (apart**2).sum(axis=-1)
     membership = _memberships_by_distance(np.maximum(distance, DISTANCE_MIN), m)

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Mamdani inference with two inputs and triangular sets, method sheet 002 section 2 item 6."""
+"""Mamdani inference with two inputs and triangular sets [mamdani1975]."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ def _half_moment(height: Array) -> Array:
 
 @dataclass(frozen=True)
 class Mamdani:
-    """Rules over two inputs: minimum, minimum, maximum, centroid, method sheet 002 eq. (11).
+    """Rules over two inputs: minimum, minimum, maximum, centroid, [lin2021] eq. (11).
 
     Each set is a triangle over its two neighbours' centres, so that neighbours cross at one
     half.  Inputs beyond the end centres count as the end centres.  The end sets of the output

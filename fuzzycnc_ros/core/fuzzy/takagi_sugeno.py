@@ -19,7 +19,7 @@ from fuzzycnc_ros.core.arrays import Array
 
 
 def log_firing(inputs: Array, center: Array, inverse_width: Array) -> Array:
-    """Return the logarithm of the firing strengths, the product of eqs. (1)-(3).
+    """Return the logarithm of the firing strengths, the product of [ding_zeng] eqs. (1)-(3).
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def log_firing(inputs: Array, center: Array, inverse_width: Array) -> Array:
 
 
 def normalised_firing(logarithm: Array, axis: int = -1) -> Array:
-    """Return the firing strengths of eq. (4), which sum to 1 over the rules along `axis`.
+    """Return firing strengths, [ding_zeng] eq. (4); they sum to 1 over the rules along `axis`.
 
     The strongest rule is taken out before the exponential: far from all sets every strength
     underflows, and 0/0 would follow.
@@ -95,9 +95,9 @@ class TrainedRules:
     premises : Premises
         Learnt sets.
     slope : ndarray, shape (r, p)
-        Consequent weights p, q, ... of eq. (5), per unit of each input.
+        Consequent weights p, q, ... of [ding_zeng] eq. (5), per unit of each input.
     offset : ndarray, shape (r,)
-        Consequent constants r of eq. (5).
+        Consequent constants r of [ding_zeng] eq. (5).
     support : ndarray, shape (r,)
         Sum of the normalised firing strengths over the training samples [-].
     cost : ndarray, shape (epochs + 1,)

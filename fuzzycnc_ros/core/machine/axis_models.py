@@ -70,7 +70,7 @@ class PositionSensorConfig(Config):
 
 @dataclass(frozen=True, kw_only=True)
 class LatheAxisConfig(PositionSensorConfig):
-    """The lathe axis of method sheet 004 section 9; friction and load in units of duty."""
+    """The lathe axis of [long2014], identified from its table 1; friction and load as duty."""
 
     gain: float = param(0.286, 'm/s', 'Steady velocity at full duty', low=1e-6, high=100.0)
     gain_factor: float = param(

@@ -12,7 +12,7 @@ from fuzzycnc_ros.core.config import Config, param
 
 @dataclass(frozen=True, kw_only=True)
 class ContouringConfig(Config):
-    """The simulated contouring machine of method sheet 002 section 6; all axes are equal."""
+    """The simulated contouring machine; all axes are equal."""
 
     interpolation_period: float = param(
         1e-3, 's', 'Time between two positions of the interpolator', low=1e-5, high=0.1

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Controllers for comparison, behind the same interface: PID, fixed universe, P-PI cascade.
 
-Their defaults are for the lathe axis of method sheet 004: found by differential evolution on steps
+Their defaults are for the lathe axis of [long2014]: found by differential evolution on steps
 from 20 um to 190 mm with friction, gains from half to one and a half times nominal and a step of
 load, then rounded, the PID's integral band widened to be above the dip under that load.  The
-settings of the sheet's own comparators are not known.
+settings of the published comparators are not known.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class PidController(AxisController):
 class FixedUniverseController(VariableUniverseController):
     """The same rules, observer and feedforward on universes that do not contract.
 
-    What the contraction is worth shows beside it: the ablation of method sheet 004 section 8.
+    What the contraction is worth shows beside it: an ablation.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What can go wrong with an axis' feedback, and how a controller notices it by itself.
 
-Method sheet 004 section 7.  No clock is asked: everything counts control periods.
+No clock is asked: everything counts control periods.
 """
 
 from __future__ import annotations

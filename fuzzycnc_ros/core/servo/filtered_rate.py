@@ -14,7 +14,7 @@ class FilteredRate:
     """Rate of a reading, from its differences through a first-order filter.
 
     A count of 0.625 um in 1 ms is 0.625 mm/s, which contraction takes for a medium rate: raw
-    differences must not reach the rules (method sheet 004, 5.12).
+    differences must not reach the rules.
 
     Parameters
     ----------

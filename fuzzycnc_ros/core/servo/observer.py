@@ -186,7 +186,7 @@ class ObserverNoise:
 
     Notes
     -----
-    The defaults give the gain of method sheet 004 section 9 to 2e-4.
+    The defaults give the gain that the controller's defaults were tuned with, to 2e-4.
     """
 
     sensor: float = 2.0628e-7
@@ -213,7 +213,7 @@ class ObserverNoise:
             Nominal model.
         crossover : float
             Natural frequency of the position loop [rad/s]; the observer gets 3.2 times that,
-            as on the lathe axis of method sheet 004.
+            as on the lathe axis of [long2014].
         count, noise : float
             One count of the sensor and RMS of its noise [m]; not both 0.
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the variable-universe controller and their checks, method sheet 004 section 7."""
+"""Parameters of the variable-universe controller and their checks [long2014]."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class VariableUniverseParams:
 
     Notes
     -----
-    The defaults are those of method sheet 004 section 9, found by differential evolution on the
+    The defaults were found by differential evolution on the
     lathe axis with gains from half to one and a half times nominal.  `published` gives the
     source's own numbers, `minimal` the smallest change of them that settles without friction.
     """
@@ -84,7 +84,7 @@ class VariableUniverseParams:
 
     @classmethod
     def published(cls, rules: RuleTable | None = None) -> VariableUniverseParams:
-        """Return the published numbers; the rate range per second, as method sheet 004, 5.1."""
+        """Return the published numbers of [long2014]; the rate range per second."""
         return cls(
             rate_range=0.2587,
             error_exponent=0.9,
@@ -97,7 +97,7 @@ class VariableUniverseParams:
 
     @classmethod
     def minimal(cls) -> VariableUniverseParams:
-        """Return the published numbers with floors that settle, method sheet 004 section 6."""
+        """Return the published numbers with floors that settle."""
         return replace(cls.published(), error_floor=0.04, rate_floor=0.5)
 
     @classmethod

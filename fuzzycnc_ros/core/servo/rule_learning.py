@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rules of the controller from recorded motion: Wang-Mendel and regularised least squares.
 
-Method sheet 004 sections 3, 4 and 8.  What a recording does not cover is said, never made up in
+[long2014], table 1, and [wang1992].  What a recording does not cover is said, never made up in
 silence: every cell tells where its value is from.
 """
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rules of the variable-universe controller: a table between the centres of triangular sets.
 
-Method sheet 004 section 3.  Product inference and the centre average over triangular sets that
+[long2014], table 2.  Product inference and the centre average over triangular sets that
 cross at one half are bilinear interpolation of the table, to the last digits of a double.
 """
 
@@ -196,7 +196,7 @@ class RuleTable:
 
 
 def published_rules(medium: float = 0.67) -> RuleTable:
-    """Return the 36 published rules, method sheet 004 section 3.
+    """Return the 36 published rules [long2014], table 2.
 
     Parameters
     ----------
@@ -220,7 +220,9 @@ def published_rules(medium: float = 0.67) -> RuleTable:
 
 
 def rules_with_zero(rules: RuleTable | None = None) -> RuleTable:
-    """Return rules on seven sets, one of them about zero, method sheet 004, 5.8 and section 11.
+    """Return rules on seven sets, one of them about zero.
+
+    So the partition is as fine as [long2014] asks for; the published six sets are not.
 
     Parameters
     ----------

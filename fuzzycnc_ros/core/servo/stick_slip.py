@@ -4,7 +4,7 @@
 
 Any integral action, an observer's too, hunts where friction falls once the axis moves: it winds up
 until the axis breaks away, and the axis slips 30 to 60 um within the lags of drive and sensor,
-before anything can be known of it.  Method sheet 004 leaves that open.
+before anything can be known of it.  [long2014] says nothing of friction.
 """
 
 from __future__ import annotations

@@ -109,7 +109,7 @@ _RELIEF = StickSlipParams()
 
 
 class VariableUniverseController(AxisController):
-    """Variable-universe fuzzy controller of one axis (method sheet 004 sections 3 and 7).
+    """Variable-universe fuzzy controller of one axis [long2014].
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class VariableUniverseController(AxisController):
         Relief from stick-slip hunting in `production`; None for none.
     rate_lag : float, optional
         Filter of the differences [s]; of no use with the observer.  By default 1 ms, and none for
-        `paper_literal`: the source has none, and so the sheet's figures come out.
+        `paper_literal`: the source has none, and so its figures come out.
     integral_gain, integral_band : float
         Gain of the integral [1/(m s)] and error up to which it acts [m]; of no use with the
         observer.

@@ -9,7 +9,7 @@ from fuzzycnc_ros.core.arrays import Array
 
 
 class Fade:
-    """Move values linearly to a target in a given time, method sheet 001 section 7.
+    """Move values linearly to a target in a given time.
 
     Parameters
     ----------

@@ -63,7 +63,7 @@ class OffsetGainFilter:
     channels : int
         Number c of channels, which are filtered apart.
     variances : ProbeVariances, optional
-        Those of method sheet 001 section 8.D if absent.
+        Those measured on the simulated mill if absent.
     jump_max : float
         Difference to the expected value below which no probe is doubted [m].
 

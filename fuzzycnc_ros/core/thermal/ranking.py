@@ -11,7 +11,7 @@ DISTINGUISHING_COEFFICIENT = 0.5
 
 
 def grey_relational_grade(series: Array, target: Array) -> Array:
-    """Return the grey relational grade of each series with a target, method sheet 001 section 4.
+    """Return the grey relational grade of each series with a target [ding_zeng].
 
     Parameters
     ----------

@@ -213,7 +213,7 @@ class Gap(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ThermalRun:
-    """Temperatures and displacements of one run, checked as method sheet 001 section 6 asks.
+    """Temperatures and displacements of one run, checked.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Slow sensor faults, judged by all other sensors of the machine (method sheet 001 section 8.C).
+"""Slow sensor faults, judged by all other sensors of the machine.
 
 A sensor that drifts by 2 K an hour passes every check of range and rate.  Its mates see it: two
 groups of them, which share no sensor, each estimate its rise from theirs.  What both miss to the

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contouring on the simulated machine: a feed schedule in, the contour error out.
 
-Method sheet 002, section 6.
+docs/explanation/methods/feedrate.md says what was measured on it.
 """
 
 from dataclasses import dataclass

@@ -308,7 +308,7 @@ class PositionSensors:
 
 
 class LatheAxis(AxisPlant):
-    """The lathe axis, simulated in exact first-order substeps (method sheet 004 section 9).
+    """The lathe axis, simulated in exact first-order substeps.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many lathe axes at once, for random moves and for tuning (method sheet 004 sections 8, 9)."""
+"""Many lathe axes at once, for random moves and for tuning."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -148,7 +148,7 @@ class LatheMove:
 
 
 def random_moves(count: int = 200, *, hard: bool = False, seed: Seed = 0) -> list[LatheMove]:
-    """Return random moves of the lathe axis, method sheet 004 section 8.
+    """Return random moves of the lathe axis.
 
     Gain x0.5 to x1.5, way 0.05 to 150 mm (its logarithm uniform) either way, steady load within
     +-0.1, noise up to 0.2 um rms, Coulomb friction up to 3 % and breakaway up to 1.5 times that.

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settings of a controller from simulated moves, by differential evolution.
 
-Method sheet 004 section 11.  The spread of the axis' gain belongs into the moves: settings found
-on the nominal axis alone swing on another (section 10, pitfall 12).
+The spread of the axis' gain belongs into the moves: settings found
+on the nominal axis alone swing on another.
 """
 
 from __future__ import annotations

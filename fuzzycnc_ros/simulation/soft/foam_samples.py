@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of feed compensation, stitched on the simulated sheet (method sheet 000 section 8).
+"""Samples of feed compensation, stitched on the simulated sheet.
 
 Rows are in the paper's units, degrees and millimetres, as the models of deformation take them.
 """

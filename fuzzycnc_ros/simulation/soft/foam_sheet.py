@@ -55,12 +55,12 @@ class FoamSheet:
 
     Notes
     -----
-    The model is a made-up one and no measured foam (method sheet 000 section 8).  The modulus
-    cancels out of the drag: a stiffer sheet presses harder and gives less.
+    The model is a made-up one and no measured foam.  The modulus cancels out of the drag:
+    a stiffer sheet presses harder and gives less.
 
     Examples
     --------
-    The first check value of method sheet 000, 6 mm deep in a sheet of 15 mm:
+    The first check value, 6 mm deep in a sheet of 15 mm:
 
     >>> sheet = FoamSheet(15e-3)
     >>> f'{sheet.normal_force(6e-3):.4f} N'

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from fuzzycnc_ros.core.arrays import Array
 
 FEEDRATE = 240.0 / (4 * 2.86) * 1e-3
-"""Feed [m/s] at which the test track of method sheet 000 takes the published 2.86 s a side."""
+"""Feed [m/s] at which the test track takes the published 2.86 s a side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class FoamTrack:
 
         Examples
         --------
-        The test track of method sheet 000 section 8:
+        The test track, a parallelogram like that of [deng2014]:
 
         >>> track = FoamTrack.parallelogram(np.radians(45.0))
         >>> track.corners

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Duties of the simulated mill and seeded recordings of them (method sheet 001, section 8)."""
+"""Duties of the simulated mill and seeded recordings of them."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Duty:
 def _duty(
     name: str, rpm_and_minutes: Iterable[tuple[float, float]], ambient: tuple[float, float, float]
 ) -> Duty:
-    """Build a duty from the sheet's units."""
+    """Build a duty from the units of its table."""
     blocks = tuple(DutyBlock(rpm * RPM, 60.0 * minutes) for rpm, minutes in rpm_and_minutes)
     return Duty(name, blocks, *ambient)
 
@@ -113,7 +113,7 @@ DUTIES = {
         _duty('T3', [(rpm, 20) for rpm in _T3_RPM], (24, 3, 1)),
     )
 }
-"""The sheet's five duties by name, in the order in which their noise is drawn."""
+"""The five duties by name, in the order in which their noise is drawn."""
 
 
 @lru_cache(maxsize=16)
@@ -175,7 +175,7 @@ def record_runs(
     names : iterable of str
         Duties of `DUTIES`.
     seed : int
-        The sheet's seed s: noise comes from `default_rng(1000 + s)`, drawn for D0, D0b, T1,
+        Seed s: noise comes from `default_rng(1000 + s)`, drawn for D0, D0b, T1,
         T2, T3 in this order, per run first all temperatures row by row, then Y, then Z.  A
         run's noise is the same whichever names are asked for.
     faults : sequence of SensorFault

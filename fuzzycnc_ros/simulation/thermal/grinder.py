@@ -351,12 +351,12 @@ class Grinder:
     -----
     Time is kept in whole nanoseconds and the heat equations in steps of ten seconds at
     multiples of ten seconds.  A step takes its heat from the state and time at its start, the
-    ambient temperature at its end, as method sheet 003 section 8 does.  Between two multiples
+    ambient temperature at its end.  Between two multiples
     all states hold the value of the earlier one, however `advance` is split up.
 
     Examples
     --------
-    The first check value of method sheet 003, an hour at work:
+    A check value, an hour at work:
 
     >>> from fuzzycnc_ros.simulation.thermal.grinder import running_heat
     >>> grinder = Grinder(AmbientCourse(22.0, 2.5, -0.9), running_heat(lambda time: True))

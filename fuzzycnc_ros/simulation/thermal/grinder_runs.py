@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Experiments and flux cases of the simulated grinder (method sheet 003, section 8)."""
+"""Experiments and flux cases of the simulated grinder."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -160,14 +160,14 @@ def simulate_grinder(case: GrinderCase) -> ThermalRun:
 def record_grinder(
     names: Iterable[str] = tuple(GRINDER_EXPERIMENTS), seed: int = 0, *, sensors: int = 38
 ) -> dict[str, ThermalRun]:
-    """Record experiments with the sheet's seeded noise, one row a minute.
+    """Record experiments with seeded noise, one row a minute.
 
     Parameters
     ----------
     names : iterable of str
         Experiments of `GRINDER_EXPERIMENTS`.
     seed : int
-        The sheet's seed s: noise comes from `default_rng(300 + s)`, drawn for E1, E2, E3 in
+        Seed s: noise comes from `default_rng(300 + s)`, drawn for E1, E2, E3 in
         this order, per run first all temperatures row by row, then Y, then Z.  A run's noise
         is the same whichever names and sensors are asked for.
     sensors : {28, 38}
@@ -185,7 +185,7 @@ def record_grinder(
 
     Notes
     -----
-    The sheet's rises are those over the first reading: `run.rise(run.temperature[0])`.
+    Published rises are those over the first reading: `run.rise(run.temperature[0])`.
     """
     wanted = _known(names, GRINDER_EXPERIMENTS, 'names: expected experiments')
     sets = {len(MACHINE_SENSORS): MACHINE_SENSORS, len(GRINDER_SENSORS): GRINDER_SENSORS}

@@ -324,7 +324,7 @@ class ThermalMill:
 
     Examples
     --------
-    The first check value of method sheet 001, 80 min at 1000 rpm:
+    A check value, 80 min at 1000 rpm:
 
     >>> from math import pi
     >>> mill = ThermalMill(base=20.0, amplitude=2.0, phase_hours=0.0)

@@ -35,7 +35,7 @@ class ThermalNetwork:
     def of(
         nodes: Mapping[str, tuple[float, float]], links: Mapping[tuple[str, str], float]
     ) -> 'ThermalNetwork':
-        """Build a network from tables in the units of the method sheets.
+        """Build a network from tables in the units of the simulated machines.
 
         Parameters
         ----------

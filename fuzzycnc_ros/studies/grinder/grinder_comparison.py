@@ -134,7 +134,7 @@ class GrinderComparison:
 
 
 def grinder_trials(seed: int = 0) -> tuple[Trial, ...]:
-    """Return what the models are tried on (method sheet 003, section 8).
+    """Return what the models are tried on.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def compare_on_grinder(
     Notes
     -----
     Rises are those over a run's first reading and residuals those against the noisy
-    displacement, as the sheet has them.
+    displacement, as the published figures have them.
 
     The matrices are small.  With one thread in the numerical library (`OMP_NUM_THREADS=1`) all
     models took 25 s of a core; with two on a busy machine of two cores they took 398 s.

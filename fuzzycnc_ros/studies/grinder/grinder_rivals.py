@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The models that compete on the simulated grinder, with the settings of method sheet 003."""
+"""The models that compete on the simulated grinder, with the settings of the page on networks."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -82,5 +82,5 @@ RIVALS: tuple[Rival, ...] = (
     ),
     Rival('hybrid_network', lambda seed: HybridFilterNetwork(random_state=seed)),
 )
-"""Models in the order of the tables: baselines, grey and fuzzy models, the family of method
-sheet 003."""
+"""Models in the order of the tables: baselines, grey and fuzzy models, the family of
+[kang2007]."""

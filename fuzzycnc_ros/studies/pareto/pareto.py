@@ -3,7 +3,7 @@
 """Time against contour error of every scheduling method, on the simulated machine.
 
 Each method is turned by its own knob, as a user would: the tolerance where it knows one, its
-chord error, or the feed.  Method sheet 002 section 6.1.
+chord error, or the feed.  docs/explanation/methods/feedrate.md has the tables.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -23,7 +23,7 @@ from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 CURVES: Mapping[str, tuple[Callable[[float], NurbsCurve], float]] = MappingProxyType(
     {'infinity': (infinity, 0.65), 'trident': (trident, 2.3), 'butterfly': (butterfly, 0.875)}
 )
-"""Curves of the literature, each with the scale of method sheet 002 section 4."""
+"""Curves of the literature, each with the scale that fits the times of [lin2021]."""
 
 POINTS = 2000
 """Points of a path that schedulers get."""

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Position controllers on the cases of method sheet 004, section 8."""
+"""Position controllers on the cases of docs/explanation/methods/servo.md."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from fuzzycnc_ros.studies.thermal.report_data import (
 from fuzzycnc_ros.studies.thermal.summary import candidate_label
 
 SENSOR_COUNTS = (1, 2, 3, 5, 8, 10, 15)
-"""Numbers of sensors on the sensor-count curve, method sheet 001 section 8.B."""
+"""Numbers of sensors on the sensor-count curve."""
 
 
 def shift_report(

@@ -201,7 +201,7 @@ TRACKS = (
     TrackCase(45, 20, 8),
     TrackCase(45, 25, 10),
 )
-"""The published track and four others, of method sheet 000 section 8.1."""
+"""The published track and four others."""
 
 
 def compare_foam(

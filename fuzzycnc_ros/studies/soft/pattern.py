@@ -153,7 +153,7 @@ class PatternLog(RecordLog):
 
 
 TRACK = 'parallelogram:45'
-"""Test track of method sheet 000 section 8."""
+"""The test track: a parallelogram like that of [deng2014]."""
 STITCH_BLEND = 10e-6
 """How far the tool may pass by a stitch within a primitive [m]; at 0 it would stop at each."""
 

@@ -214,7 +214,7 @@ def test_later_passes_take_compensated_steps_and_judge_no_more():
         lambda x: unbound.append(x) or true_compensation(x),
         config=config,
     )
-    assert np.mean(unbound[1][:, 0] < 0.0) == pytest.approx(0.575)  # method sheet 000 section 6.4
+    assert np.mean(unbound[1][:, 0] < 0.0) == pytest.approx(0.575)
 
 
 @settings(max_examples=60, deadline=None)

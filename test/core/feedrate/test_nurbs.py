@@ -40,7 +40,7 @@ def quarter_circle(radius=0.01):
 
 
 def cox_de_boor(curve, u):
-    """Return C(u) by the recursion of sheet 002 section 2.1: 0/0 := 0, the last span closed."""
+    """Return C(u) by the recursion of Cox and de Boor: 0/0 := 0, the last span closed."""
     knot, count = curve.knot, len(curve.control)
     last = np.flatnonzero(np.diff(knot[: count + 1]) > 0.0)[-1]
     basis = [

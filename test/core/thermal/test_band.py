@@ -172,7 +172,7 @@ def test_the_band_on_the_mill(mill, make):
 @pytest.mark.paper
 @pytest.mark.slow
 def test_the_band_of_a_gaussian_process_on_the_mill(mill):
-    """Section 8.E: its own band fits what it was trained on and T2, and is too narrow on T3."""
+    """Its own band fits what it was trained on and T2, and is too narrow on T3."""
     both, own = shares(mill, lambda: GaussianProcess(samples_max=100), claimed=True)
     assert all(0.86 <= own[name] <= 0.98 for name in TRAINING)
     assert own['T3'] < 0.86

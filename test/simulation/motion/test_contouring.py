@@ -36,7 +36,7 @@ def circle(radius, speed, seconds):
 
 
 def plain_loop(reference, config=CONFIG):
-    """The axes as method sheet 002 section 6 words them, one control step after the other."""
+    """The axes as their definition words them, one control step after the other."""
     samples = config.filter_samples
     full = np.concatenate([np.tile(reference[0], (samples - 1, 1)), reference])
     position, velocity = reference[0].copy(), np.zeros(reference.shape[1])

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of motion and the backward-forward pass, method sheet 002 section 8 step 9.
+"""Limits of motion and the backward-forward pass.
 
 With w the squared speed and a the largest acceleration, w may rise and fall by 2 a ds along ds.
 The fastest schedule below a desired one is then a cumulative minimum from either side, which

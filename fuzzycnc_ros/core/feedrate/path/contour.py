@@ -288,7 +288,7 @@ class PathError:
 
     The nearest point of the commanded positions, taken as a polyline, is searched in an arc
     window of 2 mm and the way of 0.012 s around the place that was commanded a machine's delay
-    ago, as in method sheet 002 section 6.
+    ago.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The curves of the interpolator literature, method sheet 002 section 4.
+"""The curves of the interpolator literature [lin2021].
 
 Their tables are in millimetres; the curves are in metres like everything else.
 """
@@ -59,7 +59,7 @@ def infinity(scale: float = 1.0) -> NurbsCurve:
     Parameters
     ----------
     scale : float
-        Factor of its size, positive; 0.65 is that of the method sheet's figures.
+        Factor of its size, positive; 0.65 is that of the figures on the page about feeds.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def trident(scale: float = 1.0) -> NurbsCurve:
     Parameters
     ----------
     scale : float
-        Factor of its size, positive; 2.3 is that of the method sheet's figures.
+        Factor of its size, positive; 2.3 is that of the figures on the page about feeds.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def butterfly(scale: float = 1.0) -> NurbsCurve:
     Parameters
     ----------
     scale : float
-        Factor of its size, positive; 0.875 is that of the method sheet's figures.
+        Factor of its size, positive; 0.875 is that of the figures on the page about feeds.
 
     Returns
     -------
@@ -133,7 +133,7 @@ CURVES: Mapping[str, Callable[[float], NurbsCurve]] = MappingProxyType(
 SHEET_SCALES: Mapping[str, float] = MappingProxyType(
     {'infinity': 0.65, 'trident': 2.3, 'butterfly': 0.875}
 )
-"""Factors of size at which the method sheet gives its figures, section 4."""
+"""Factors of size of the figures on the page about feeds."""
 
 
 def _scaled(

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rational B-spline curves in the plane and in space, method sheet 002 section 2 (1) and 9."""
+"""Rational B-spline curves in the plane and in space."""
 
 import operator
 from functools import cached_property
@@ -379,7 +379,7 @@ class NurbsCurve:
         return np.asarray(found)
 
     def sample(self, n: int, *, even: bool = False) -> Array:
-        """Return n points from the first to the last of the curve, method sheet 002 section 2.2.
+        """Return n points from the first to the last of the curve, as [lin2021] samples it.
 
         Parameters
         ----------

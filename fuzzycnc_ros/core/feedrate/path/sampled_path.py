@@ -18,7 +18,7 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.windows import arc_window_maximum
 
 CORNER_ANGLE = math.radians(60.0)
-"""Turn [rad] from which three points no longer show a smooth curve, method sheet 002 section 9."""
+"""Turn [rad] from which three points no longer show a smooth curve."""
 
 _Index = NDArray[np.intp]
 _Rule = Callable[[Array, Array, Array], Array]  # of the steps before and after and their bend
@@ -41,7 +41,7 @@ def curvature(
     rounding: float = 0.0,
     stencil: float | None = None,
 ) -> Array:
-    """Return the curvature at the points of a path, method sheet 002 eq. (3).
+    """Return the curvature at the points of a path through three points each, [lin2021] eq. (9).
 
     A parabola goes through each point and its neighbours; where the path turns by more than
     `CORNER_ANGLE` the curvature is at least that of an arc of this turn and length, because the
@@ -106,7 +106,7 @@ def curvature(
 
 
 def turning_angle(points: ArrayLike, *, closed: bool = False) -> Array:
-    """Return the angle by which a path turns at each point, method sheet 002 section 9.
+    """Return the angle by which a path turns at each point.
 
     Parameters
     ----------
@@ -136,8 +136,7 @@ def turning_angle(points: ArrayLike, *, closed: bool = False) -> Array:
 def arc_stencil(rounding: float, error: float = 20.0) -> float:
     """Return the stencil that keeps the effect of rounding on curvature small.
 
-    A point that is off by r bends a parabola of half-length h by up to 4 r / h**2, method sheet
-    002 section 9.
+    A point that is off by r bends a parabola of half-length h by up to 4 r / h**2.
 
     Parameters
     ----------
@@ -290,7 +289,7 @@ def _legs(block: Array) -> tuple[Array, Array]:
 
 
 def _three_points(before: Array, after: Array, bend: Array) -> Array:
-    """Return the curvature of the parabola, eq. (3), at corners at least that of an arc.
+    """Return the curvature of the parabola, [lin2021] eq. (9), at corners at least that of an arc.
 
     With a3 = (f_b - f_a) / t and t = t_a + t_b: |a2|^2 = 1 - t_a t_b |f_b - f_a|^2 / t^2, and
     |a2 x a3| = |f_a x f_b| / t, where |f_a x f_b| is the sine of the turn.

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Largest value in a window along a path, method sheet 002 section 2 (4).
+"""Largest value in a window along a path [lin2021].
 
 A window is given in points, as published, or in arc length, which does not depend on how densely
 a path is sampled; it looks ahead, behind or both ways, and goes on over the seam of a closed path.

@@ -39,7 +39,7 @@ _RULES = (
 
 
 def published_feed_rules(vvlf: str = 'MF') -> tuple[tuple[str, ...], ...]:
-    """Return the 30 rules of method sheet 002 section 3, by name.
+    """Return the 30 rules of [lin2021], R1 to R30, by name.
 
     Parameters
     ----------
@@ -65,7 +65,8 @@ def published_feed_rules(vvlf: str = 'MF') -> tuple[tuple[str, ...], ...]:
 class FuzzyScheduler(Scheduler):
     """Fuzzy feed from the curvature here and the largest ahead, as published.
 
-    The published text leaves gaps; the defaults fill them as method sheet 002 section 3 does.
+    The published text leaves gaps; docs/explanation/methods/feedrate.md says how the defaults
+    fill them.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Schedulers of the feed along a path: their common interface, and those for comparison.
 
-The comparators are rebuilt after method sheet 002 section 6.1; the parameters that their own
+The comparators are rebuilt after what [lin2021] says of them; the parameters that their own
 papers used are not known.
 """
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Feed schedules against a measured contour error: the knob at a given error, and `refine`.
 
-Method sheet 002, section 6.1.
+docs/explanation/methods/feedrate.md has what it gains.
 """
 
 from collections.abc import Callable
@@ -219,8 +219,8 @@ def refine(
 
     Notes
     -----
-    The sheet scales to the tolerance in any case.  Where `feed_max` binds everywhere and the
-    error stays below the tolerance, the schedule is returned at that feed.
+    Where `feed_max` binds everywhere and the error stays below the tolerance, the schedule is
+    returned at that feed: it is not scaled up to the tolerance.
     """
     arc, speed = np.asarray(arc_length, dtype=np.float64), np.array(feed, dtype=np.float64)
     if arc.ndim != 1 or arc.shape != speed.shape or len(arc) < 2:

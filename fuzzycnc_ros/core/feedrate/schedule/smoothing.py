@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Smoothing of feeds along a path, method sheet 002 section 2 item 7 and section 3."""
+"""Smoothing of feeds along a path [lin2021]."""
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d

@@ -37,9 +37,10 @@ class ToleranceFeed(Scheduler):
     """Feed v = sqrt(tolerance / (margin C curvature)), with a guard and an approach to bends.
 
     A machine whose contour error is C times its normal acceleration keeps the tolerance by it.
-    The law comes from the fuzzy scheduler of method sheet 002 section 7, whose inputs are free of
-    units: log10(curvature feed_max^2 C / tolerance), how many decades of contour error full feed
-    would leave above the tolerance, against the logarithm of the ratio.  Weighted by their
+    The law comes from a fuzzy scheduler (docs/explanation/methods/feedrate.md) whose inputs have
+    no units: log10(curvature feed_max^2 C / tolerance), how many decades of contour error
+    full feed would leave above the tolerance, against the logarithm of the ratio.  Weighted by
+    their
     memberships, its rules lie on this straight line (`benchmarks/fuzzy_worth_feedrate.py`), so
     that none are left.  A path and its enlargement get the same ratios.
 

@@ -15,7 +15,7 @@ from fuzzycnc_ros.core.thermal.recursions.filters import DELAY_MAX, FilterNetwor
 
 HEADROOM = 0.9
 """Part of the network's output range that the deformation may take up in training, 45 of 50 um;
-nearer to the ends tanh hardly moves any more, method sheet 003 section 9."""
+nearer to the ends tanh hardly moves any more."""
 
 WIDENED = 2.0
 """Output range that replaces one too narrow, as a multiple of the largest deformation [-].
@@ -45,7 +45,7 @@ class LinearFilter:
 
 
 def fit_filter(columns: Array, target: Array, ridge: float, anchored: bool) -> LinearFilter:
-    """Fit one linear stage by ridge regression, method sheet 003 section 5.
+    """Fit one linear stage by ridge regression.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def network_recursion(
 
 
 def samples_min(history: int, delays: NDArray[np.int64]) -> int:
-    """Return the fewest measured samples, 3 (K + J) + 10 of method sheet 003 section 9.
+    """Return the fewest measured samples, 3 (K + J) + 10.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ _CONDITION_MAX = 1e6
 
 
 class GreyModel(ThermalRegressor):
-    """Grey model GM(1,N), method sheet 001 eqs. (10)-(16) and section 3.1.
+    """Grey model GM(1,N), [ding_zeng] eqs. (10)-(16).
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ class GreyModel(ThermalRegressor):
     def equations(
         self, drivers: Array, target: Array, rows: Sequence[slice], used: NDArray[np.bool_]
     ) -> tuple[Array, Array]:
-        """Return B and Y of eq. (14), or of the equation of the kind.
+        """Return B and Y of [ding_zeng] eq. (14), or of the equation of the kind.
 
         Parameters
         ----------

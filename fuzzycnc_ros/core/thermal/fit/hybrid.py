@@ -129,16 +129,16 @@ def _hybrid_recursion(
 
 
 MOVING_AVERAGES = ('sum', 'first', 'per_lag')
-"""Readings of the MA filter, method sheet 003 section 3."""
+"""Readings of the MA filter [kang2007]."""
 
 RIDGES = (1e-4, 1e-3, 1e-2)
-"""Penalties that 'auto' tries, method sheet 003 section 5."""
+"""Penalties that 'auto' tries."""
 
 RIDGE = 1e-3
-"""Penalty of method sheet 003 section 5; of 'auto' too, when there is one run only."""
+"""Penalty of linear stages; of 'auto' too, when there is one run only."""
 
 _GAIN_MAX = 0.97
-"""Loop gain that the guard keeps the recursion below [-], method sheet 003 section 5."""
+"""Loop gain that the guard keeps the recursion below [-]."""
 
 GUARD_ROUNDS = 4
 """How often the guard lowers the bound of the feedback before it takes the feedback out."""
@@ -148,7 +148,7 @@ GUARD_STEP = 0.8
 
 
 class HybridFilterNetwork(ThermalRegressor):
-    """Three linear filters that feed a small tanh network, method sheet 003.
+    """Three linear filters that feed a small tanh network [kang2007].
 
     LR sees the present rises, MA those of the last samples, AR the model's own last outputs and
     the other filters; the network blends them.

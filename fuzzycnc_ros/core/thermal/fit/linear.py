@@ -75,7 +75,7 @@ class StaticRidge(ThermalRegressor):
 
 
 class LagRidge(ThermalRegressor):
-    """Ridge regression on the rises and their first-order lags, method sheet 001 section 3.2.
+    """Ridge regression on the rises and their first-order lags.
 
     Parameters
     ----------

@@ -102,7 +102,7 @@ class ThermalRegressor(RegressionEstimator):
         self._running().state = np.asarray(state, dtype=np.float64)
 
     def with_interval(self: _Self, interval: float) -> _Self:
-        """Return a copy for another sampling interval [s], method sheet 001 section 3.1.
+        """Return a copy for another sampling interval [s].
 
         Raises
         ------

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Choose few sensors that represent a temperature field, method sheet 001 section 5.
+"""Choose few sensors that represent a temperature field.
 
 References
 ----------
@@ -67,7 +67,7 @@ def select_sensors(
     n_init: int = 5,
     progress: Progress | None = None,
 ) -> SensorSelection:
-    """Cluster the sensors and choose one per cluster, method sheet 001 section 5.
+    """Cluster the sensors and choose one per cluster [ding_zeng].
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def sensor_count_curve(
     random_state: Seed = 0,
     progress: Progress | None = None,
 ) -> tuple[SensorCount, ...]:
-    """Return how the held-out residual falls with the number of sensors, sheet 001 section 8.B.
+    """Return how the held-out residual falls with the number of sensors.
 
     Parameters
     ----------

@@ -14,12 +14,12 @@ SOLVERS = ('lm', 'lbfgs')
 """Methods of training: Levenberg-Marquardt, and L-BFGS where there are too many weights."""
 
 START_RANGE = 0.5
-"""Weights start uniformly within plus and minus this, method sheet 003 section 1."""
+"""Weights start uniformly within plus and minus this [kang2007]."""
 
 FALL_MIN = 1e-4
 """Relative fall of the cost below which, three times in a row, Levenberg-Marquardt ends.
 
-Method sheet 003 section 5 goes on to 1e-7.  That takes up to five times as long: the last of the
+Going on to 1e-7 takes up to five times as long: the last of the
 way leads along a valley where no root mean square residual changes by more than 0.01 um."""
 
 FALLS = 3
@@ -29,10 +29,10 @@ LBFGS_FALL_MIN = 1e-11
 """Fall of the cost, as a part of that of no output at all, below which L-BFGS ends [-]."""
 
 LM_ITERATIONS_MAX = 200
-"""Most iterations of Levenberg-Marquardt, method sheet 003 section 5."""
+"""Most iterations of Levenberg-Marquardt."""
 
 LBFGS_ITERATIONS_MAX = 1000
-"""Most iterations of L-BFGS; the 300 of method sheet 003 section 6 left it short at times."""
+"""Most iterations of L-BFGS; 300 left it short at times."""
 
 SAMPLES_MAX = 1000
 """Most samples that a network is trained on; of more, evenly spaced ones are taken.
@@ -47,12 +47,12 @@ _TANH_MAX = 0.99  # outputs nearer to 1 have no finite activation to aim at
 
 
 WEIGHT_DECAY = 1e-5
-"""Penalty on the weights of the networks, method sheet 003 section 5."""
+"""Penalty on the weights of the networks."""
 
 
 @dataclass(frozen=True, eq=False)
 class TanhNetwork:
-    """u = tanh(outer tanh(inner x + bias) + offset), method sheet 003 section 3 with gamma = 1.
+    """u = tanh(outer tanh(inner x + bias) + offset) [kang2007] with gamma = 1.
 
     Parameters
     ----------

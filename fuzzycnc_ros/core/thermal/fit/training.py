@@ -58,7 +58,7 @@ from fuzzycnc_ros.core.threads import single_threaded
 SENSORS_MAX = 24
 """Most sensors that 'auto' feeds to the models as they are.
 
-Clusters exist to reduce a dense field such as the 76 sensors of method sheet 001.  On its two
+Clusters exist to reduce a dense field such as the 76 sensors of [ding_zeng].  On its two
 public recordings, with 16 and 22 sensors, ridge models on all sensors beat five chosen ones."""
 
 PAIR = 2
@@ -85,7 +85,7 @@ def train_model(
     random_state: int = 0,
     progress: Progress | None = None,
 ) -> ThermalModel:
-    """Train on recorded runs and choose by what was held out, method sheet 001 section 5.
+    """Train on recorded runs and choose by what was held out.
 
     Parameters
     ----------

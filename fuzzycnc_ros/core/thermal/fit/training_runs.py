@@ -27,7 +27,7 @@ GAPS_NAMED = 3
 
 
 def check_training_runs(runs: Sequence[ThermalRun]) -> None:
-    """Refuse runs from which nothing sound can be learnt, method sheet 001 section 6.
+    """Refuse runs from which nothing sound can be learnt.
 
     Parameters
     ----------

@@ -418,7 +418,7 @@ class LinearRecursion(Recursion):
         return np.asarray(lagged @ self.readout.T + rise @ self.direct.T + self.offset)
 
     def with_interval(self, ratio: float) -> 'LinearRecursion':
-        """Return the recursion for an interval `ratio` times as long, method sheet 001, 3.1."""
+        """Return the recursion for an interval `ratio` times as long."""
         pole = self.pole**ratio
         gain = (1.0 - pole) / (1.0 - self.pole)
         return replace(self, pole=pole, drive=self.drive * gain[:, np.newaxis])

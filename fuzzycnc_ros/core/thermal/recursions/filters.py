@@ -200,7 +200,7 @@ def own_history_columns(feedback: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class FilterNetworkRecursion(DelayedRecursion):
-    """Network with one hidden layer on delayed rises and past outputs, method sheet 003, 3.
+    """Network with one hidden layer on delayed rises and past outputs [kang2007].
 
     y(n) = scale tanh(outer tanh(inner x + feedback y(n-1..n-K) + bias) + offset), where x holds
     the rises at all delays.  Linear filters in front of the network are part of `inner` and

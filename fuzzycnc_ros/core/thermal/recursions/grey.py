@@ -13,12 +13,12 @@ from fuzzycnc_ros.core.thermal.recursions.base import Recursion, axes, first_ord
 
 @dataclass(frozen=True, eq=False)
 class GreyRecursion(Recursion):
-    """Grey model of each channel, method sheet 001 eqs. (15)-(16) or their exact solution.
+    """Grey model of each channel, [ding_zeng] eqs. (15)-(16) or their exact solution.
 
     Parameters
     ----------
     exact : bool
-        True solves eq. (12) as a recursion; False is the published time response (15), which
+        True solves [ding_zeng] eq. (12) as a recursion; False is the published response (15), which
         takes the drivers' sum for constant.
     a : ndarray, shape (c,)
         Development coefficient of each channel [-].
@@ -80,7 +80,7 @@ class GreyRecursion(Recursion):
             return first_order_lags(pole_of(self.a), forced)
 
     def with_interval(self, ratio: float) -> 'GreyRecursion':
-        """Return the recursion for an interval `ratio` times as long, method sheet 001, 3.1.
+        """Return the recursion for an interval `ratio` times as long.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class GreyRecursion(Recursion):
 
 
 def pole_of(a: Array) -> Array:
-    """Return the pole (1 - a/2) / (1 + a/2) of a grey model, method sheet 001 section 3.1."""
+    """Return the pole (1 - a/2) / (1 + a/2) of a grey model."""
     with np.errstate(divide='ignore'):
         return np.asarray((1.0 - a / 2.0) / (1.0 + a / 2.0))
 

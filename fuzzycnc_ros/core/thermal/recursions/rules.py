@@ -88,7 +88,7 @@ class CorrectedRecursion(Recursion):
 
 @dataclass(frozen=True, eq=False)
 class RulesRecursion(Recursion):
-    """Rules of each channel on the rises, method sheet 001 eqs. (1)-(6); it has no memory.
+    """Rules of each channel on the rises, [ding_zeng] eqs. (1)-(6); it has no memory.
 
     Parameters
     ----------

@@ -84,7 +84,7 @@ RECURSIONS = [
 
 
 def test_two_rules_of_two_inputs_are_the_equations():
-    """Method sheet 001, eqs. (1) to (6), written out."""
+    """[ding_zeng] eqs. (1) to (6), written out."""
     t1, t2 = 3.0, 5.0
     (c1, c2), (s1, s2) = ((2.0, 4.0), (6.0, 9.0)), ((1.0, 2.0), (3.0, 0.5))
     (p1, q1, r1), (p2, q2, r2) = (1.0, -2.0, 0.5), (0.3, 0.7, -1.0)

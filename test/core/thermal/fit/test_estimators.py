@@ -54,7 +54,7 @@ UNORDERED = (
     'samples of the check are drawn one by one: past targets say nothing of the next, and a free '
     'run that feeds on its own outputs explains less than half of them'
 )
-TOO_FEW = 'method sheet 003 section 9 asks for 3 (K + J) + 10 samples, the check has fewer'
+TOO_FEW = 'the network asks for 3 (K + J) + 10 samples, the check has fewer'
 
 IN_ORDER = {
     'check_methods_sample_order_invariance': ORDER,

@@ -319,7 +319,7 @@ def test_refusals_name_the_parameter(kind, settings, message):
     ],
 )
 def test_too_few_samples_are_refused(kind, least):
-    """3 (K + J) + 10 of section 9."""
+    """3 (K + J) + 10."""
     rise, target = machine()
     with pytest.raises(ValueError, match=f'at least {least} measured samples'):
         make(kind).fit(rise[: least - 1], target[: least - 1])

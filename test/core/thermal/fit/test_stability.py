@@ -81,7 +81,7 @@ def mill():
 
 @pytest.fixture(scope='module')
 def flux():
-    """The case of method sheet 003 on which the published network runs away."""
+    """The case on which the published network runs away."""
     run = record_flux_case('regular', 0.02, 100)
     return Machine([run], run.sensor, slice(1))
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The variable-universe controller against the figures of method sheet 004, section 9."""
+"""The variable-universe controller against the figures on the page about servo [long2014]."""
 
 import numpy as np
 import pytest
@@ -191,7 +191,7 @@ def test_hard_friction_hunts_without_relief():
 
 
 def test_gain_of_the_observer():
-    gain = [5.0544e-4, 89.6186, 0.730339, 0.365172, -558.585]  # the sheet's, in metres
+    gain = [5.0544e-4, 89.6186, 0.730339, 0.365172, -558.585]  # the prototype's, in metres
     assert ObserverDesign.of(AXIS).gain[2:] == pytest.approx(gain[1:], rel=3e-4)
 
 

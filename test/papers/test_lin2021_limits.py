@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Method sheet 002 section 6.1: the absolute kinematic limit, and TOPP-RA on random splines."""
+"""The absolute kinematic limit, and TOPP-RA on random splines."""
 
 import numpy as np
 import pytest

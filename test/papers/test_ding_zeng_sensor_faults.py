@@ -1,9 +1,9 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sensor faults of method sheet 001 section 8.C, on runs that were never trained on.
+"""Sensor faults, on runs that were never trained on.
 
-Trained on D0, T1 and D0b, five of 76 sensors; judged on T2 and T3, 24 noise seeds.  The sheet's
-own detector raises false alarms in 4 % (T2) and 28 % (T3) of the runs.  Times in minutes.
+Trained on D0, T1 and D0b, five of 76 sensors; judged on T2 and T3, 24 noise seeds.  A prototype's
+detector raised false alarms in 4 % (T2) and 28 % (T3) of the runs.  Times in minutes.
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""ANFIS, its use as a corrector and the grey variants on the mill of method sheet 001.
+"""ANFIS, its use as a corrector and the grey variants on the simulated mill [ding_zeng].
 
 Maximum absolute residuals in um, Y then Z, medians over noise seeds.  'As published' trains on
 D0 alone, with its 21 samples at 10 min; the others on D0, D0b and T1 at 1 min.  T2 and T3 are
@@ -137,7 +137,7 @@ def test_anfis_alone_extrapolates_worst(as_published):
 
 
 def test_a_grid_repeats_its_21_samples_and_says_so(as_published):
-    """Section 4: 32 rules with 192 consequents reach 0.0/0.0 in sample and fail elsewhere."""
+    """32 rules with 192 consequents reach 0.0/0.0 in sample and fail elsewhere."""
     residuals, flagged = as_published.all(
         'grid', lambda interval: Anfis(rules='grid', ridge=1e-9, epochs=0, interval=interval)
     )
@@ -163,7 +163,7 @@ def test_the_corrector_keeps_the_bounds_of_the_grey_model_on_t3(three_runs):
 
 
 def test_only_the_bounded_pole_never_diverges(as_published, three_runs):
-    """Section 7: every form that accumulates its target fails on some seed."""
+    """Every form that accumulates its target fails on some seed."""
     for judged in (as_published, three_runs):
         for name in ('stable', 'grey_anfis'):
             assert max(rows.max() for rows in judged.all(name)[0].values()) <= 20.0

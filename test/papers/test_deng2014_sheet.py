@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Check values of the simulated soft sheet, method sheet 000, section 8."""
+"""Check values of the simulated soft sheet."""
 
 import numpy as np
 import pytest

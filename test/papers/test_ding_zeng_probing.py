@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Method sheet 001 sections 8.D and 8.E: occasional probing, drift alarm, deviation.
+"""Occasional probing, drift alarm, deviation.
 
 Residuals in um, Y then Z; T2 and T3 are never seen; medians over noise seeds.
 """

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rules learnt from the published recording and from our own, method sheet 004 sections 4, 8."""
+"""Rules learnt from the published recording and from our own [long2014]."""
 
 from dataclasses import replace
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The fuzzy schedulers and the published rules, method sheet 002 sections 3, 6, 7 and 11."""
+"""The fuzzy schedulers and the published rules [lin2021]."""
 
 from dataclasses import replace
 from functools import cache
@@ -193,7 +193,7 @@ def test_comparators_at_equal_error(name, seconds, low, high):
         ).run.duration
 
     normal = time(lambda a: ConstantNormalAcceleration(feed_max=0.2, normal_acceleration=a))
-    # The sheet scales the largest feed along with the acceleration.
+    # The prototype scaled the largest feed along with the acceleration.
     assert normal == pytest.approx(seconds, rel=0.03)
     jerk = time(lambda a: JerkLimitedFeed(feed_max=0.2, chord_error=1e-3, acceleration=a))
     assert low <= jerk / normal <= high

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The lathe's axis and its sensors against method sheet 004, sections 7 to 9."""
+"""The lathe's axis and its sensors against the prototype's figures [long2014]."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The flux table and the order of the models on the grinder, method sheet 003, section 8."""
+"""The flux table and the order of the models on the grinder [kang2007]."""
 
 import pytest
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tracks stitched with compensation on the simulated sheet, method sheet 000, sections 6 and 8."""
+"""Tracks stitched with compensation on the simulated sheet [deng2014]."""
 
 from functools import cache
 
@@ -27,7 +27,7 @@ SIZE = (0.15, 0.1)
 RAMP = CompensationConfig(accumulate='ramp')
 LEAKY_80 = CompensationConfig(leak_length=80e-3, prompt_length=0.0, initial_rate=False)
 TRACKS = [(45, 15, 6), (30, 15, 6), (60, 15, 6), (45, 20, 8), (45, 25, 10)]
-"""Angle [deg], thickness and depth [mm] of the sheet's fresh check."""
+"""Angle [deg], thickness and depth [mm] of the fresh check."""
 
 
 class Case:

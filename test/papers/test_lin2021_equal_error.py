@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Refinement, the claims of the paper, savings: method sheet 002, sections 6.1, 6.2, 11."""
+"""Refinement, the claims of the paper, savings [lin2021]."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Acceptance figures of method sheet 001, on the simulated mill of its section 8.
+"""Acceptance figures of thermal models [ding_zeng], on the simulated mill.
 
 Maximum absolute residuals in um, Y then Z.  Trained on D0, T1 and D0b; T2 and T3 are never
 seen.  Medians over noise seeds, as single seeds differ.
@@ -150,7 +150,7 @@ def test_trained_lag_ridge_on_the_hardest_duty(recordings):
 
 @pytest.mark.paper
 def test_a_mate_times_its_gain_stands_in_for_a_dead_sensor(recordings, selections):
-    """Section 8.C: each of the five sensors dies at minute 60 of T2, ten seeds."""
+    """Each of the five sensors dies at minute 60 of T2, ten seeds."""
     substituted, zeroed = [], []
     for runs, selection in zip(recordings[:10], selections[:10], strict=True):
         models = fitted(LagRidge, [runs[name] for name in TRAINING], selection.chosen)
@@ -171,7 +171,7 @@ def test_a_mate_times_its_gain_stands_in_for_a_dead_sensor(recordings, selection
 
 @pytest.mark.paper
 def test_more_sensors_help_when_nothing_refines_them(recordings):
-    """Section 8.B: trained on D0 alone, without refinement, judged on T2."""
+    """Trained on D0 alone, without refinement, judged on T2."""
     curves = [
         [point.largest for point in sensor_count_curve([runs['D0']], runs['T2'], counts=(2, 10))]
         for runs in recordings[:5]

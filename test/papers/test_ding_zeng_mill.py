@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Check values of the simulated mill, method sheet 001, section 8."""
+"""Check values of the simulated mill."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated contouring machine and simple feeds on it, method sheet 002, sections 6, 11."""
+"""The simulated contouring machine and simple feeds on it."""
 
 from functools import cache
 
@@ -47,7 +47,7 @@ def constant_acceleration(name, tolerance):
 def test_constant_of_the_machine():
     assert pytest.approx(2.1517e-4, rel=3e-5) == CONSTANT
     found = identify_contour_constant()
-    assert found == pytest.approx(2.1517e-4, rel=0.02)  # section 11, line 10
+    assert found == pytest.approx(2.1517e-4, rel=0.02)  # what the loop's gains give
     assert found == pytest.approx(2.180e-4, rel=0.002)
 
 
@@ -97,7 +97,7 @@ def test_time_of_constant_normal_acceleration_at_equal_error(name, tolerance_mm,
     tolerance = 1e-3 * tolerance_mm
     feed = constant_acceleration(name, tolerance)
     found = knob_at_error(lambda scale: drive(name, scale * feed), tolerance, 1.0)
-    # the sheet's figures are up to 2.6 % slower on the butterfly, 0.7 % elsewhere
+    # the prototype's figures are up to 2.6 % slower on the butterfly, 0.7 % elsewhere
     assert 0.97 * seconds < found.run.duration < 1.005 * seconds
 
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Check values of the curves and their curvature, method sheet 002, sections 4, 8, 9 and 11.2."""
+"""Check values of the curves and their curvature [lin2021]."""
 
 import json
 
@@ -91,14 +91,14 @@ def test_rounded_coordinates_need_the_arc_stencil(name, plain, plain_sharpest, s
     assert value.max() / MM == pytest.approx(plain_sharpest, abs=0.005)
     value = curvature(rounded, rounding=0.5e-6, stencil=0.3e-3)
     # The trident's is 0.0197; outer points of either side's samples instead of the polyline's
-    # give 0.0195 to 0.0234, so the sheet's 0.018 is not had from eq. (3).
+    # give 0.0195 to 0.0234, so the prototype's 0.018 is not had from [lin2021] eq. (9).
     assert p95(value) == pytest.approx(stencil, rel=0.1)
     assert p95(curvature(rounded, rounding=0.5e-6)) <= 1.25 * stencil
 
 
 def test_stencil_keeps_the_peak_of_the_butterfly():
     rounded = butterfly(SHEET_SCALES['butterfly']).sample(2000).round(6)
-    # The sheet has it flattened from 40 to 6.5 1/mm; eq. (3) over 0.3 mm, in which the path turns
+    # The prototype had it flattened from 40 to 6.5 1/mm; eq. (9) over 0.3 mm, in which the path turns
     # by some 130 degrees, is as steep as at the samples.
     value = curvature(rounded, rounding=0.5e-6, stencil=0.3e-3)
     assert value.max() / MM == pytest.approx(40.0, rel=0.02)

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Acceptance figures of method sheet 003, on the simulated grinder of its section 8.
+"""Acceptance figures of networks [kang2007], on the simulated grinder.
 
 Residuals in um against the noisy displacement, in free run, Y then Z; rises over the first
 reading, as the sheet has them.  Single seeds flatter, hence ten.
@@ -91,7 +91,7 @@ def test_trained_on_one_run(recordings, on_one_run):
 @pytest.mark.paper
 @pytest.mark.slow
 def test_air_sensors_are_clocks_after_one_run(recordings, on_one_run):
-    """Section 7: Z of the warm day has the other sign, which one run cannot teach."""
+    """Z of the warm day has the other sign, which one run cannot teach."""
     assert np.median(rms(recordings, on_one_run, 'E2')[:, 1]) >= 2.0
 
 
@@ -122,7 +122,7 @@ def test_feedback_is_stable(on_one_run, on_two_runs):
 
 @pytest.mark.paper
 def test_arma_on_the_experiments(recordings):
-    """Section 8, the row of ARMA; medians of the sheet's seeds 0 to 2."""
+    """The row of ARMA; medians of seeds 0 to 2."""
     figures = []
     for runs in recordings[:3]:
         models = [fitted(Arma(), [runs['E1']], axis) for axis in (0, 1)]
@@ -135,7 +135,7 @@ def test_arma_on_the_experiments(recordings):
 
 @pytest.mark.paper
 def test_linear_network_on_the_experiments(recordings):
-    """Section 8, the row of LR/NN; medians of the sheet's seeds 0 to 2."""
+    """The row of LR/NN; medians of seeds 0 to 2."""
     figures = []
     for seed, runs in enumerate(recordings[:3]):
         models = [fitted(LinearNetwork(random_state=seed), [runs['E1']], a) for a in (0, 1)]
@@ -192,7 +192,7 @@ def test_hybrid_is_better_with_noisy_sensors_only(hybrid_flux):
 
 @pytest.mark.paper
 def test_spaced_delays_help_where_training_covers_what_comes(recordings, hybrid_flux):
-    """Section 7: E2 after E1 and E3, seeds 0 and 1, and the opposite on random flux."""
+    """E2 after E1 and E3, seeds 0 and 1, and the opposite on random flux."""
 
     def spaced(seed):
         return HybridFilterNetwork(delays=(10, 20, 30), random_state=seed)
@@ -216,7 +216,7 @@ def test_spaced_delays_help_where_training_covers_what_comes(recordings, hybrid_
 
 @pytest.mark.paper
 def test_published_training_without_noise():
-    """Section 8, the row of the hybrid with lag 1, teacher forcing and a ridge of 1e-6."""
+    """The row of the hybrid with lag 1, teacher forcing and a ridge of 1e-6."""
     models = on_flux(lambda seed: HybridFilterNetwork(random_state=seed, **AS_PUBLISHED))
     # The largest of 481 residuals scatters too much with the noise to be compared.
     assert flux_figures(models)[:, 0] == pytest.approx((0.75, 0.85, 1.25, 2.11), rel=0.1)
@@ -224,7 +224,7 @@ def test_published_training_without_noise():
 
 @pytest.mark.paper
 def test_arma_runs_away_on_flux():
-    """Section 7: 20.7 um clean, 58 um with 2 % noise."""
+    """20.7 um clean, 58 um with 2 % noise."""
     for noise, expected in ((0.0, 20.7), (0.02, 58.0)):
         models = on_flux(lambda seed: Arma(), noise)
         assert all(model.problems_ for model in models)
@@ -264,7 +264,7 @@ def test_published_training_runs_away_with_noise(runaways):
 
 @pytest.mark.paper
 def test_two_histories_of_a_runaway_never_meet(runaways):
-    """The sheet's model ends at -34 and +28 um; a bounded output alone would prove nothing."""
+    """The unguarded model ends at -34 and +28 um; a bounded output alone would prove nothing."""
     run = record_flux_case('regular', 0.02, 100)
     for model in runaways[:3]:
         low, high = ends(model, rise(run)[-1], rise(run))

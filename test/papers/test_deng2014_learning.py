@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Clustering, networks, gate and gain on the samples of method sheet 000, sections 6 and 8.2.
+"""Clustering, networks, gate and gain on the samples of the simulated foam [deng2014].
 
 Errors are root mean squares over both axes in mm per 50 mm of feed, on 32 samples that were held
 out in whole groups of equal process values, means of five splits.  The default features and
@@ -64,7 +64,7 @@ def test_growth_rule_is_never_satisfied():
 
 @pytest.mark.slow
 def test_errors_with_the_thickness_as_the_fifth_input():
-    """The network with a hidden layer against linear rules, as the sheet sets them.
+    """The network with a hidden layer against linear rules, as the prototype set them.
 
     The mean of five data seeds, for single ones depend on a single sample: on data seed 3 the
     largest of all, 20.5 mm at the edge of what was sampled (thinnest sheet, deepest foot, shortest
