@@ -98,7 +98,7 @@ def test_rounded_coordinates_need_the_arc_stencil(name, plain, plain_sharpest, s
 
 def test_stencil_keeps_the_peak_of_the_butterfly():
     rounded = butterfly(SHEET_SCALES['butterfly']).sample(2000).round(6)
-    # The prototype had it flattened from 40 to 6.5 1/mm; eq. (9) over 0.3 mm, in which the path turns
+    # A prototype had it flattened from 40 to 6.5 1/mm; eq. (9) over 0.3 mm, where the path turns
     # by some 130 degrees, is as steep as at the samples.
     value = curvature(rounded, rounding=0.5e-6, stencil=0.3e-3)
     assert value.max() / MM == pytest.approx(40.0, rel=0.02)

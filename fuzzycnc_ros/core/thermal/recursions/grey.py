@@ -18,8 +18,8 @@ class GreyRecursion(Recursion):
     Parameters
     ----------
     exact : bool
-        True solves [ding_zeng] eq. (12) as a recursion; False is the published response (15), which
-        takes the drivers' sum for constant.
+        True solves [ding_zeng] eq. (12) as a recursion; False is the published response, eq. (15),
+        which takes the drivers' sum for constant.
     a : ndarray, shape (c,)
         Development coefficient of each channel [-].
     b : ndarray, shape (c, p)
