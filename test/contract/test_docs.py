@@ -363,3 +363,11 @@ def test_references_are_keys():
             keys = re.findall(r'\[(\w+)\]', body)
             assert keys, f'{label(path)}: expected keys of the bibliography but found {body!r}'
             assert set(keys) <= set(entries), label(path)
+
+
+def test_every_command_is_in_the_table_of_jobs():
+    pytest.importorskip('typer', reason="typer is missing: pip install 'fuzzycnc_ros[cli]'")
+    from fuzzycnc_ros.cli.main import COMMANDS
+
+    page = (ROOT / 'docs' / 'reference' / 'commands.md').read_text()
+    assert set(COMMANDS) == set(re.findall(r'\| `fuzzycnc ([\w-]+)', page))
