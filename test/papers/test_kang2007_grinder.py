@@ -71,7 +71,7 @@ def test_noise_is_drawn_in_the_sheets_order():
         np.testing.assert_array_equal(run.displacement, np.column_stack([y, z]))
 
 
-def test_sensors_sit_where_the_sheet_puts_them():
+def test_sensors_sit_where_they_belong():
     listed = (
         'sp sp wh wh sh sh c0 c0 c1 c1 c2 c2 c3 c3 y0 y1 y1 y2 z0 z1 z1 z2 x0 x1 b0 b2 oil oil'
     )

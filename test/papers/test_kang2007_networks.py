@@ -3,7 +3,7 @@
 """Acceptance figures of networks [kang2007], on the simulated grinder.
 
 Residuals in um against the noisy displacement, in free run, Y then Z; rises over the first
-reading, as the sheet has them.  Single seeds flatter, hence ten.
+reading.  Single seeds flatter, hence ten.
 """
 
 import numpy as np

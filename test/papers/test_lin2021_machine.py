@@ -118,7 +118,7 @@ def test_refined_time_from_constant_normal_acceleration(name, seconds):
 
 @pytest.mark.parametrize('name', list(CURVES))
 def test_error_against_normal_acceleration(name):
-    # measured error over C max(curvature v^2): 1.05-1.18, 1.01-1.38 and 1.07-2.24 in the sheet
+    # measured error over C max(curvature v^2): 1.05-1.18, 1.01-1.38 and 1.07-2.24 in a prototype
     largest = {'infinity': 1.19, 'trident': 1.39, 'butterfly': 2.25}[name]
     for tolerance in (1e-5, 5e-5, 1e-4):
         feed = constant_acceleration(name, tolerance)

@@ -98,7 +98,7 @@ def test_least_squares_reproduces_table_1_better_than_the_published_rules():
     with pytest.warns(RuleTableWarning, match='never rise'):
         learnt = learn_rules(records, 'lsq').table()
     assert learnt.is_odd
-    assert rms(learnt) < 0.03  # 0.024 in the sheet
+    assert rms(learnt) < 0.03  # 0.024 in a prototype
     assert rms(learnt) < rms(published_rules()) / 5.0
 
 

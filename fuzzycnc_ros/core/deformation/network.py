@@ -347,8 +347,8 @@ class TSFuzzyNetwork(RegressionEstimator):
         xi: rules are added from 2 until no class variance of an output exceeds it
         [(mm per 50 mm)^2].  Without it there are `n_rules`, for the paper's 1.3 is never met.
     width_floor : float
-        Least width of a membership as a share of the input's range [-].  The sheet has 0.5; the
-        held-out error, mean of data seeds 20 to 25, was 0.35 mm with it and 0.31 mm with 1.
+        Least width of a membership as a share of the input's range [-].  The held-out error,
+        mean of data seeds 20 to 25, was 0.35 mm with 0.5 and 0.31 mm with 1.
     decay : float
         gamma of the memberships [-].
     membership_power : {1, 2}

@@ -319,8 +319,8 @@ class LatheAxis(AxisPlant):
 
     Notes
     -----
-    An encoder's screw error is taken at the lagged position, where it is read; the sheet leaves
-    the order open, and at rest it is the same.
+    An encoder's screw error is taken at the lagged position, where it is read; that order
+    is a choice, and at rest it is the same.
 
     Examples
     --------

@@ -168,7 +168,7 @@ def record_runs(
     *,
     faults: Sequence[SensorFault] = (),
 ) -> dict[str, ThermalRun]:
-    """Record duties of the sheet with its seeded noise, one row a minute.
+    """Record duties with seeded noise, one row a minute.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.simulation.thermal.thermal_network import ThermalNetwork
 
 GRINDER_STEP = 10
-"""Internal step [s]; the check values of the sheet belong to it."""
+"""Internal step [s]; the check values belong to it."""
 
 _COLUMN = ('c0', 'c1', 'c2', 'c3')
 _SLIDE_Y = ('y0', 'y1', 'y2')

@@ -237,7 +237,7 @@ def record_flux_case(name: str, noise: float = 0.0, seed: int = 0) -> ThermalRun
 
     Notes
     -----
-    The sheet judges Y alone.  Z is there too, about twice as large.
+    Y alone is judged.  Z is there too, about twice as large.
     """
     _known([name], FLUX_CASES, 'name: expected a flux case')
     if not 0.0 <= noise <= 1.0:

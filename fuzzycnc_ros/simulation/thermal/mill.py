@@ -18,7 +18,7 @@ from fuzzycnc_ros.simulation.thermal.sensor_faults import FaultInjector, SensorF
 from fuzzycnc_ros.simulation.thermal.thermal_network import ThermalNetwork
 
 MILL_STEP = 5
-"""Internal step [s]; the check values of the sheet belong to it."""
+"""Internal step [s]; the check values belong to it."""
 
 RPM = 2.0 * pi / 60.0
 """One revolution per minute [rad/s]."""

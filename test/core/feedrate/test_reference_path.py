@@ -141,7 +141,7 @@ def test_an_arc_whose_radius_changes_meets_both_ends():
 
 
 @pytest.mark.parametrize('name', CURVES)
-def test_sheet_curves_are_met(name):
+def test_curves_of_the_literature_are_met(name):
     curve = CURVES[name](SHEET_SCALES[name])
     segment = in_space(curve)
     path = reference_path([segment])

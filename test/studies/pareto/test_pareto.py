@@ -160,7 +160,7 @@ def test_machine_and_parameters_count():
 
 
 @pytest.mark.parametrize('name', CURVES)
-def test_curves_have_the_size_of_the_sheet(name):
+def test_curves_have_the_size_of_the_figures(name):
     path = curve_path(name)
     length = {'infinity': 308.86, 'trident': 225.38, 'butterfly': 335.00}[name]
     assert 1e3 * path.contour.length == pytest.approx(length, abs=0.01)

@@ -73,7 +73,7 @@ class ToleranceFeed(Scheduler):
 
     Notes
     -----
-    The sheet takes centroids, which ripple about the law by up to 5 %, knows no approach and
+    The fuzzy form takes centroids, which ripple about the law by up to 5 %, knows no approach and
     designs for the tolerance over 1.3.  So, with a margin of 1.25, the errors of its five shapes,
     2000 points each, lie between 0.88 and 1.04 times the tolerance; with the approach, whose time
     and margin were chosen on other curves, between 0.97 and 1.00, in 6 % less time.  Without the
