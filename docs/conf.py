@@ -51,6 +51,7 @@ html_css_files = ['site.css']
 html_copy_source = False
 html_show_sourcelink = False
 html_show_sphinx = False
+html_show_search_summary = False  # a browser reads no other file of a site that is opened as files
 
 
 def plain(app: Any, what: str, name: str, item: Any, options: Any, lines: list[str]) -> None:

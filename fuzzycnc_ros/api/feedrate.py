@@ -77,6 +77,19 @@ def schedule(
     ------
     ValueError
         If the path, the tolerance or the constant cannot be used, or no velocity is limited.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fuzzycnc_ros import feedrate
+    >>> angle = np.linspace(0.0, np.pi, 50)
+    >>> half_circle = 0.01 * np.column_stack([np.cos(angle), np.sin(angle)])
+    >>> limits = feedrate.MotionLimits(path_velocity=0.2, path_acceleration=1.5)
+    >>> motion = feedrate.schedule(
+    ...     half_circle, tolerance=20e-6, machine_constant=2e-4, limits=limits
+    ... )
+    >>> motion.sample(1e-3).position.shape[1]
+    2
     """
     geometry = _geometry(path, samples)
     node = geometry.node

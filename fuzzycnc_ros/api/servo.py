@@ -51,6 +51,12 @@ def read_axis(machine: str | os.PathLike[str], name: str) -> AxisData:
     ------
     ValueError
         If the file cannot be used, or has no such axis.
+
+    Examples
+    --------
+    >>> from fuzzycnc_ros import servo
+    >>> type(servo.read_axis('lathe', 'X')).__name__
+    'AxisData'
     """
     axes = read_machine_file(os.fspath(machine)).axes
     if name not in axes:
@@ -75,5 +81,12 @@ def controller(axis: AxisData, name: str = '', **settings: Any) -> AxisControlle
     ------
     ValueError
         If the axis has no model, or a name or setting is unknown.
+
+    Examples
+    --------
+    >>> from fuzzycnc_ros import servo
+    >>> controller = servo.controller(servo.read_axis('lathe', 'X'), 'pid')
+    >>> -1.0 <= controller.step(1e-3, 0.0) <= 1.0
+    True
     """
     return make_axis_controller(axis, name, settings or None)

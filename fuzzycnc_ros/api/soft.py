@@ -75,6 +75,21 @@ def read_model(path: str | os.PathLike[str]) -> DeformationModel:
         If the file cannot be read.
     ModelFileError
         If it is no usable model.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from fuzzycnc_ros import soft
+    >>> from fuzzycnc_ros.core.deformation.model import write_model
+    >>> from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
+    >>> model = soft.train(*foam_samples(0), random_state=0)
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / 'foam.json'
+    ...     _ = path.write_text(write_model(model))
+    ...     again = soft.read_model(path)
+    >>> type(again).__name__
+    'DeformationModel'
     """
     return models.read_model(Path(path).read_text(encoding='utf-8'))
 
@@ -107,6 +122,17 @@ def compensate(
     ------
     ValueError
         If a nominal point lies off the sheet, or the foot would go through it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fuzzycnc_ros import soft
+    >>> from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
+    >>> model = soft.train(*foam_samples(0), random_state=0)
+    >>> line = soft.Primitive((0.02, 0.06), (0.12, 0.06), depth=0.006, step=0.003)
+    >>> found = soft.compensate([line], model, soft.SheetMaterial(0.02))
+    >>> bool(np.abs(found.commanded - found.nominal).max() > 1e-4)
+    True
     """
     path = pattern if isinstance(pattern, StitchPath) else StitchPath.of_primitives(pattern)
     return compensate_path(

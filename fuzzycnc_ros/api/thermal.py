@@ -52,7 +52,7 @@ train = train_model
 
 
 def read_run(path: str | os.PathLike[str], **options: Any) -> ThermalRun:
-    """Read a recording: a bag, or a CSV file with one row per sample.
+    r"""Read a recording: a bag, or a CSV file with one row per sample.
 
     Parameters
     ----------
@@ -74,6 +74,19 @@ def read_run(path: str | os.PathLike[str], **options: Any) -> ThermalRun:
         If the bag cannot be read or used.
     CsvError
         If the file cannot be used; the message names line and column.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from fuzzycnc_ros import thermal
+    >>> rows = ['time,spindle,z'] + [f'{60 * k},{20 + 0.1 * k},{0.2 * k}' for k in range(60)]
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / 'monday.csv'
+    ...     _ = path.write_text('\n'.join(rows))
+    ...     run = thermal.read_run(path, temperatures=['spindle'], displacements=['z=Z:um'])
+    >>> run.sensor, run.displacement.shape
+    (('spindle',), (60, 1))
     """
     source = Path(path)
     if source.suffix.lower() != '.csv':
@@ -97,6 +110,14 @@ def to_dataframe(run: ThermalRun) -> DataFrame:
     ------
     ModuleNotFoundError
         If pandas is not installed.
+
+    Examples
+    --------
+    >>> from fuzzycnc_ros import thermal
+    >>> from fuzzycnc_ros.simulation.thermal.duties import record_runs
+    >>> table = thermal.to_dataframe(record_runs(['T1'])['T1'])
+    >>> table.columns[0]
+    ('temperature', 'T1')
     """
     import pandas
 
@@ -145,6 +166,16 @@ def residual(model: ThermalModel, run: ThermalRun, candidate: str | None = None)
         Sampled at the interval of the model.
     candidate : str, optional
         Another model in the file than the chosen one.
+
+    Examples
+    --------
+    >>> from fuzzycnc_ros import thermal
+    >>> from fuzzycnc_ros.simulation.thermal.duties import record_runs
+    >>> first, second = record_runs(['T1', 'T2']).values()
+    >>> model = thermal.train([first], candidates=['lag_ridge'])
+    >>> left = thermal.residual(model, second)
+    >>> bool(abs(left).max() < 0.5 * abs(second.displacement).max())
+    True
     """
     at = [run.channel.index(name) for name in model.channel]
     return np.asarray(run.displacement[:, at] - model.predict(run, candidate))
@@ -166,6 +197,15 @@ def plot_run(run: ThermalRun, axes: Axes, sensors: Sequence[str] = ()) -> Axes:
     -------
     matplotlib.axes.Axes
         The same.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> from fuzzycnc_ros import thermal
+    >>> from fuzzycnc_ros.simulation.thermal.duties import record_runs
+    >>> axes = thermal.plot_run(record_runs(['T1'])['T1'], Figure().subplots())
+    >>> len(axes.lines)
+    2
     """
     _lines(axes, run.time, dict(zip(run.channel, 1e6 * run.displacement.T, strict=True)))
     axes.set_ylabel('displacement [µm]')
@@ -197,6 +237,17 @@ def plot_residual(model: ThermalModel, run: ThermalRun, axes: Axes) -> Axes:
     -------
     matplotlib.axes.Axes
         The same.
+
+    Examples
+    --------
+    >>> from matplotlib.figure import Figure
+    >>> from fuzzycnc_ros import thermal
+    >>> from fuzzycnc_ros.simulation.thermal.duties import record_runs
+    >>> first, second = record_runs(['T1', 'T2']).values()
+    >>> model = thermal.train([first], candidates=['lag_ridge'])
+    >>> axes = thermal.plot_residual(model, second, Figure().subplots())
+    >>> len(axes.lines)
+    4
     """
     at = [run.channel.index(name) for name in model.channel]
     axes.plot(run.time / 60.0, 1e6 * run.displacement[:, at], color='0.7', linewidth=1.0)
