@@ -414,6 +414,7 @@ def topics_page() -> str:
 def bibliography() -> dict[str, dict[str, str]]:
     """Return the entries of the bibliography: key to fields."""
     text = (ROOT / 'docs' / 'reference' / 'bibliography.bib').read_text(encoding='utf-8')
+    text = text.replace(r'\&', '&')
     return {
         key: dict(re.findall(r'(\w+) = \{(.*?)\}(?=,)', body))
         for key, body in re.findall(r'^@\w+\{(\w+),\n(.*?)^\}', text, re.M | re.S)
