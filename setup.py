@@ -31,6 +31,7 @@ docs = ['furo', 'myst-parser', 'sphinx', 'textstat<0.7.5']
 device_files = ['pydantic>=2.7', 'pyyaml']
 modbus = ['pymodbus>=3.10', *device_files]
 opcua = ['asyncua>=1.1.5', 'cryptography', *device_files]
+page = ['jinja2', 'starlette', 'uvicorn', 'websockets']
 executables = ['fuzzycnc', *nodes]
 
 
@@ -55,6 +56,7 @@ setup(
             'machine_file/built_in/*.yaml',
             'ros/*.xml',
             'studies/page/templates/*',
+            'web/vendor/*/*',
         ]
     },
     data_files=[
@@ -76,10 +78,23 @@ setup(
         'ml': ml,
         'modbus': modbus,
         'opcua': opcua,
+        'page': page,
         'report': report,
         'tables': tables,
-        'all': command_line + report + ml + tables + modbus + opcua,
-        'test': [*command_line, *report, *ml, *tables, *modbus, *opcua, 'hypothesis', 'pytest'],
+        'all': command_line + report + ml + tables + modbus + opcua + page,
+        'test': [
+            *command_line,
+            *report,
+            *ml,
+            *tables,
+            *modbus,
+            *opcua,
+            *page,
+            'httpx',
+            'hypothesis',
+            'pytest',
+            'selenium',
+        ],
     },
     zip_safe=False,
     author='The fuzzycnc authors',

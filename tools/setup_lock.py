@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import re
 import sys
 from collections.abc import Iterable
@@ -52,6 +53,7 @@ def applies(marker: str) -> bool:
     """
     names = {
         'implementation_name': sys.implementation.name,
+        'os_name': os.name,
         'platform_python_implementation': 'CPython',
         'python_full_version': Version('.'.join(str(part) for part in sys.version_info[:3])),
         'sys_platform': sys.platform,
