@@ -41,10 +41,10 @@ from fuzzycnc_ros.core.feedrate.schedule.plain import (
     Scheduler,
 )
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (
-    ProgramSettings,
     ScheduledPath,
     schedule_program,
 )
+from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
 from fuzzycnc_ros.core.feedrate.schedule.refinement import (
     UnreachableToleranceError,
     knob_at_error,

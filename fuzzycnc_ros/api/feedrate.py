@@ -23,10 +23,8 @@ from fuzzycnc_ros.core.feedrate.motion.trajectory import Trajectory, limit_motio
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (
-    ProgramSettings,
-    schedule_program,
-)
+from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
+from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 
 __all__ = [

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
     from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
     from fuzzycnc_ros.core.feedrate.schedule.controller_program import PathMode
-    from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramSettings
+    from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
     from fuzzycnc_ros.studies.programs.advice import Advice
     from fuzzycnc_ros.studies.programs.advice_page import AdviceFigures
     from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath

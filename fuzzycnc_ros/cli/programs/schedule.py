@@ -38,7 +38,7 @@ from fuzzycnc_ros.cli.quantities import FEEDS, LENGTHS, SHARES, quantity
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program
     from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
-    from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramSettings
+    from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
     from fuzzycnc_ros.studies.programs.program_judge import Judged
     from fuzzycnc_ros.studies.programs.program_page import ScheduleFigures
     from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace

@@ -12,7 +12,8 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
 from fuzzycnc_ros.components.motion.tool_paths import program_tool_path
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
-from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramSettings, schedule_program
+from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
+from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
 from fuzzycnc_ros.runtime.records import ToolPath
 
 

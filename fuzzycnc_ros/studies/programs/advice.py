@@ -30,7 +30,8 @@ from fuzzycnc_ros.core.feedrate.schedule.controller_program import (
     turns,
     with_mode,
 )
-from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramSettings, schedule_program
+from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
+from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.programs.program_judge import Judged, LocalErrors, ProgramPath
 

@@ -30,11 +30,10 @@ from fuzzycnc_ros.core.feedrate.schedule.controller_program import (
 )
 from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (
-    ProgramSettings,
     ScheduledPath,
     schedule_program,
 )
-from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXIS_COUNT
+from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXIS_COUNT, ProgramSettings
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes
 from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath

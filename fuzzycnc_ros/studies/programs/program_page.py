@@ -31,7 +31,8 @@ from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Note
     from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
-    from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramSettings, ProgramTimes
+    from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramTimes
+    from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
     from fuzzycnc_ros.studies.programs.program_drive import Drive
     from fuzzycnc_ros.studies.programs.program_judge import Judged
     from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace

@@ -22,11 +22,11 @@ from fuzzycnc_ros.core.feedrate.schedule import program_run
 from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed, ConstantNormalAcceleration
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (
     ProgramScheduler,
-    ProgramSettings,
     rest_to_rest,
     schedule_program,
     straight_time,
 )
+from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
 
 LIMITS = MotionLimits(
     path_velocity=0.25, path_acceleration=1.5, velocity=(0.25,) * 3, acceleration=(4.0,) * 3

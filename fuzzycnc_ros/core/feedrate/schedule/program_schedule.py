@@ -29,17 +29,6 @@ from fuzzycnc_ros.core.feedrate.schedule.program_run import (
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXIS_COUNT, ProgramSettings
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import APPROACH
 
-__all__ = [
-    'Observer',
-    'ProgramSchedule',
-    'ProgramScheduler',
-    'ProgramSettings',
-    'ProgramTimes',
-    'ScheduledPath',
-    'schedule_program',
-]
-
-
 _GATHERED = 4096
 """Pieces that are gathered before they are driven: a stream costs time for each push."""
 
