@@ -30,6 +30,7 @@ COMMENTED_NAMES = {'.gitignore', 'Makefile', 'run'}
 TEXT = COMMENTED | {'.action', '.json', '.md', '.msg', '.srv', ''}
 BUILT = {'build', 'install', 'log', '__pycache__', 'node_modules'}
 RECORDED = {'bags'}  # written by the recorder
+VENDORED = {'vendor'}  # as published, each beside its own licence
 
 # Put together here, so that this file passes its own test.
 MACHINE_PATH = re.compile(
@@ -67,9 +68,9 @@ def sources() -> Iterator[Path]:
 
 
 def is_recorded(path: Path) -> bool:
-    """Return whether a file is data rather than source."""
+    """Return whether a file is data, or published by others, rather than source."""
     parts = path.relative_to(ROOT).parts
-    return parts[0] in RECORDED and path.suffix != '.py'
+    return (parts[0] in RECORDED and path.suffix != '.py') or VENDORED <= set(parts)
 
 
 SOURCES = list(sources())
@@ -89,6 +90,12 @@ def label(path: Path) -> str:
 
 def test_the_tree_was_found():
     assert {'setup.py', 'Makefile', '.ci/run', 'package.xml'} <= {label(path) for path in SOURCES}
+
+
+def test_what_others_published_carries_its_licence():
+    folders = [path for path in ROOT.glob('fuzzycnc_ros/*/vendor/*') if path.is_dir()]
+    assert folders
+    assert all((path / 'LICENSE').exists() for path in folders)
 
 
 @for_each(SOURCE_FILES, label)
