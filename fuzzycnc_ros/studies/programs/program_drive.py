@@ -29,10 +29,8 @@ from fuzzycnc_ros.core.feedrate.schedule.controller_program import (
     with_mode,
 )
 from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed
-from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (
-    ScheduledPath,
-    schedule_program,
-)
+from fuzzycnc_ros.core.feedrate.schedule.program_run import ScheduledPath
+from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXIS_COUNT, ProgramSettings
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ScheduledPath
+    from fuzzycnc_ros.core.feedrate.schedule.program_run import ScheduledPath
 
 MOST = 6000
 """Edges of a drawing at most."""

@@ -14,6 +14,7 @@ from programs.rs274 import check_against, interpreted
 
 from fuzzycnc_ros.core.feedrate.gcode import reader
 from fuzzycnc_ros.core.feedrate.gcode.blocks import FeedTally
+from fuzzycnc_ros.core.feedrate.gcode.expressions import read_value
 from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, read_program
 from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_blocks, write_program
 
@@ -107,6 +108,26 @@ def test_expressions_have_the_values_of_linuxcnc(expression, value, tmp_path):
     program = read_program(text)
     assert program.segments[-1].end[0] / MM == pytest.approx(value, abs=1e-9)
     check_against(program, interpreted(text, tmp_path))
+
+
+@pytest.mark.parametrize(
+    ('expression', 'value'),
+    [
+        # of x86's long number nearest to pi / 2, which is a little more: the sign counts
+        ('COS[90]', -2.508278806334166e-20),
+        ('SIN[180]', -5.016557612668332e-20),
+        ('TAN[90]', -3.98679762981171e19),
+        ('TAN[-45]', -1.0),
+        ('SIN[-30]', -0.5),
+        ('COS[1]', 0.9998476951563913),
+        ('SIN[100000000000000000000]', -0.9920923197312241),
+        ('ATAN[-0.0]/[-1]', -180.0),
+        ('SIN[-0.0]', -0.0),
+    ],
+)
+def test_turns_are_those_of_long_numbers_on_every_processor(expression, value):
+    found = read_value(expression, 0)[0](None)
+    assert (found, math.copysign(1.0, found)) == (value, math.copysign(1.0, value))
 
 
 def test_a_line_sets_its_parameters_after_all_of_its_values_are_known(tmp_path):

@@ -7,8 +7,8 @@ import pytest
 from paths.path_parts import joined_path, straight_lines
 from paths.random_paths import KINDS, random_limits, random_path, used
 
-from fuzzycnc_ros.core.feedrate.motion.average import range_minimum
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.motion.stream import range_minimum
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
 
 SQUARE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.1]])

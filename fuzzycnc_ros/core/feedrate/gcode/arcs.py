@@ -9,7 +9,7 @@ from fuzzycnc_ros.core.feedrate.gcode.lexer import ProgramError
 PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
 """First and second axis of a plane, and the axis across, by the number of its G word."""
 
-FULL = 2.0 * math.pi
+_FULL = 2.0 * math.pi
 
 # Programs carry three to four decimals of a millimetre or four of an inch: centre, start and end
 # are rounded each.  Worst of the 9,000 arcs that the tests read: 0.9 um.
@@ -66,13 +66,13 @@ def centred(
             'check I, J, K and whether they are relative (G91.1) or absolute (G90.1)',
         )
     if math.dist(start, end) < POINT_ROUNDING:
-        sweep = FULL
+        sweep = _FULL
     else:
         turn = math.atan2(end[1] - centre[1], end[0] - centre[0]) - math.atan2(
             start[1] - centre[1], start[0] - centre[0]
         )
-        sweep = (-turn if clockwise else turn) % FULL
-    sweep += FULL * extra_turns
+        sweep = (-turn if clockwise else turn) % _FULL
+    sweep += _FULL * extra_turns
     return -sweep if clockwise else sweep
 
 
@@ -131,5 +131,5 @@ def by_radius(
         0.5 * (start[1] + end[1]) + side * across[0],
     )
     short = 2.0 * math.atan2(half, height)
-    sweep = short if radius > 0.0 else FULL - short
+    sweep = short if radius > 0.0 else _FULL - short
     return centre, -sweep if clockwise else sweep

@@ -27,7 +27,7 @@ from fuzzycnc_ros.core.feedrate.gcode.motion import (
 from fuzzycnc_ros.core.feedrate.gcode.parameters import Parameters
 from fuzzycnc_ros.core.feedrate.gcode.segments import NurbsSegment, Segment
 
-LETTERS = '@^'
+_LETTERS = '@^'
 
 
 def _cartesian(line: Line, state: State) -> Line:
@@ -47,9 +47,9 @@ def _cartesian(line: Line, state: State) -> Line:
     """
     value = {word.letter: word.value for word in line.words}
     place = _xy(value, state)
-    spans = [(word.start, word.end) for word in line.words if word.letter in LETTERS]
+    spans = [(word.start, word.end) for word in line.words if word.letter in _LETTERS]
     found = copy(line)
-    found.words = [word for word in line.words if word.letter not in LETTERS]
+    found.words = [word for word in line.words if word.letter not in _LETTERS]
     for axis, coordinate in zip('XY', place, strict=True):
         found.words.append(Word(axis, coordinate, *spans[0]))
     return found
@@ -202,7 +202,9 @@ class Interpreter:
         """Return the block of a call that is not followed, and forget what it may change."""
         self._line = number
         before = self._block(text, line, Role.SEALED, None)
-        self.lose(f'call of {name or "a subroutine"}, which is not here: {LOST}, the feed until F')
+        self.lose(
+            f'call of {name or "a subroutine"}, which is not here: {_LOST}, the feed until F'
+        )
         return replace(before, feed=None)
 
     def enter(self, arguments: list[float | None] | None) -> None:
@@ -330,11 +332,11 @@ class Interpreter:
             self._say('block that may be skipped (/): taken as run, with its own feed')
             state.kind = ''
         if line.command:
-            self._say(f'command to the control ($): kept; {LOST}')
+            self._say(f'command to the control ($): kept; {_LOST}')
             state.lose()
             return Role.PLAIN, None
         if line.flow is not None:
-            self.lose(f'O-words are not followed here: {LOST}, the feed until F')
+            self.lose(f'O-words are not followed here: {_LOST}, the feed until F')
             self.parameters.forget(everything=True)
             return Role.SEALED, None
         if not modal.DECLARATIONS.isdisjoint(line.names):
@@ -347,7 +349,7 @@ class Interpreter:
             elif letter == 'M':
                 ms.append(value)
         if codes and not modal.LATHE_CYCLES.isdisjoint(codes) and _names(line, 'Q'):
-            self.lose(f'turning cycle (G70 to G72): {LOST}, the feed until F')
+            self.lose(f'turning cycle (G70 to G72): {_LOST}, the feed until F')
             return Role.SEALED, None
         elsewhere, feed_unit = 'SUPA' in line.names, state.feed_unit
         moves, gone = True, False
@@ -369,7 +371,7 @@ class Interpreter:
         if 40 in codes:
             return Role.PLAIN, dwell(line, self._line, state)
         if modal.CALLS & set(codes) or (ms and _CALL_M & set(ms)) or self._called(line):
-            self.lose(f'call of a subprogram: {LOST}, the feed until F')
+            self.lose(f'call of a subprogram: {_LOST}, the feed until F')
             self.parameters.forget()
             return Role.SEALED, None
         if elsewhere:
@@ -390,7 +392,7 @@ class Interpreter:
             self._say(
                 'fixed cycle: keeps its feed'
                 if run_cycle(line, state)
-                else f'a position at which a cycle runs: {LOST}'
+                else f'a position at which a cycle runs: {_LOST}'
             )
             return Role.SEALED, None
         try:
@@ -433,19 +435,19 @@ class Interpreter:
             return Role.SEALED
         if names & modal.FRAME_NAMES:
             state.lose()
-            self._say(f'{sorted(names & modal.FRAME_NAMES)[0]}: new coordinates; {LOST}')
+            self._say(f'{sorted(names & modal.FRAME_NAMES)[0]}: new coordinates; {_LOST}')
             return Role.PLAIN
         calls = [call for call in line.calls if call not in modal.SILENT_CALLS]
         unknown = names - modal.SILENT_NAMES - modal.MACHINE_NAMES
         for name in sorted((names & modal.SILENT_NAMES) | (set(line.calls) - set(calls))):
             self._say(f'{name}: passed through')
         if calls and all(call.startswith('CYCLE') for call in calls):
-            self._say(f'{calls[0]}: passed through; {LOST}')
+            self._say(f'{calls[0]}: passed through; {_LOST}')
             state.lose()
             return Role.SEALED
         if calls or unknown or line.strange:
             what = next(iter((*calls, *sorted(unknown))), 'signs')
-            self.lose(f'unknown text ({what}): passed through; {LOST}, the feed until F')
+            self.lose(f'unknown text ({what}): passed through; {_LOST}, the feed until F')
             self.parameters.forget(everything=True)
             return Role.SEALED
         return None
@@ -491,7 +493,7 @@ def _names(line: Line, letter: str) -> bool:
     return any(word.letter == letter for word in line.words)
 
 
-LOST = 'where the tool stands is unknown until all axes are named'
+_LOST = 'where the tool stands is unknown until all axes are named'
 
 
 class _GWords:
@@ -539,7 +541,7 @@ class _GWords:
             return 'call'
         elif code in modal.FRAMES:
             state.lose()
-            self._say(f'G{code / 10:g}: new coordinates; {LOST}')
+            self._say(f'G{code / 10:g}: new coordinates; {_LOST}')
             return 'shift'
         elif code == 920:
             self._set_place(line)
@@ -554,7 +556,7 @@ class _GWords:
         if code in modal.OFFSETS:
             if state.offset not in (None, code):
                 state.lose()
-                self._say(f'change of the work offset: {LOST}')
+                self._say(f'change of the work offset: {_LOST}')
             state.offset = code
         elif code in modal.TOOL_LENGTHS or (code == 490 and state.tool_length):
             state.tool_length = code != 490

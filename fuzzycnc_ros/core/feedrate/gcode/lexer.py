@@ -137,7 +137,7 @@ _NOTHING_COMPUTED: list[tuple[int, Expression]] = []
 _SETTINGS: list[tuple[Target, Expression | None]] = []
 
 
-LENGTH_MAX = 1e6
+_LENGTH_MAX = 1e6
 """Longest way or radius in a program [mm or inch]: a kilometre and more is of no machine."""
 
 
@@ -228,17 +228,17 @@ def _word(match: re.Match[str], number: int) -> Word:
     if not math.isfinite(value):
         raise ProgramError(number, f'expected a finite number but found {match[0][:30]!r}...')
     letter = match[1].upper()
-    if abs(value) > LENGTH_MAX:
+    if abs(value) > _LENGTH_MAX:
         _check_length(letter, value, match[0], number)
     return Word(letter, value, match.start(), match.end())
 
 
 def _check_length(letter: str, value: float, found: str, number: int) -> None:
     """Refuse a length of no machine; `found` is what the line says."""
-    if abs(value) > LENGTH_MAX and letter in 'XYZIJKR':
+    if abs(value) > _LENGTH_MAX and letter in 'XYZIJKR':
         raise ProgramError(
             number,
-            f'expected lengths up to {LENGTH_MAX:g} but found {found[:30]!r}; of no machine',
+            f'expected lengths up to {_LENGTH_MAX:g} but found {found[:30]!r}; of no machine',
         )
 
 

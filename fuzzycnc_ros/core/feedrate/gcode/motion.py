@@ -27,7 +27,7 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import (
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve, check_machinable
 
 _XYZ = 'XYZ'
-OTHER_AXES = frozenset('ABCUVW')
+_OTHER_AXES = frozenset('ABCUVW')
 _CENTRES = 'IJK'
 _ARC_NAMES = frozenset({'CR', 'TURN'})
 
@@ -77,7 +77,7 @@ def move(line: Line, number: int, state: State) -> Segment | None:
                 assumed.discard(letter)
             axis = _XYZ.index(letter)
             target[axis] = _coordinate(value, start[axis], state)
-        elif letter in OTHER_AXES:
+        elif letter in _OTHER_AXES:
             turning = _turn(letter, value, state) or turning
         elif letter in _CENTRES or letter == 'R':
             arc_words = True
@@ -210,7 +210,7 @@ def _extra_turns(words: dict[str, float | None], number: int) -> int:
     return int(turns)
 
 
-FOLLOWED = frozenset({730, 810, 820, 830, 840, 850, 860, 890})
+_FOLLOWED = frozenset({730, 810, 820, 830, 840, 850, 860, 890})
 """Cycles that end above the hole.
 
 G74 is a reference in Siemens' language; G76, G87 and G88 differ between controllers, or wait for
@@ -247,7 +247,7 @@ def run_cycle(line: Line, state: State) -> bool:
     first, second, across = PLANES[state.plane]
     value = {word.letter: word.value for word in line.words}
     plain = not line.assigned and not state.polar and not state.modal_call
-    if cycle.code not in FOLLOWED or not plain or not value.keys().isdisjoint('ABCUVW'):
+    if cycle.code not in _FOLLOWED or not plain or not value.keys().isdisjoint('ABCUVW'):
         state.lose()
         return False
     for axis in (first, second):
@@ -296,7 +296,7 @@ def _height(cycle: Cycle, state: State) -> float:
     return start if state.retracts is False else nan
 
 
-FEWEST_ORDER = 3
+_FEWEST_ORDER = 3
 """LinuxCNC takes an L below that for this."""
 
 
@@ -370,7 +370,7 @@ class PlaneCurveBlock(CurveBlock):
 
     def __init__(self, line: int, state: State) -> None:
         super().__init__(line, state)
-        self.order = FEWEST_ORDER
+        self.order = _FEWEST_ORDER
         self.control.append(list(self.start))
         self.weight.append(1.0)
 

@@ -24,7 +24,7 @@ _OPENERS = {
 }
 _KEPT = 20_000  # lines that are kept as read
 
-MAIN = ''
+_MAIN = ''
 """Name of what is in no subroutine."""
 
 
@@ -62,7 +62,7 @@ class _Listing:
         self._spans = [
             (index, end)
             for index, word in self.flow.items()
-            if self._scope[index] == MAIN and word.kind in _OPENERS
+            if self._scope[index] == _MAIN and word.kind in _OPENERS
             and index not in self._closing
             and (end := self.next(index, _OPENERS[word.kind])) is not None
         ]  # fmt: skip
@@ -141,7 +141,7 @@ class _Listing:
         return end
 
     def _scan(self) -> None:
-        scope = MAIN
+        scope = _MAIN
         for index, text in enumerate(self.lines):
             if not _O_WORD.match(text):
                 continue
@@ -153,7 +153,7 @@ class _Listing:
             if word is None:
                 self._label(line, index)
                 continue
-            if word.kind == 'sub' and isinstance(word.name, str) and scope == MAIN:
+            if word.kind == 'sub' and isinstance(word.name, str) and scope == _MAIN:
                 scope = word.name
                 self._start.setdefault(scope, index)
             self.flow[index] = word
@@ -161,7 +161,7 @@ class _Listing:
             self._place.setdefault((scope, str(word.name)), []).append(index)
             if word.kind == 'endsub' and word.name == scope:
                 self._end.setdefault(scope, index)
-                scope = MAIN
+                scope = _MAIN
 
     def _label(self, line: Line, index: int) -> None:
         words = [word for word in line.words if word.letter != 'N']

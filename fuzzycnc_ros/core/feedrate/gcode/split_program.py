@@ -17,7 +17,7 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, LineSegment, S
 DECIMALS, DECIMALS_INCH = 6, 7
 """Of the points that are put in: they are nanometres off at most."""
 
-OFF = 2e-9
+_OFF = 2e-9
 """Distance of a point from the path up to which it lies on it [m]."""
 
 _SAME = 1e-9
@@ -94,9 +94,9 @@ def check_same_path(program: Program, other: Program) -> None:
 def _along(piece: Segment, segment: Segment) -> bool:
     """Whether a piece lies on a segment: its end on the line, or on the arc of one centre."""
     if isinstance(segment, ArcSegment) and isinstance(piece, ArcSegment):
-        same = np.abs(np.subtract(piece.centre, segment.centre)).max() < 2.0 * OFF
+        same = np.abs(np.subtract(piece.centre, segment.centre)).max() < 2.0 * _OFF
         near = np.abs(np.subtract(sorted(piece.radii), sorted(segment.radii))).max()
-        within = abs(segment.radii[1] - segment.radii[0]) + OFF
+        within = abs(segment.radii[1] - segment.radii[0]) + _OFF
         return bool(same and near <= within and piece.sweep * segment.sweep > 0.0)
     if piece.end == segment.end and piece.start == segment.start:
         return True
@@ -105,7 +105,7 @@ def _along(piece: Segment, segment: Segment) -> bool:
     for point in (piece.start, piece.end):
         away = np.subtract(point, segment.start)
         share = float(away @ way) / square if square else 0.0
-        if not -1e-9 <= share <= 1.0 + 1e-9 or np.abs(away - share * way).max() > OFF:
+        if not -1e-9 <= share <= 1.0 + 1e-9 or np.abs(away - share * way).max() > _OFF:
             return False
     return True
 

@@ -19,17 +19,17 @@ from fuzzycnc_ros.core.feedrate.motion.controller_moves import Moves
 
 TANGENTIAL = 0.5
 """Share of the acceleration that is kept for the speed while the path bends [-]."""
-NORMAL = float(np.sqrt(1.0 - TANGENTIAL**2))
+_NORMAL = float(np.sqrt(1.0 - TANGENTIAL**2))
 """Share of the acceleration that bends get [-]."""
-KINK = 0.1
+_KINK = 0.1
 """Share of the acceleration that an unrounded kink may take in one period [-]."""
-MOST_LENGTH = 0.5
+_MOST_LENGTH = 0.5
 """Share of a move that a blend may take at either end [-]."""
-MOST_ROUNDING = 0.25
+_MOST_ROUNDING = 0.25
 """Share of the length of a move by which a corner of it is rounded at most [-]."""
 GAP = 4
 """Periods below which the rest of a line before a blend is run at the blend's speed."""
-REVERSED = np.pi * 2.0 / 180.0
+_REVERSED = np.pi * 2.0 / 180.0
 """Turn short of a reversal below which a corner is always a stop [rad]."""
 _SHORTEST = 1e-9
 """Shortest blend [m]."""
@@ -136,7 +136,7 @@ def move_limits(moves: Moves, limits: ControllerLimits) -> MoveLimits:
         radius = moves.radius()[bent] * np.minimum(1.0, 1.0 + moves.growth[bent])
         pitch = height / moves.sweep[bent]
         sharp = radius + pitch**2 / np.maximum(radius, 1e-12)
-        around = np.minimum(np.sqrt(NORMAL * plain_rise * sharp), plain_speed)
+        around = np.minimum(np.sqrt(_NORMAL * plain_rise * sharp), plain_speed)
         slowest[bent] = np.maximum(slowest[bent], flat / around)
         weakest[bent] = np.maximum(weakest[bent], flat / plain_rise)
     with np.errstate(divide='ignore'):
@@ -144,8 +144,8 @@ def move_limits(moves: Moves, limits: ControllerLimits) -> MoveLimits:
         acceleration = moves.length / weakest
     if len(bent):
         # what the bend takes of the acceleration is not there for the speed
-        across = np.minimum(most[bent] ** 2 / sharp / acceleration[bent], NORMAL)
-        most[bent] = np.minimum(most[bent], np.sqrt(NORMAL * acceleration[bent] * sharp))
+        across = np.minimum(most[bent] ** 2 / sharp / acceleration[bent], _NORMAL)
+        most[bent] = np.minimum(most[bent], np.sqrt(_NORMAL * acceleration[bent] * sharp))
         acceleration[bent] *= np.sqrt(1.0 - across**2)
     return MoveLimits(most, np.minimum(most, moves.feed), acceleration)
 
@@ -175,9 +175,9 @@ def junctions(moves: Moves, own: MoveLimits, limits: ControllerLimits) -> Juncti
     bent = moves.arc[:-1] | moves.arc[1:]
     scale = np.where(bent, scale / TANGENTIAL, scale)
     joined = ~moves.stop[:-1] & ~moves.first[1:] & (moves.rapid[:-1] == moves.rapid[1:])
-    joined &= (np.pi - turn > REVERSED) & ~np.isnan(moves.rounding[:-1])
-    tangent = joined & (scale < KINK)
-    kinked = np.where(tangent, slower, slower * KINK / np.maximum(scale, KINK))
+    joined &= (np.pi - turn > _REVERSED) & ~np.isnan(moves.rounding[:-1])
+    tangent = joined & (scale < _KINK)
+    kinked = np.where(tangent, slower, slower * _KINK / np.maximum(scale, _KINK))
 
     blend = _Blends(moves, own, limits, turn, np.cross(before, after))
     mixed = moves.rounding[:-1] > 0.0
@@ -191,7 +191,7 @@ def junctions(moves: Moves, own: MoveLimits, limits: ControllerLimits) -> Juncti
     speed = np.select(
         [kind == TANGENT, kind == ARC, kind == OVERLAP], [kinked, blend.speed, start]
     )
-    kink = np.where(kind == TANGENT, np.minimum(scale, KINK), 0.0)
+    kink = np.where(kind == TANGENT, np.minimum(scale, _KINK), 0.0)
     trim = np.where(kind == ARC, blend.trim, 0.0)
 
     def closed(values: Array, last: float = 0.0) -> Array:
@@ -222,12 +222,12 @@ class _Blends:
     ) -> None:
         half = 0.5 * (np.pi - turn)
         length = moves.length
-        ready = length[:-1] * MOST_LENGTH, length[1:] * MOST_LENGTH
+        ready = length[:-1] * _MOST_LENGTH, length[1:] * _MOST_LENGTH
         reach = np.minimum(*ready)
         if moves.arc.any():
             reach = np.minimum(self._along(moves), reach)
         rounding = np.minimum(moves.rounding[:-1], moves.rounding[1:])
-        rounding = np.minimum(rounding, MOST_ROUNDING * np.minimum(length[:-1], length[1:]))
+        rounding = np.minimum(rounding, _MOST_ROUNDING * np.minimum(length[:-1], length[1:]))
         self.acceleration = _in_plane(normal, np.array(limits.acceleration))
         flat = _in_plane(normal, np.array(limits.velocity))
         goal = np.maximum(own.speed[:-1], own.speed[1:])
@@ -237,7 +237,7 @@ class _Blends:
             tolerated = np.cos(half) * rounding / (1.0 - np.sin(half))
             away = np.minimum(reach, tolerated)
             largest = np.tan(half) * away
-            across = NORMAL * self.acceleration
+            across = _NORMAL * self.acceleration
             plan = np.minimum(np.sqrt(across * largest), goal)
             # a parabola of half the acceleration tells how much of the moves is used
             gentle = 0.5 * self.acceleration
@@ -254,7 +254,7 @@ class _Blends:
         radius = moves.radius()
         end = np.minimum(moves.sweep * 2.0 / 3.0, np.pi / 2.0) * radius * (1.0 + moves.growth)
         begin = np.minimum(moves.sweep / 3.0, np.pi / 2.0) * radius
-        whole = moves.length * MOST_LENGTH
+        whole = moves.length * _MOST_LENGTH
         return np.minimum(
             np.where(moves.arc, end, whole)[:-1], np.where(moves.arc, begin, whole)[1:]
         )

@@ -24,7 +24,7 @@ from fuzzycnc_ros.core.feedrate.motion.controller_blends import (
 )
 from fuzzycnc_ros.core.feedrate.motion.controller_moves import Moves, merged
 
-PERIODS_LEAST = 1.02
+_PERIODS_LEAST = 1.02
 """Periods that a move takes at least."""
 
 
@@ -122,7 +122,7 @@ class _Plan:
     def _speeds(self) -> None:
         """Look ahead and back, so that every speed can be reached and left."""
         part, limits = self._parts, self._limits
-        least = part.whole / (PERIODS_LEAST * limits.period)
+        least = part.whole / (_PERIODS_LEAST * limits.period)
         self._most = np.minimum(part.speed, least)
         edge = np.append(np.inf, self._most), np.append(self._most, np.inf)
         square = np.minimum(part.node, np.minimum(*edge)) ** 2

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 
-CHAIN_MAX = 100
+_CHAIN_MAX = 100
 """Points that are merged into one line at most."""
 
 
@@ -174,7 +174,7 @@ def _linkable(
     origin: list[float], chain: list[list[float]], point: list[float], limit: float
 ) -> bool:
     """Return whether a chain's points lie near the line from its origin to a point."""
-    if len(chain) > CHAIN_MAX:
+    if len(chain) > _CHAIN_MAX:
         return False
     x, y, z = origin
     a, b, c = point[0] - x, point[1] - y, point[2] - z

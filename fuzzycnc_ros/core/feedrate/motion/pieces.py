@@ -17,7 +17,7 @@ from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath
 
-AT_STOPS = 8
+_AT_STOPS = 8
 """Parts of a piece that ends at a stop: the motion gets going within the first of them."""
 _PARTS_MAX = 64
 
@@ -170,7 +170,7 @@ class Pieces:
         rests = self.stop.copy()
         rests[0] |= resting
         near = (rests[:-1] | rests[1:]) & self.whole
-        count[near] = np.maximum(count[near], AT_STOPS)
+        count[near] = np.maximum(count[near], _AT_STOPS)
         between = rests[:-1] & rests[1:]  # one piece alone would never get going
         count[between] = np.maximum(count[between], 2)
         first = np.append(0, np.cumsum(count))

@@ -1,6 +1,12 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Motion along a path that arrives in parts, the same as along the whole path."""
+"""Motion along a path that arrives in parts, the same as along the whole path.
+
+Limits of jerk are shared out so that the average over a window in time of a motion keeps them.  An
+average of length tau of accelerations up to a changes by at most 2 a / tau per second.  It also
+mixes places up to tau apart, so every limit is first replaced by the smallest within tau: the
+average then obeys the limits of the place it leads to.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +14,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.motion.average import (
-    AVERAGE_EDGE,
-    Shares,
-    range_minimum,
-    share_limits,
-    windows,
-)
 from fuzzycnc_ros.core.feedrate.motion.axis_limits import acceleration_bands
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.pieces import Pieces, squares
@@ -26,6 +25,106 @@ from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath
+
+_CHUNK = 8192
+"""Pieces whose bounds are held at a time."""
+_AVERAGE_EDGE = 1.0 + 1e-9
+"""Pieces at the very edge of a window count, which rounding may move: factor."""
+
+
+@dataclass(frozen=True)
+class _Shares:
+    """Largest squared speed, acceleration and jerk along the path in each piece, each (m,)."""
+
+    cap: Array
+    rise: Array
+    jolt: Array
+
+
+def _share_limits(geometry: PathGeometry, square: Array, table: Array) -> _Shares:
+    """Share the limits out so that all parts of an axis' acceleration and jerk fit at once.
+
+    Of an acceleration, 0.7 may go to the curve, the rest to the change of speed.  Of a jerk, half
+    may go to the change of the curve, then 0.3 of the rest to the curve while the speed changes.
+    What a part leaves unused goes to the next.
+
+    Parameters
+    ----------
+    geometry : PathGeometry
+        Path of m pieces.
+    square : array, shape (m, 2)
+        Squared desired speeds at both ends of each [m^2/s^2].
+    table : array, shape (3, d + 1)
+        Limits as `MotionLimits.table` gives them.
+    """
+    found = np.empty((3, len(square)))
+    for begin in range(0, len(square), _CHUNK):
+        chosen = slice(begin, begin + _CHUNK)
+        found[:, chosen] = _shares(
+            geometry.part(begin, begin + _CHUNK), square[chosen].min(axis=1), table
+        )
+    return _Shares(*found)
+
+
+def _shares(geometry: PathGeometry, cap: Array, table: Array) -> Array:
+    velocity, acceleration, jerk = table
+    own, side, twist = (np.maximum(bound, 1e-12) for bound in geometry.bounds())
+    for bound in (
+        (velocity / own) ** 2,
+        0.7 * acceleration / side,
+        (0.5 * jerk / twist) ** (2.0 / 3.0),
+    ):
+        cap = np.minimum(cap, bound.min(axis=1))
+    square, speed = cap[:, np.newaxis], np.sqrt(cap)[:, np.newaxis]
+    left = jerk - twist * square * speed
+    turning = 3.0 * side * speed
+    rise = np.minimum((acceleration - side * square) / own, 0.3 * left / turning).min(axis=1)
+    jolt = ((left - turning * rise[:, np.newaxis]) / own).min(axis=1)
+    return np.stack([cap, rise, jolt])
+
+
+def _windows(
+    time: Array, stop: NDArray[np.bool_], window: float, begin: int, end: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return which pieces come within a window in time of pieces `begin` to `end`.
+
+    Parameters
+    ----------
+    time : array, shape (m + 1,)
+        When a motion that is nowhere slower passes the nodes [s].
+    stop : array of bool, shape (m + 1,)
+        Nodes across which windows do not reach.
+    window : float
+        Length [s].
+    begin, end : int
+        Pieces from `begin` up to, without, `end`.
+
+    Returns
+    -------
+    low, high : array of int, shape (end - begin,)
+        Pieces from `low` up to, without, `high`.
+    """
+    reach = window * _AVERAGE_EDGE
+    low = np.searchsorted(time, time[begin:end] - reach, 'right') - 1
+    high = np.searchsorted(time, time[begin + 1 : end + 1] + reach, 'left')
+    inner = np.flatnonzero(stop[1:-1]) + 1
+    fence = np.concatenate([[0], inner, [len(time) - 1]])
+    span = np.searchsorted(inner, np.arange(begin, end), 'right')
+    return np.maximum(low, fence[span]), np.minimum(high, fence[span + 1])
+
+
+def range_minimum(values: Array, low: NDArray[np.intp], high: NDArray[np.intp]) -> Array:
+    """Return the smallest of `values[low[k]:high[k]]` for every k; no range may be empty."""
+    found = np.empty(len(low))
+    level = np.frexp(high - low)[1] - 1  # largest power of two within the range
+    table = values
+    for power in range(int(level.max()) + 1):
+        if power:
+            half = 1 << (power - 1)
+            table = np.minimum(table[:-half], table[half:])
+        chosen = np.flatnonzero(level == power)
+        found[chosen] = np.minimum(table[low[chosen]], table[high[chosen] - (1 << power)])
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +225,7 @@ class _AverageProfile:
             self._note(behind)
             self._time, self._done = passed, len(behind)
 
-    def push(self, pieces: Pieces, shares: Shares | None = None) -> None:
+    def push(self, pieces: Pieces, shares: _Shares | None = None) -> None:
         """Take the next pieces, and their shares of the limits where they are known already."""
         cap, rise = self._note(pieces, shares)
         self._first.push(pieces.place, cap, 2.0 * rise * pieces.length, pieces.stop)
@@ -142,7 +241,7 @@ class _AverageProfile:
         done, end = self._done, known if ended else self._windows_known()
         if end > done:
             stop = self._stop[: known + 1]
-            low, high = windows(self._time, stop, self._window, done, end)
+            low, high = _windows(self._time, stop, self._window, done, end)
             cap, rise = (range_minimum(values, low, high) for values in self._limit)
             nodes = slice(done, end + 1)
             gain = 2.0 * rise * self._length[done:end]
@@ -158,14 +257,14 @@ class _AverageProfile:
     def _windows_known(self) -> int:
         """Return how many pieces have all that their windows reach ahead."""
         known = len(self._time) - 1
-        reach = self._window * AVERAGE_EDGE
+        reach = self._window * _AVERAGE_EDGE
         by_time = int(np.searchsorted(self._time[1:], self._time[-1] - reach, 'right'))
         stops = np.flatnonzero(self._stop[: known + 1])
         return min(max(by_time, int(stops[-1]) if len(stops) else 0), known)
 
     def _forget(self) -> None:
         """Drop what no window reaches any more."""
-        reach = self._window * AVERAGE_EDGE
+        reach = self._window * _AVERAGE_EDGE
         by_time = int(np.searchsorted(self._time, self._time[self._done] - reach, 'right')) - 1
         stops = np.flatnonzero(self._stop[: self._done + 1])
         # One more, for the sum that a window's edge was found with may round the other way.
@@ -179,10 +278,10 @@ class _AverageProfile:
         """Return how the motion could go on to rest."""
         return _Profile(self._second.to_rest(), self._rise)
 
-    def _note(self, pieces: Pieces, shares: Shares | None = None) -> Array:
+    def _note(self, pieces: Pieces, shares: _Shares | None = None) -> Array:
         """Keep the largest squared speeds and accelerations of the next pieces; return them."""
         if shares is None:
-            shares = share_limits(pieces.geometry, pieces.square, self._table)
+            shares = _share_limits(pieces.geometry, pieces.square, self._table)
         rise = np.minimum(shares.rise, 0.5 * self._window * shares.jolt)
         found = np.stack([shares.cap, rise])
         self._limit = np.concatenate([self._limit, found], axis=1)
@@ -276,7 +375,7 @@ def fastest_window(pieces: Pieces, table: Array, feed_max: float) -> float:
         No desired speed is above it [m/s].
     """
     fine = pieces.fine(table, feed_max)
-    shares = share_limits(fine.geometry, fine.square, table)
+    shares = _share_limits(fine.geometry, fine.square, table)
     # A longer window than the longest of these admits no more acceleration anywhere.
     longest = 2.0 * float((shares.rise / shares.jolt).max())
 

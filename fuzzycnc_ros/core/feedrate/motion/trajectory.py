@@ -5,7 +5,7 @@
 Without limits of jerk the squared speed runs straight between the nodes (`axis_limits`).  With
 them, the limits at each place are first shared out into the largest speed, acceleration and jerk
 along the path; the fastest motion within speed and acceleration is then averaged over a window in
-time (`average`).  At stops the motion rests for the length of the window.
+time (`stream`).  At stops the motion rests for the length of the window.
 """
 
 from __future__ import annotations

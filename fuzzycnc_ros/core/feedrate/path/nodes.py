@@ -19,15 +19,15 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
 
-Bools = NDArray[np.bool_]
+_Bools = NDArray[np.bool_]
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath
 
-EDGE_LEAST = 5e-5
+_EDGE_LEAST = 5e-5
 """Shortest distance of a new node from the end of a block [m]."""
 
-SPACING = 2e-4
+_SPACING = 2e-4
 """Distance of nodes for rules that count points [m]: their windows were published for these."""
 
 _NO_BEND = 1e-6
@@ -63,12 +63,12 @@ class NodePlan:
         length = getattr(scheduler, 'guard_length', most)
         if max(reach.points_behind, reach.points_ahead) > _POINTS_FEW or not np.isfinite(length):
             return cls(np.inf, np.inf)
-        edge = max(EDGE_LEAST, 1.01 * length)
+        edge = max(_EDGE_LEAST, 1.01 * length)
         return cls(edge, max(2.0 * edge, 1.01 * reach.length_ahead))
 
     @property
     def even(self) -> bool:
-        """Whether nodes lie at most `SPACING` apart."""
+        """Whether nodes lie at most `_SPACING` apart."""
         return not np.isfinite(self.edge)
 
 
@@ -88,7 +88,7 @@ def with_nodes(path: ReferencePath, plan: NodePlan) -> ReferencePath:
     bent = own_curvature(path.geometry)
     path = replace(path, curvature=_raised(path.curvature, bent))
     if plan.even:
-        count = np.maximum(np.ceil(length / SPACING * (1.0 - 1e-12)), 1).astype(int)
+        count = np.maximum(np.ceil(length / _SPACING * (1.0 - 1e-12)), 1).astype(int)
         piece = np.repeat(np.arange(len(length)), count)
         first = np.append(0, np.cumsum(count))
         share = (np.arange(first[-1]) - first[piece]) / count[piece]
@@ -185,7 +185,7 @@ def _cut(path: ReferencePath, piece: NDArray[np.intp], low: Array) -> ReferenceP
     )
 
 
-def near_neighbours(path: ReferencePath, own: Array, bend: Array, plan: NodePlan) -> Bools:
+def near_neighbours(path: ReferencePath, own: Array, bend: Array, plan: NodePlan) -> _Bools:
     """Return on which pieces the neighbours of a block count for the feed, (m,).
 
     Parameters

@@ -15,9 +15,9 @@ from fuzzycnc_ros.core.arrays import Array
 COORDINATE_MAX = 1e3
 """Largest coordinate [m]: of no machine, and far from what doubles lose digits at."""
 DEGREE_MAX = 15
-WEIGHTS_MAX = 1e6
+_WEIGHTS_MAX = 1e6
 """Largest ratio of two weights of a curve: beyond it, digits of its points are lost."""
-SPAN_MIN = 1e-9
+_SPAN_MIN = 1e-9
 """Least distance of two knots that differ, as a share of the domain."""
 
 
@@ -130,16 +130,16 @@ def check_machinable(control: Array, weight: Array, knot: Array, degree: int) ->
     far = float(np.abs(control).max())
     if far > COORDINATE_MAX:
         raise ValueError(f'expected coordinates up to {COORDINATE_MAX:g} m but found {far:g} m')
-    if weight.max() > WEIGHTS_MAX * weight.min():
+    if weight.max() > _WEIGHTS_MAX * weight.min():
         raise ValueError(
-            f'expected weights no more than {WEIGHTS_MAX:g} times each other but found '
+            f'expected weights no more than {_WEIGHTS_MAX:g} times each other but found '
             f'{weight.min():g} and {weight.max():g}'
         )
     width = knot[len(control)] - knot[degree]
     step = np.diff(np.unique(knot))
-    if not (step >= SPAN_MIN * width).all() or np.abs(knot).max() > width / SPAN_MIN:
+    if not (step >= _SPAN_MIN * width).all() or np.abs(knot).max() > width / _SPAN_MIN:
         raise ValueError(
-            f'expected knots that are equal or {SPAN_MIN:g} of the domain apart, not far from 0, '
+            f'expected knots that are equal or {_SPAN_MIN:g} of the domain apart, not far from 0, '
             f'but found steps down to {step.min():g} over {width:g}'
         )
     if not np.ptp(control, axis=0).max() > 0.0:

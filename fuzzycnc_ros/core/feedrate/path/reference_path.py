@@ -30,7 +30,6 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.segments import DwellSegment, Segment
-from fuzzycnc_ros.core.feedrate.path.curve_nodes import TURN
 from fuzzycnc_ros.core.feedrate.path.path_geometry import (
     SMOOTH_TURN,
     PathGeometry,
@@ -39,7 +38,15 @@ from fuzzycnc_ros.core.feedrate.path.path_geometry import (
     turn_angles,
 )
 from fuzzycnc_ros.core.feedrate.path.sampled_path import REVERSAL_ANGLE
-from fuzzycnc_ros.core.feedrate.path.shapes import ARC, CURVE, LINE, Frame, Shapes, make_shapes
+from fuzzycnc_ros.core.feedrate.path.shapes import (
+    ARC,
+    CURVE,
+    LINE,
+    TURN,
+    Frame,
+    Shapes,
+    make_shapes,
+)
 
 _TINY = 0.1
 """Turn of a corner up to which its blend has two pieces [rad]."""
@@ -47,7 +54,7 @@ _FEW = 0.5
 """The same for four pieces [rad]."""
 _EIGHT = 1.6
 """The same for eight pieces [rad]."""
-EASING_PIECES = 6
+_EASING_PIECES = 6
 """Pieces of an eased jump of the curvature."""
 
 _SHARES = {
@@ -167,7 +174,7 @@ def _corner_reach(
     todo = np.arange(len(bent))
     for _ in range(_ROUNDS):
         at = index[bent[todo]]
-        made = rounded(shapes, at, turn[bent[todo]], found[todo], pieces)
+        made = _rounded(shapes, at, turn[bent[todo]], found[todo], pieces)
         share = _distance_bound(shapes, at, made) / (_ROOM * tolerance)
         over = share > 1.0
         if not over.any():
@@ -191,7 +198,7 @@ def _ease_reach(shapes: Shapes, index: NDArray[np.intp], easing: float) -> Array
     return _whole_halves(found, shapes, index)
 
 
-def rounded(
+def _rounded(
     shapes: Shapes, index: NDArray[np.intp], turn: Array, reach: Array, pieces: int
 ) -> _Rounding:
     """Return the pieces of roundings that reach by `reach` (k,) [m] to either side."""
@@ -411,7 +418,7 @@ def _assemble(shapes: Shapes, head: float, blend: float, easing: float, *, last:
     reach = np.zeros(len(joint))
     straight = (shapes.kind[:-1] == LINE) & (shapes.kind[1:] == LINE)
     count = np.where(blended, _pieces_of(turn, straight), 0)
-    count[eased] = EASING_PIECES
+    count[eased] = _EASING_PIECES
     for pieces in np.unique(count[blended]).tolist():
         rows = np.flatnonzero(blended & (count == pieces))
         reach[rows] = _corner_reach(shapes, rows, turn[rows], blend, pieces)
@@ -431,7 +438,7 @@ def _assemble(shapes: Shapes, head: float, blend: float, easing: float, *, last:
         for chosen, kink in ((blended, True), (eased, False)):
             rows = np.flatnonzero(chosen & (count == pieces))
             if len(rows):
-                made = rounded(shapes, rows, turn[rows], reach[rows], pieces)
+                made = _rounded(shapes, rows, turn[rows], reach[rows], pieces)
                 groups.append(_junctions(made, rows, first[rows] + size[rows], kink))
     total = int(first[-1])
     coefficient, length = np.empty((total, 6, 3)), np.empty(total)

@@ -29,7 +29,7 @@ from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath
 
-REMAINDER_MIN = 1e-6
+_REMAINDER_MIN = 1e-6
 """Pieces are not cut closer to their ends [m], where positions would not tell their bend."""
 
 _GROUP = 64
@@ -69,7 +69,7 @@ def _strongest_braking(
             else:
                 least = float((-bands.width[k] - bands.slope[k] * found[-1]).max())
             share = 1.0 if least >= 0.0 else found[-1] / (found[-1] - least)
-            if (1.0 - share) * length[k] < REMAINDER_MIN:
+            if (1.0 - share) * length[k] < _REMAINDER_MIN:
                 share = 1.0
             place.append(
                 float(some.place[k] + share * length[k])
@@ -84,7 +84,7 @@ def _strongest_braking(
 
 
 @dataclass(frozen=True, eq=False)
-class Cut:
+class _Cut:
     """State of motion before averaging, from which it may go on otherwise.
 
     Attributes
@@ -150,7 +150,7 @@ class Cut:
         stops = np.flatnonzero(pieces.stop[:-1])
         recent = int(np.searchsorted(passed[1:], self.time - window, 'right'))
         first = max(int(stops[-1]) if len(stops) else 0, recent)
-        last = len(pieces) - int(pieces.length[-1] < REMAINDER_MIN)
+        last = len(pieces) - int(pieces.length[-1] < _REMAINDER_MIN)
         if first >= last:
             return None, None
         pieces = pieces.part(first, last)
@@ -190,14 +190,14 @@ class _Outlook:
     dwell: float
     resting: tuple[float, float] | None
 
-    def cut(self, time: float) -> Cut:
+    def cut(self, time: float) -> _Cut:
         """Return the state of the motion at a time, or soon behind."""
         motion = self.motion
         place, speed, rest = motion.state(time)
         pieces, rises, at_place, square = self._ahead()
         at = int(np.clip(np.searchsorted(pieces.place, place, 'right') - 1, 0, len(pieces) - 1))
         left = float(pieces.place[at + 1]) - place
-        if place > pieces.place[at] and speed > 0.0 and left < REMAINDER_MIN:
+        if place > pieces.place[at] and speed > 0.0 and left < _REMAINDER_MIN:
             # On to the end of the piece, as planned
             place = float(pieces.place[at + 1])
             fast = float(np.sqrt(np.interp(place, at_place, square, right=0.0)))
@@ -211,7 +211,7 @@ class _Outlook:
             elif speed == 0.0 and time >= motion.time[-1]:
                 rest = self._rest_left(front, time)
         further = at_place > place
-        return Cut(
+        return _Cut(
             motion,
             time,
             rest,
@@ -630,7 +630,7 @@ class Planner:
             self._motion = motion
             self._feeds.drop(float(motion.pieces.place[0]))
 
-    def _cut(self) -> Cut:
+    def _cut(self) -> _Cut:
         """Return the state of the motion at the last sample taken, or soon behind."""
         assert self._motion is not None
         outlook = _Outlook(
