@@ -81,6 +81,14 @@ format: setup ## Rewrite the sources in the project's format
 tables: setup ## Write the generated tables of the docs and params/*.yaml anew
 	@'$(BIN)/python' tools/make_tables.py
 
+.PHONY: pictures
+pictures: setup ## Draw the pictures of README and docs anew, from runs of the simulated machines
+	@$(ROS) '$(BIN)/python' tools/make_pictures.py $(ARGS)
+
+.PHONY: examples
+examples: setup ## Write the recordings and part programs of examples/ anew
+	@$(ROS) '$(BIN)/python' tools/make_examples.py $(ARGS)
+
 .PHONY: docs
 docs: setup ## Build the site into build/docs/html; warnings and dead links are errors
 	@$(ROS) '$(BIN)/python' tools/make_docs.py $(ARGS)

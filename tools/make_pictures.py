@@ -1,0 +1,215 @@
+#!/usr/bin/env python3
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Draw the pictures of README and docs from runs of the simulated machines: `make pictures`.
+
+They are SVG without scripts; text and axes follow the reader's light or dark theme.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from matplotlib import colormaps  # noqa: E402
+from matplotlib.collections import LineCollection  # noqa: E402
+from matplotlib.colors import ListedColormap  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+
+from fuzzycnc_ros import feedrate, soft  # noqa: E402
+from fuzzycnc_ros.core.feedrate.path.curves import butterfly  # noqa: E402
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig  # noqa: E402
+from fuzzycnc_ros.core.servo.controllers import CONTROLLERS  # noqa: E402
+from fuzzycnc_ros.core.thermal.fit import train_model  # noqa: E402
+from fuzzycnc_ros.simulation.motion.contouring import identify_contour_constant  # noqa: E402
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis  # noqa: E402
+from fuzzycnc_ros.simulation.servo.positioning import position  # noqa: E402
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples  # noqa: E402
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet  # noqa: E402
+from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack  # noqa: E402
+from fuzzycnc_ros.studies.page.drawing import INK, MUTED, plot_style  # noqa: E402
+from fuzzycnc_ros.studies.page.html import to_inline_svg  # noqa: E402
+from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift  # noqa: E402
+
+BEFORE, AFTER = '#d9772b', '#2b7fd4'
+"""Colours of a machine as it is, and with fuzzycnc; both are legible on light and dark."""
+
+THEME = """<style>
+svg { --ink: #14181d; --muted: #56616d; --faint: #8f99a5; --grid: #d5dae0; --accent: #2a74c4; }
+@media (prefers-color-scheme: dark) {
+  svg { --ink: #e8ecf1; --muted: #a3adb9; --faint: #76818e; --grid: #39424c; --accent: #6aa8ea; }
+}
+text { font-family: system-ui, sans-serif !important; }
+MOTION</style>"""
+
+DRAWN = """@media (prefers-reduced-motion: no-preference) {
+  #p-before path, #p-after path { stroke-dasharray: 1; animation: draw 9s linear infinite; }
+  #p-said { animation: say 9s linear infinite; }
+}
+@keyframes draw { 0% { stroke-dashoffset: 1; } 60%, 100% { stroke-dashoffset: 0; } }
+@keyframes say { 0%, 60% { opacity: 0; } 66%, 100% { opacity: 1; } }
+"""
+"""The curves are drawn in five seconds; then it is said what they show, for four."""
+
+
+def drawing(width: float, height: float) -> tuple[Any, Any]:
+    """Return a transparent figure of a size [in] and its axes."""
+    figure = Figure(figsize=(width, height), layout='constrained')
+    figure.patch.set_alpha(0.0)
+    return figure, figure.subplots()
+
+
+def svg(figure: Any, motion: str = '') -> str:
+    """Return a figure as a file of its own."""
+    width, height = (round(72 * size) for size in figure.get_size_inches())
+    head, _, body = to_inline_svg(figure, 'p').partition('>')
+    body = re.sub(r'(<g id="p-(?:before|after)">\s*<path )', r'\1pathLength="1" ', body)
+    theme = THEME.replace('MOTION', motion)
+    return f'{head} width="{width}" height="{height}">\n{theme}{body}\n'
+
+
+def drift() -> str:
+    """Return the error of the mill on a duty that its model has not seen, before and after."""
+    calibration = record_calibration()
+    model = train_model(calibration.runs)
+    (run,) = run_shift(model.to_json(), calibration, ('T2',))
+    at = run.channel.index('Y')
+    hours = (run.time - run.time[0]) / 3600.0
+    before, after = 1e6 * run.measured[:, at], 1e6 * run.residual()[:, at]
+    figure, axes = drawing(8.0, 3.2)
+    for name, colour, values in (('before', BEFORE, before), ('after', AFTER, after)):
+        (line,) = axes.plot(hours, values, color=colour, linewidth=2.2)
+        line.set_gid(name)
+    axes.set(
+        xlabel='time since the machine was switched on [h]', ylabel='error of the Y axis [µm]'
+    )
+    axes.set_xlim(0.0, hours[-1])
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - 0.06 * (high - low), high)
+    worst, left = abs(before).max(), abs(after).max()
+    top = np.argmax(abs(before))
+    said = [
+        axes.annotate(
+            f'without: {worst:.0f} µm',
+            (hours[top], before[top]),
+            (-70, -2),
+            textcoords='offset points',
+            ha='right',
+            va='top' if before[top] > 0 else 'bottom',
+            color=BEFORE,
+            size=13,
+            weight='bold',
+        ),
+        axes.annotate(
+            f'with fuzzycnc: {left:.1f} µm at most',
+            (0.98 * hours[-1], after.max() if before[top] > 0 else after.min()),
+            (0, 6 if before[top] > 0 else -6),
+            textcoords='offset points',
+            ha='right',
+            va='bottom' if before[top] > 0 else 'top',
+            color=AFTER,
+            size=13,
+            weight='bold',
+        ),
+    ]
+    for text in said:
+        text.set_gid('said')
+    return svg(figure, DRAWN)
+
+
+def feeds() -> str:
+    """Return the butterfly, coloured by the feed that keeps 0.05 mm."""
+    curve = butterfly(0.875)
+    constant = identify_contour_constant()
+    limits = feedrate.MotionLimits(path_velocity=0.2, path_acceleration=1.5)
+    motion = feedrate.schedule(curve, tolerance=50e-6, machine_constant=constant, limits=limits)
+    samples = motion.sample(20e-3)
+    place = 1e3 * samples.position
+    speed = 6e4 * np.linalg.norm(samples.velocity, axis=1)
+    figure, axes = drawing(5.6, 4.2)
+    parts = list(np.stack([place[:-1], place[1:]], axis=1))
+    light = ListedColormap(colormaps['plasma'](np.linspace(0.25, 1.0, 64)))  # legible on black
+    lines = LineCollection(parts, array=speed[:-1], cmap=light, linewidths=2.6)
+    axes.add_collection(lines)
+    axes.autoscale_view()
+    axes.set_aspect('equal')
+    axes.set(xlabel='X [mm]', ylabel='Y [mm]')
+    bar = figure.colorbar(lines, ax=axes, label='feed [mm/min]', shrink=0.9)
+    bar.outline.set_visible(False)
+    return svg(figure)
+
+
+def servo() -> str:
+    """Return the error of the lathe axis on the way to -50 mm."""
+    figure, axes = drawing(7.2, 3.2)
+    for name, colour, choice in (
+        ('as published', BEFORE, 'variable_universe_paper'),
+        ('PID', MUTED, 'pid'),
+        ('variable universe with observer', AFTER, 'variable_universe'),
+    ):
+        plant = LatheAxis(LatheAxisConfig())
+        run = position(CONTROLLERS[choice](plant.linear()), plant, -50e-3, 1.5)
+        away = 1e6 * np.abs(run.error)
+        axes.semilogy(run.time, np.maximum(away, 0.1), color=colour, label=name)
+    axes.yaxis.set_major_formatter('{x:g}')
+    axes.axhline(2.0, color=INK, linewidth=0.8, linestyle='--')
+    axes.annotate('2 µm', (1.5, 2.0), (-2, 3), textcoords='offset points', ha='right', color=INK)
+    axes.set(xlabel='time [s]', ylabel='distance to the target [µm]', xlim=(0.0, 1.5))
+    axes.legend(loc='upper right', bbox_to_anchor=(1.0, 0.9))
+    return svg(figure)
+
+
+def sheet() -> str:
+    """Return a parallelogram stitched on the simulated sheet, before and after."""
+    track = FoamTrack.parallelogram(np.radians(45.0))
+    foam = FoamSheet(0.015, (0.15, 0.1))
+    model = soft.train(*foam_samples(0), random_state=0)
+    path = soft.StitchPath(track.points, depth=6e-3, step=3e-3)
+    found = soft.compensate(path, model, soft.SheetMaterial(0.015, (0.15, 0.1)))
+    figure, axes = drawing(5.6, 3.6)
+    axes.plot(*(1e3 * track.points.T), color=INK, linewidth=0.8, linestyle='--', label='asked for')
+    for name, colour, points in (
+        ('stitched as it is', BEFORE, track.points),
+        ('compensated', AFTER, found.commanded),
+    ):
+        stitched = 1e3 * foam.stitch(points, 6e-3, rng=np.random.default_rng(1))
+        axes.plot(*stitched.T, color=colour, linewidth=1.8, label=name)
+    axes.set_aspect('equal')
+    axes.set(xlabel='X [mm]', ylabel='Y [mm]')
+    axes.legend(loc='upper left')
+    return svg(figure)
+
+
+PICTURES: dict[str, Callable[[], str]] = {
+    'drift': drift,
+    'feedrate': feeds,
+    'servo': servo,
+    'soft': sheet,
+}
+
+
+def main() -> int:
+    """Write the pictures, all or those that are named."""
+    names = sys.argv[1:] or list(PICTURES)
+    unknown = set(names) - set(PICTURES)
+    if unknown:
+        raise SystemExit(f'expected names of {", ".join(PICTURES)} but found {", ".join(unknown)}')
+    for name in names:
+        with plot_style():
+            text = PICTURES[name]()
+        path = ROOT / 'docs' / 'figures' / f'{name}.svg'
+        path.write_text(text, encoding='utf-8')
+        print(f'{path.relative_to(ROOT)}: {len(text) / 1e3:.0f} kB')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
