@@ -91,6 +91,8 @@ examples: setup ## Write the recordings and part programs of examples/ anew
 
 .PHONY: docs
 docs: setup ## Build the site into build/docs/html; warnings and dead links are errors
+	@'$(BIN)/python' -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes \
+	  --requirement requirements/docs.txt
 	@$(ROS) '$(BIN)/python' tools/make_docs.py $(ARGS)
 
 .PHONY: test-floor

@@ -14,10 +14,11 @@ lock() {
         head -n 2 "$1.in"
         echo "# Made by \`make lock\` from $1.in; do not edit."
         uv pip compile --quiet --universal --python-version "$2" --generate-hashes \
-            --no-annotate --no-header "$1.in"
+            --no-annotate --no-header ${3:+--constraint "$3"} "$1.in"
     } >"$1.txt.new"
     mv "$1.txt.new" "$1.txt"
 }
 
-lock environment 3.10
+lock docs 3.10
+lock environment 3.10 docs.txt  # both go into one environment
 lock floor 3.12

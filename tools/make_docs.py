@@ -5,7 +5,7 @@
 
 The pages are copied to build/docs/source first, and what only the site has is put beside them:
 pages of the API and drawn diagrams.  A warning, a dead link, and anything that a browser would
-fetch from elsewhere are errors.  Last comes how readable README and tutorials are.
+fetch from elsewhere are errors, and so are README or tutorials that are hard to read.
 """
 
 from __future__ import annotations
@@ -25,6 +25,12 @@ HTML = ROOT / 'build' / 'docs' / 'html'
 DOORS = ('thermal', 'feedrate', 'servo', 'soft')
 BEHIND = ('core', 'papers', 'simulation', 'runtime', 'bags', 'adapters')
 """What the second part of the API reference has."""
+
+LONGEST = 25
+"""Words in a sentence of README and tutorials."""
+
+EASE = 55
+"""Least reading ease (Flesch) of README and tutorials."""
 
 OUTSIDE = {'README.md': 'index.md', 'CONTRIBUTING.md': 'contributing.md'}
 """Pages of the repository's root and what the site has in their place."""
@@ -162,22 +168,26 @@ def prose(text: str) -> list[str]:
     found = []
     for paragraph in re.split(r'\n\s*\n', text):
         words = ' '.join(re.sub(r'[`*]', '', paragraph).split())
-        found += [item for item in re.split(r'(?<=[.!?:])\s+(?=[^a-z])', words) if ' ' in item]
+        found += [
+            item for item in re.split(r'(?<=[.!?:])\s+(?=[^a-z]|fuzzycnc)', words) if ' ' in item
+        ]
     return found
 
 
-def readability() -> Iterator[str]:
-    """Yield a line on README and each tutorial."""
+def readability() -> tuple[list[str], bool]:
+    """Return a line on README and each tutorial, and whether all of them read well enough."""
     import textstat
 
-    yield f'{"page":44} {"Flesch":>6} {"longest sentence":>17}'
+    lines, fine = [f'{"page":44} {"Flesch":>6} {"longest sentence":>17}'], True
     for path in (ROOT / 'README.md', *sorted((ROOT / 'docs' / 'tutorials').glob('*.md'))):
         sentences = prose(path.read_text(encoding='utf-8'))
         text = ' '.join(item.rstrip('.:') + '.' for item in sentences)
         longest = max((len(item.split()), item) for item in sentences)
         ease = textstat.flesch_reading_ease(text)
         line = f'{path.relative_to(ROOT)!s:44} {ease:6.1f} {longest[0]:11} words'
-        yield line + (f'  "{longest[1][:60]} ..."' if longest[0] > 25 else '')
+        lines.append(line + (f'  "{longest[1][:60]} ..."' if longest[0] > LONGEST else ''))
+        fine &= ease >= EASE and longest[0] <= LONGEST
+    return lines, fine
 
 
 def main() -> int:
@@ -196,9 +206,14 @@ def main() -> int:
     found = fetched()
     for line in found:
         print(f'expected nothing from elsewhere but found {line}')
-    print('\n'.join(readability()))
+    lines, readable = readability()
+    print('\n'.join(lines))
+    if not readable:
+        print(
+            f'expected sentences of {LONGEST} words at most and a reading ease of at least {EASE}'
+        )
     print(f'{len(list(HTML.rglob("*.html")))} pages in {HTML.relative_to(ROOT)}/index.html')
-    return int(bool(failed or found))
+    return int(bool(failed or found or not readable))
 
 
 if __name__ == '__main__':

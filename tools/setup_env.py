@@ -37,7 +37,6 @@ SLICE = 36  # packages for one run of pip: what an interrupted set-up loses at m
 LATER = {
     'apsw',
     'asyncua',
-    'babel',
     'cryptography',
     'fonttools',
     'hypothesis',
@@ -50,7 +49,6 @@ LATER = {
     'scikit-learn',
     'scipy',
     'scipy-stubs',
-    'sphinx',
     'toppra',
 }
 

@@ -55,8 +55,9 @@ def anchors(path: Path) -> set[str]:
 
 def commands(text: str) -> list[str]:
     """Return the command lines of all code blocks, continued lines joined."""
-    blocks = re.findall(r'^```(?:sh|bash|console)?\n(.*?)^```', text, re.M | re.S)
-    lines = '\n'.join(blocks).replace('\\\n', ' ').splitlines()
+    blocks = re.findall(r'^```(\w*)\n(.*?)^```', text, re.M | re.S)
+    shown = [body for language, body in blocks if language in ('', 'sh')]
+    lines = '\n'.join(shown).replace('\\\n', ' ').splitlines()
     return [line.strip().removeprefix('.venv/bin/') for line in lines] + re.findall(
         r'`((?:fuzzycnc|ros2|make) [^`]+)`', text
     )

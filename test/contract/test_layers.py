@@ -27,7 +27,9 @@ RINGS = {
     'ros': {'machine_file', 'bags', 'registry', 'components', 'runtime', 'core'},
     'adapters': {'ros', 'bags', 'components', 'runtime', 'core'},
     'registry': {'adapters', 'components', 'runtime'},
+    'web': {'bags', 'components', 'runtime', 'core'},
     'studies': {
+        'web',
         'machine_file',
         'bags',
         'registry',
@@ -38,6 +40,7 @@ RINGS = {
         'core',
     },
     'nodes': {
+        'web',
         'adapters',
         'ros',
         'registry',

@@ -266,7 +266,7 @@ def _cosine(angle: float) -> float:
 
     Examples
     --------
-    >>> cosine(90.0)  # of the long number nearest to a quarter turn, which is a little more
+    >>> _cosine(90.0)  # of the long number nearest to a quarter turn, which is a little more
     -2.508278806334166e-20
     """
     return _turned(angle, 1) if angle else 1.0
