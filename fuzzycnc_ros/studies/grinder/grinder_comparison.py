@@ -21,7 +21,7 @@ from fuzzycnc_ros.studies.page.document import shown_as, to_document
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.thermal.comparison import MARK, best_of, refusal_line
-from fuzzycnc_ros.studies.thermal.comparison_page import plot_residuals
+from fuzzycnc_ros.studies.thermal.comparison_page import residuals_picture
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
 
 NOISES = (0.0, 0.02, 0.05, 0.10)
@@ -347,9 +347,9 @@ def _bars(result: TrialResult) -> Figure:
     note = f' {", ".join(seen)} are training runs.' if seen else ''
     return Figure(
         f'Grinder, {result.title}: what each model leaves',
-        'Bars show the root mean square residual; the shorter, the better. Yellow: not to be '
-        f'trusted. A bar that fades across the whole panel has diverged.{note}',
-        plot_residuals(
+        'The root mean square residual; the further left, the better. Yellow: not to be trusted. '
+        f'Dots instead of bars: the axis is logarithmic. An arrow: diverged.{note}',
+        residuals_picture(
             columns,
             {
                 name: np.array([scores[column].rms for column in columns])

@@ -292,6 +292,8 @@ class ReportData:
         Residual against the number of sensors.
     latency : Latency, optional
         Temperature to compensation.
+    header : mapping of str to str
+        When it was recorded, machine, bag and judged window, as far as they are known.
     judged : sequence of Remark
         What was judged, whether it was trained on, and what of it calls for attention.
     facts : mapping of str to str
@@ -307,6 +309,7 @@ class ReportData:
     summary: str = ''
     sensor_count_curve: SensorCountCurve | None = None
     latency: Latency | None = None
+    header: Mapping[str, str] = field(default_factory=dict)
     judged: Sequence[Remark] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.thermal.comparison_page import plot_sensor_counts
+from fuzzycnc_ros.studies.thermal.comparison_page import sensor_counts_chart
 from fuzzycnc_ros.studies.thermal.summary import micrometres
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def sensor_curve_page(
 ) -> Page:
     """Return the page of the curves."""
     runs = ', '.join(item.run for item in curves.held_out)
-    plot = plot_sensor_counts(
+    plot = sensor_counts_chart(
         curves.count, curves.channel, curves.mean(), curves.worst(), curves.largest()
     )
     figure = Figure(
