@@ -47,6 +47,8 @@ class Table:
         Rows that stand out, such as the model in use.
     warning : frozenset of (int, int)
         Row and column of the cells that warn; numbers among them are marked in plain text too.
+    strong_means, highlight_means, warning_means : str
+        What these marks stand for, as a page says below the table.
 
     Raises
     ------
@@ -69,6 +71,9 @@ class Table:
     strong: frozenset[tuple[int, int]] = frozenset()
     highlight: frozenset[int] = frozenset()
     warning: frozenset[tuple[int, int]] = frozenset()
+    strong_means: str = 'best of its column, all that are equal as shown'
+    highlight_means: str = 'in use, or the automatic choice'
+    warning_means: str = 'worse than no compensation'
 
     def __post_init__(self) -> None:
         for number, row in enumerate(self.rows):

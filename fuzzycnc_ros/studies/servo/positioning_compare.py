@@ -131,7 +131,7 @@ def comparison_page(
     facts: Mapping[str, str],
 ) -> Page:
     """Return the page of a comparison."""
-    from fuzzycnc_ros.studies.servo.positioning_page import plot_cases
+    from fuzzycnc_ros.studies.servo.positioning_page import cases_chart
 
     drawn = {
         name: found.runs
@@ -144,9 +144,8 @@ def comparison_page(
             'Error over time',
             'Reference less true position, of the controllers that settle with friction; the '
             'errors of others would hide theirs. Linear within the 2 um that count as settled, '
-            'which are shaded, logarithmic beyond. Where there are many points, a band spans the '
-            'least and the largest error about each moment.',
-            plot_cases(drawn, DRAWN, SINCE),
+            'which are shaded, logarithmic beyond.',
+            cases_chart(drawn, DRAWN, SINCE),
         )
         sections.append(Section('Courses', figures=[courses]))
     return Page(

@@ -107,13 +107,13 @@ def stability_page(
     facts: Mapping[str, str],
 ) -> Page:
     """Return the page of a loop; `course` is its spectral radius over many gains."""
-    from fuzzycnc_ros.studies.servo.positioning_page import plot_radius
+    from fuzzycnc_ros.studies.servo.positioning_page import radius_chart
 
     figure = Figure(
         'Spectral radius over the gain of the axis',
         'Largest magnitude of an eigenvalue of the sampled loop near the target, axis and '
         'observer together. Below 1 it settles; the lower, the faster.',
-        plot_radius(course, report.spectral_radius),
+        radius_chart(course, report.spectral_radius),
     )
     return Page(
         title='What a position loop has to spare',

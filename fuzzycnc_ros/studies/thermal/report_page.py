@@ -262,8 +262,7 @@ def residual_chart(run: CompensationRun) -> Chart:
         bands = []
         if run.standard_deviation is not None:
             width = 2e6 * run.standard_deviation[:, c]
-            name = 'band of the model (±2 standard deviations)'
-            bands.append(Band(name, -width, width, AFTER))
+            bands.append(Band('band of two standard deviations', -width, width, AFTER))
         series = [
             Series('before: uncompensated', measured, BEFORE, width=0.9),
             Series('after: residual', residual[:, c], AFTER),
@@ -307,7 +306,7 @@ def compensation_chart(run: CompensationRun) -> Chart:
         series = [Series('commanded', 1e6 * offset[:, c], MEASURED, width=1.0)]
         if run.applied is not None:
             applied = 1e6 * run.applied[:, c]
-            series.insert(0, Series('in force on the machine', applied, AFTER, width=2.4))
+            series.insert(0, Series('in force on the machine', applied, AFTER, width=3.0))
         axis = Axis('offset', 'µm', low=None if bound is None else -bound, high=bound)
         return Panel(x, axis, series, title=run.channel[c], rules=rules)
 

@@ -115,6 +115,8 @@
     ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
     ctx.clip();
     ctx.font = `${11 * ratio}px system-ui, sans-serif`;
+    ctx.textAlign = 'left';
+    ctx.textBaseline = 'alphabetic';
     for (const rule of panel.rules) {
       const at = Math.round(u.valToPos(rule.at, rule.upright ? 'x' : 'y', true));
       ctx.strokeStyle = colour(rule.colour);
@@ -145,6 +147,8 @@
     ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
     ctx.clip();
     ctx.font = `600 ${12 * ratio}px system-ui, sans-serif`;
+    ctx.textAlign = 'left';
+    ctx.textBaseline = 'alphabetic';
     panel.series.forEach((item, index) => {
       const values = u.data[index + 1];
       if (item.kind === 'flag') {
@@ -215,11 +219,15 @@
       height: Math.round(Math.max(PIXELS * height * panel.share, narrow.matches ? 180 : 120)),
     });
     const edges = panel.bands.flatMap(band => ['low', 'high'].map(side => ({
-      label: `${band.name}, ${side}`,
+      label: band.name,
       stroke: 'transparent',
       width: 0,
       points: {show: false},
-      value: (u, value) => withUnit(readable(value, band[side].decimals), panel.y.unit),
+      value: (u, value, index, row) => {
+        const low = readable(row === null ? null : u.data[index - 1][row], band.low.decimals);
+        const text = `${low} to ${readable(value, band.high.decimals)}`;
+        return value === null || value === undefined ? '–' : withUnit(text, panel.y.unit);
+      },
     })));
     const first = 1 + panel.series.length;
     const drag = course ? {x: true, y: false} : {x: true, y: true, uni: 30};
@@ -261,10 +269,10 @@
           draw: [self => drawMarks(self, panel)],
           setCursor: [self => { if (quiet) note.textContent = nearestQuiet(self, panel, panel.y); }],
           ready: [self => {
-            panel.series.forEach((item, i) => {
-              const row = self.root.querySelectorAll('.u-legend .u-series')[i + 1];
-              if (item.quiet && row) row.hidden = true;
-            });
+            // What is many stays out of the legend; the upper edge of a band stands for both.
+            const rows = self.root.querySelectorAll('.u-legend .u-series');
+            panel.series.forEach((item, i) => { rows[i + 1].hidden = item.quiet; });
+            panel.bands.forEach((_, i) => { rows[first + 2 * i].hidden = true; });
           }],
         },
       },
