@@ -89,8 +89,8 @@ def _figures(path: FollowedPath) -> Iterator[Figure]:
     yield Figure(
         f'{path.name}: where the error is',
         'The path of the tool, coloured by its contour error: blue within the tolerance, red '
-        'beyond it. A good schedule leaves about the same error everywhere it is limited by the tolerance, and less where the limits of the '
-        'axes hold it back.',
+        'beyond it. A good schedule leaves about the same error everywhere it is limited by the '
+        'tolerance, and less where the limits of the axes hold it back.',
         error_path_picture(path),
     )
     yield Figure(
@@ -107,43 +107,37 @@ def _figures(path: FollowedPath) -> Iterator[Figure]:
 
 
 def error_path_picture(path: FollowedPath) -> Picture:
-    """Draw the path of the tool in its first two axes, coloured by contour error.
-
-    What is within the tolerance is blue, the darker the nearer to it; beyond, it is red.
-    """
+    """Draw the path of the tool in its first two axes, coloured by contour error."""
     on = path.time >= 0.0
-    point, error = path.position[on][:, :2], path.error[on]
-    # Of a long path each piece shows the largest error of a few samples.
-    begin = np.arange(0, max(len(error) - 1, 1), 1 + len(error) // PIECES)
-    error = np.maximum(np.maximum.reduceat(error, begin), np.append(error[begin[1:]], error[-1]))
-    point = point[np.append(begin, len(point) - 1)]
-    return path_picture(point, error, path.axis[:2], path.tolerance)
+    return path_picture(path.position[on][:, :2], path.error[on], path.axis[:2], path.tolerance)
 
 
 def path_picture(
     point: Floats, error: Floats, axis: Sequence[str], tolerance: float = np.nan
 ) -> Picture:
-    """Draw a path whose pieces are coloured by their error, beside a tolerance if there is one.
+    """Draw a path coloured by its error: blue within the tolerance, red beyond it.
 
     Parameters
     ----------
-    point : ndarray, shape (k + 1, 2)
-        Ends of the pieces [m].
-    error : ndarray, shape (k,)
-        Error of each piece [m].
+    point : ndarray, shape (n, 2)
+        Places of the tool [m]; NaN where the path is interrupted.
+    error : ndarray, shape (n,)
+        Error there [m].
     axis : sequence of str, length 2
         Names of the axes.
     tolerance : float
         Largest error wanted [m]; NaN if none was named.
     """
+    # Of a long path each piece shows the largest error of a few samples.
+    begin = np.arange(0, max(len(error) - 1, 1), 1 + len(error) // PIECES)
+    error = np.maximum(np.maximum.reduceat(error, begin), np.append(error[begin[1:]], error[-1]))
+    point = point[np.append(begin, len(point) - 1)]
     colors = require('matplotlib.colors')
     within = colors.LinearSegmentedColormap.from_list('within', ['#a9cdf2', '#1b5aa6'])
     beyond = colors.LinearSegmentedColormap.from_list('beyond', ['#d2691e', LIMIT])
     largest = 1e6 * float(error.max(initial=1e-9))
     bound = 1e6 * tolerance if np.isfinite(tolerance) else largest
-    # The upper half of the scale is only for what lies beyond the tolerance.
-    kept = largest <= bound
-    top = bound if kept else max(largest, 1.2 * bound)
+    top = bound if largest <= bound else max(largest, 1.2 * bound)
     share = bound / top
     steps = np.linspace(0.0, 1.0, 256)
     shades = np.where(

@@ -15,8 +15,8 @@ from importlib.resources import files
 from io import StringIO
 from typing import Any, NamedTuple
 
-from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros import __version__
+from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.studies.page.chart import Chart, Picture
 from fuzzycnc_ros.studies.page.drawing import PALETTE, THEME, plot_style
 from fuzzycnc_ros.studies.page.paper import drawn

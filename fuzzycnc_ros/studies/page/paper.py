@@ -94,8 +94,7 @@ def _series(axes: Any, panel: Panel, series: Series) -> Any:
     x = panel.x if series.x is None else series.x
     if series.kind == 'flag':
         return _flag(axes, x, series)
-    known = slice(None)
-    every = None
+    known, every = np.full(len(x), True), None
     if series.kind == 'dots':
         known = np.isfinite(series.y)
         every = max(1, int(known.sum()) // DOTS_MAX)
@@ -113,7 +112,7 @@ def _series(axes: Any, panel: Panel, series: Series) -> Any:
         markevery=every,
     )
     for place, value, text in zip(x, series.y, series.text, strict=False):
-        if text:
+        if text and np.isfinite(value):
             axes.annotate(
                 text, (place, value), xytext=(6, 4), textcoords='offset points', color=INK
             )

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Rule, Series
-from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, CLUSTER_COLOURS, FAINT, INK, LIMIT, MUTED
+from fuzzycnc_ros.studies.page.drawing import (
+    AFTER,
+    BEFORE,
+    CLUSTER_COLOURS,
+    FAINT,
+    INK,
+    LIMIT,
+    MUTED,
+)
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 
@@ -33,8 +41,8 @@ LABELS: Mapping[str, str] = {
 """Methods for people."""
 
 BEST = (
-    'least time, as shown, of the methods that can be used on any path; the refined one is a bound '
-    'and does not compete'
+    'least time, as shown, of the methods that can be used on any path; the refined one is a '
+    'bound and does not compete'
 )
 """What is marked in the table."""
 

@@ -156,8 +156,11 @@ _ERROR = Axis(
     'µm',
     'symlog',
     linear_to=BAND,
-    ticks=(*(-(10.0**n) for n in range(6, 0, -1)), -BAND, 0.0, BAND)
-    + tuple(10.0**n for n in range(1, 7)),
+    ticks=(
+        *(-(10.0**n) for n in range(6, 0, -1)),
+        *(-BAND, 0.0, BAND),
+        *(10.0**n for n in range(1, 7)),
+    ),
 )
 
 

@@ -80,7 +80,7 @@ def stability_table(report: StabilityReport, title: str) -> Table:
     swing = 'none'
     if report.limit_cycle:
         size = microns(report.limit_cycle)
-        size += '' if report.limit_cycle >= 1e-3 else ' um'
+        size += '' if report.limit_cycle >= 1e-3 else ' µm'
         swing = f'{size} at {report.limit_cycle_frequency / (2.0 * pi):.1f} Hz'
     rows = [
         ('gain of the error at the target', f'{1e-3 * report.error_gain:.4g} 1/mm'),

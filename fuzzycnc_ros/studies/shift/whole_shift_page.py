@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,8 +23,8 @@ from fuzzycnc_ros.studies.page.drawing import (
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.soft.foam_page import tracks_picture
 from fuzzycnc_ros.studies.soft import pattern_page
+from fuzzycnc_ros.studies.soft.foam_page import tracks_picture
 from fuzzycnc_ros.studies.soft.pattern_page import pattern_table
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ def shift_page(
 
 def sources_picture(before: WholeShift, after: WholeShift) -> Picture:
     """Draw the error of each job as stacked bars by source, before and after."""
-    columns: dict[str, Sequence[Any]] = {
+    columns: dict[str, Any] = {
         'job': [job.name for job in after.jobs],
         'at [h]': [job.start / 3600.0 for job in after.jobs],
     }

@@ -24,7 +24,14 @@ from fuzzycnc_ros.studies.page.drawing import (
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.soft.foam_comparison import METHODS, NONE, NTS, PUBLISHED_MEANS
+from fuzzycnc_ros.studies.soft.foam_comparison import (
+    METHODS,
+    NONE,
+    NTS,
+    PUBLISHED,
+    PUBLISHED_MEANS,
+    STS,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,6 +40,13 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.simulation.soft.foam_tracks import TrackQuality
     from fuzzycnc_ros.studies.soft.foam_comparison import FoamComparison, TrackFigures
     from fuzzycnc_ros.studies.soft.foam_training import FoamTraining
+
+_COLOURS = {
+    METHODS[NONE]: BEFORE,
+    METHODS[STS]: OTHER,
+    METHODS[NTS]: AFTER,
+    METHODS[PUBLISHED]: ANOTHER,
+}
 
 _STARTS = {NONE: 'from nothing', NTS: 'from the model (NTS)'}
 
@@ -232,7 +246,7 @@ def training_table(found: FoamTraining) -> Table:
         f'Error on held-out samples, rms of both axes [mm per 50 mm]; {found.folds} parts, '
         f'{found.groups} groups'
     )
-    return Table(title, columns, tuple(rows), highlight=frozenset({0}))
+    return Table(title, columns, tuple(rows), highlight=frozenset({0}), highlight_means='in use')
 
 
 def coverage_table(found: FoamTraining) -> Table:

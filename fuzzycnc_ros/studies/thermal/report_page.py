@@ -361,9 +361,7 @@ def latency_picture(latency: Latency) -> Picture:
         return Picture(figure, {'latency [ms]': milliseconds})
 
 
-def _by_channel(
-    run: CompensationRun, panel: Callable[[int, NDArray[np.float64]], Panel]
-) -> Chart:
+def _by_channel(run: CompensationRun, panel: Callable[[int, NDArray[np.float64]], Panel]) -> Chart:
     """Return a chart with one panel per channel, two in a row."""
     x, unit = time_axis(run.time)
     count = len(run.channel)
