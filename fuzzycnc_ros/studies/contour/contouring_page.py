@@ -82,7 +82,13 @@ def contouring_page(
         tables=(contouring_table(paths),),
     )
     rest = [Section(f'Path {path.name}', figures=tuple(_figures(path))) for path in paths]
-    return Page(title=title, summary=summary, sections=(first, *rest), facts=facts)
+    window = 'from the first sample on a path to the end of its run-out'
+    return Page(
+        title=title,
+        summary=summary,
+        sections=(first, *rest),
+        facts={'Judged': window, **facts},
+    )
 
 
 def _figures(path: FollowedPath) -> Iterator[Figure]:

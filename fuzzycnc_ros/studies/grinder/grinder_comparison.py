@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros import __version__
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fit.refinement import Progress
@@ -328,7 +327,11 @@ def grinder_page(comparison: GrinderComparison) -> Page:
             )
             for table, result in zip(tables, comparison.trials, strict=True)
         ],
-        facts={'Noise seed': str(comparison.seed), 'fuzzycnc': __version__},
+        facts={
+            'Machine': 'simulated grinder',
+            'Judged': 'whole runs, each from a cold start',
+            'Noise seed': str(comparison.seed),
+        },
     )
 
 

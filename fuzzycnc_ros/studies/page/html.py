@@ -24,6 +24,9 @@ from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.page.table import Table
 from fuzzycnc_ros.web import vendored
 
+HEADER = ('Recorded', 'Machine', 'Axis', 'Bag', 'Program', 'Judged')
+"""Facts that stand at the top of a page, in this order."""
+
 _TAG = re.compile(r'<[^>]*>')
 _DECIMALS = re.compile(r'(\d\.\d\d)\d+')
 _IDENTITY = re.compile(r'(\bid="|url\(#|xlink:href="#)')
@@ -102,11 +105,8 @@ class Page:
         One or two sentences under it.
     sections : sequence of Section
         Its parts.
-    header : mapping of str to str
-        What was looked at, such as when it was recorded, machine, bag and judged window; the
-        version of this package is added.
     facts : mapping of str to str
-        Provenance, shown as a table.
+        Provenance, shown as a table; those of `HEADER` stand at the top of the page instead.
     notes : sequence of str
         What is to be known of the whole page.
     template : str
@@ -118,7 +118,6 @@ class Page:
     title: str
     summary: str
     sections: Sequence[Section]
-    header: Mapping[str, str] = field(default_factory=dict)
     facts: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()
     template: str = 'sections.html'
@@ -142,6 +141,7 @@ def render_page(page: Page) -> str:
         loader=jinja2.FunctionLoader(_source),
     )
     sections = _with_numbers(page.sections)
+    header = {name: page.facts[name] for name in HEADER if name in page.facts}
     figures = [figure for section in sections for figure in section.figures]
     text = environment.get_template(page.template).render(
         title=page.title,
@@ -149,11 +149,11 @@ def render_page(page: Page) -> str:
         palette=PALETTE,
         style=vendored('uplot/uPlot.min.css') if figures else '',
         scripts=[vendored('uplot/uPlot.iife.min.js'), _source('charts.js')] if figures else [],
-        header={**page.header, 'fuzzycnc': __version__},
+        header={**header, 'fuzzycnc': __version__},
         summary=page.summary,
         sections=sections,
         figures=figures,
-        facts=page.facts,
+        facts={name: fact for name, fact in page.facts.items() if name not in header},
         notes=page.notes,
         **page.values,
     )

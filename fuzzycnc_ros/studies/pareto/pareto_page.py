@@ -196,5 +196,5 @@ def pareto_page(
             Section('At equal largest contour error', tables=[table], remarks=remarks),
             Section('Over all errors', figures=[figure]),
         ],
-        facts=facts,
+        facts={'Machine': 'simulated', 'Judged': f'the whole of {pareto.path}', **facts},
     )

@@ -206,7 +206,13 @@ def advice_page(figures: AdviceFigures, facts: Mapping[str, str], notes: Sequenc
                 ],
             )
         ],
-        facts=facts,
+        facts={
+            'Machine': 'LinuxCNC, and a simulated controller'
+            if any(row.measured for row in figures.rows)
+            else 'a simulated controller',
+            'Judged': 'while cutting',
+            **facts,
+        },
     )
 
 

@@ -339,7 +339,7 @@ def schedule_page(
         summary=f'{figures.program}, scheduled by {label} for a contour error of no more than '
         f'{1e3 * figures.tolerance:g} mm.',
         sections=sections,
-        facts=facts,
+        facts={'Judged': f'{stretch}, on the simulated machine', **facts},
     )
 
 

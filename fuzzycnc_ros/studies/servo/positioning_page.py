@@ -144,7 +144,7 @@ def positioning_page(
             Section('Figures', tables=[table], remarks=positioning_remarks(run)),
             Section('Course', figures=[course]),
         ],
-        facts=facts,
+        facts={'Machine': 'simulated', 'Judged': f'0 to {_length(run):g} s', **facts},
     )
 
 

@@ -120,7 +120,7 @@ def stability_page(
         summary='Near the target the controller is linear; farther out the describing function '
         'stands for the contracted surface.',
         sections=[Section('Margins', tables=[table]), Section('Gain', figures=[figure])],
-        facts=facts,
+        facts={'Judged': 'the linear loop near the target', **facts},
     )
 
 

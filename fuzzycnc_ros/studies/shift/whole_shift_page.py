@@ -153,7 +153,11 @@ def shift_page(
         'between, while a second machine stitches a pattern on a foam sheet; live over DDS, in '
         'lock-step.',
         sections=(jobs, *cut, soft),
-        facts=facts,
+        facts={
+            'Machine': 'a mill and a quilter, both simulated',
+            'Judged': f'{len(after.jobs)} jobs, each from its start to its end',
+            **facts,
+        },
     )
 
 

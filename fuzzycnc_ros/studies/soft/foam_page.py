@@ -226,7 +226,11 @@ def comparison_page(found: FoamComparison, facts: Mapping[str, str]) -> Page:
         'relaxes. A T-S fuzzy neural network learns from samples how far; the path is shifted by '
         'that much beforehand.',
         sections=sections,
-        facts=facts,
+        facts={
+            'Machine': 'simulated foam sheets',
+            'Judged': f'all stitches of {found.runs} runs of each track',
+            **facts,
+        },
     )
 
 
@@ -311,7 +315,10 @@ def training_page(found: FoamTraining, lines: Sequence[str], facts: Mapping[str,
                 ],
             ),
         ],
-        facts=facts,
+        facts={
+            'Judged': f'{len(found.needed)} samples, each held out once',
+            **facts,
+        },
     )
 
 

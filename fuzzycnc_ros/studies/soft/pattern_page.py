@@ -125,5 +125,9 @@ def pattern_page(runs: Mapping[str, StitchedPattern], facts: Mapping[str, str]) 
         summary='A parallelogram, stitched live over DDS on the simulated foam sheet: as drawn, '
         'and shifted beforehand by what a T-S fuzzy neural network expects the sheet to do.',
         sections=(section,),
-        facts=facts,
+        facts={
+            'Machine': 'simulated foam sheet',
+            'Judged': f'all stitches of {name}, once the sheet has relaxed',
+            **facts,
+        },
     )

@@ -61,8 +61,14 @@ def comparison_page(comparison: 'Comparison', facts: Mapping[str, str]) -> Page:
         f'choice came from the other samples alone{copies}. Best candidate by rmse, of those that '
         f'are trusted on every run: {best}.',
         sections=sections,
-        facts=facts,
+        facts={'Judged': _spans(comparison), **facts},
     )
+
+
+def _spans(comparison: 'Comparison') -> str:
+    """Return what is held out, each with its window [s]."""
+    judged = [item.evaluation for item in comparison.held_out]
+    return '; '.join(f'{one.run}: {one.time[0]:,.0f} to {one.time[-1]:,.0f} s' for one in judged)
 
 
 def _pooled_section(comparison: 'Comparison') -> Section:

@@ -225,9 +225,11 @@ class SensorCountCurve:
     channel : sequence of str, length c
         Measured channels.
     residual_max : array_like, shape (k, c)
-        Largest residual on the held-out run [m].
+        Largest residual on the held-out run [m]; NaN where a channel has no model.
     run : str
         Name of the held-out run.
+    model : str
+        Which model that is, for people.
     chosen_count : int, optional
         Number of sensors in use; marked in the plot.
     """
@@ -236,6 +238,7 @@ class SensorCountCurve:
     channel: tuple[str, ...]
     residual_max: NDArray[np.float64]
     run: str
+    model: str
     chosen_count: int | None = None
 
     def __post_init__(self) -> None:
@@ -292,8 +295,6 @@ class ReportData:
         Residual against the number of sensors.
     latency : Latency, optional
         Temperature to compensation.
-    header : mapping of str to str
-        When it was recorded, machine, bag and judged window, as far as they are known.
     judged : sequence of Remark
         What was judged, whether it was trained on, and what of it calls for attention.
     facts : mapping of str to str
@@ -309,7 +310,6 @@ class ReportData:
     summary: str = ''
     sensor_count_curve: SensorCountCurve | None = None
     latency: Latency | None = None
-    header: Mapping[str, str] = field(default_factory=dict)
     judged: Sequence[Remark] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()

@@ -63,7 +63,6 @@ def report_page(data: ReportData) -> Page:
         summary=data.summary,
         sections=_sections(data),
         facts=data.facts,
-        header=data.header,
         notes=data.notes,
         template='report.html',
         values={
@@ -193,9 +192,9 @@ def _limit_text(run: CompensationRun) -> str:
 def _sensor_count_figure(curve: SensorCountCurve) -> Figure:
     return Figure(
         'How many sensors are worth having',
-        f'Largest residual on the held-out run {curve.run} against the number of sensors that '
-        'the model reads. Where the curve turns flat, more sensors add cost and failures but no '
-        'accuracy.',
+        f'{curve.model}, trained anew on so many sensors: largest residual on the held-out run '
+        f'{curve.run} against their number. Where the curve turns flat, more sensors add cost '
+        'and failures but no accuracy.',
         sensor_count_chart(curve),
     )
 

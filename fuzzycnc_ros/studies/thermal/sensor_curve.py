@@ -156,5 +156,5 @@ def sensor_curve_page(
                 figures=[figure],
             )
         ],
-        facts=facts,
+        facts={'Judged': f'{runs}, each held out', **facts},
     )
