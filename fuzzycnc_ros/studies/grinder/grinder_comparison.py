@@ -18,7 +18,7 @@ from fuzzycnc_ros.simulation.thermal.grinder_runs import record_flux_case, recor
 from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS, Rival
 from fuzzycnc_ros.studies.page.document import shown_as, to_document
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, tied
 from fuzzycnc_ros.studies.thermal.comparison import MARK, best_of, refusal_line
 from fuzzycnc_ros.studies.thermal.comparison_page import residuals_picture
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
@@ -292,7 +292,14 @@ def _table(result: TrialResult) -> Table:
     for column, heading in enumerate(headings, start=1):
         rms = {model: scores[heading].rms for model, scores in result.scores.items()}
         if heading not in seen:
-            strong |= {(models.index(best), column) for best in best_of(rms, result.problems)}
+            texts = {
+                model: f'{1e6 * value:.2f}'
+                for model, value in rms.items()
+                if model not in result.problems
+            }
+            strong |= {
+                (models.index(best), column) for best in tied(texts, best_of(rms, result.problems))
+            }
     return Table(
         title=f'Grinder, {result.title}: residual rms/max [µm]',
         columns=(

@@ -189,19 +189,19 @@ class Panel:
         """Return the panel with no more than about `most` of its rows.
 
         Of every stretch the rows stay in which a series is least or largest, and those at gaps.
-        Series with an x of their own stay whole.
+        So they do of each series with an x of its own.
         """
-        shared = [item for item in self.series if item.x is None]
-        columns = [item.y for item in shared]
+        columns = [item.y for item in self.series if item.x is None]
         columns += [side for band in self.bands for side in (band.low, band.high)]
-        if len(self.x) <= most or not columns:
-            return self
-        keep = kept_rows(np.column_stack(columns), most)
+        keep = np.arange(len(self.x))
+        if columns:
+            keep = kept_rows(np.column_stack(columns), most)
         return replace(
             self,
             x=self.x[keep],
             series=[
-                replace(item, y=item.y[keep]) if item.x is None else item for item in self.series
+                replace(item, y=item.y[keep]) if item.x is None else _thinned(item, most)
+                for item in self.series
             ],
             bands=[replace(band, low=band.low[keep], high=band.high[keep]) for band in self.bands],
         )
@@ -311,6 +311,14 @@ def kept_rows(values: ArrayLike, most: int) -> NDArray[np.intp]:
         stretches = max(1, min(stretches - 1, int(0.9 * stretches * room / len(rows))))
 
 
+def _thinned(item: Series, most: int) -> Series:
+    """Return a series with an x of its own with no more than about `most` of its rows."""
+    if item.x is None or item.text:
+        return item
+    keep = kept_rows(item.y[:, np.newaxis], most)
+    return replace(item, x=item.x[keep], y=item.y[keep])
+
+
 def _extremes(table: Floats, missing: NDArray[np.bool_], stretches: int) -> NDArray[np.intp]:
     """Return the first and last row, and those of the extremes of each stretch."""
     count = len(table)
@@ -342,8 +350,9 @@ def _alone(values: Floats) -> bool:
 
 
 def _panel_document(panel: Panel, x_axis: Axis) -> dict[str, Any]:
-    total = len(panel.x)
+    total = _rows(panel)
     panel = panel.thinned(ROWS_MAX)
+    kept = _rows(panel)
     # Each x of its own gets rows of its own: what is equal in one series may differ in another.
     own = [item.x for item in panel.series if item.x is not None]
     x = np.concatenate([panel.x, *own])
@@ -362,7 +371,7 @@ def _panel_document(panel: Panel, x_axis: Axis) -> dict[str, Any]:
                 'dashes': list(item.dashes),
                 'kind': item.kind,
                 'quiet': item.quiet,
-                'own': item.x is not None,
+                'joined': bool(own),
                 'y': _encoded(_placed(item.y, first, order), panel.y_axis),
                 'text': _placed_text(item.text, first, order) if item.text else [],
             }
@@ -393,9 +402,13 @@ def _panel_document(panel: Panel, x_axis: Axis) -> dict[str, Any]:
             for rule in panel.rules
         ],
     }
-    if len(panel.x) < total:
-        document['kept'] = [len(panel.x), total]
+    if kept < total:
+        document['kept'] = [kept, total]
     return document
+
+
+def _rows(panel: Panel) -> int:
+    return max(len(panel.x), *(0 if item.x is None else len(item.x) for item in panel.series), 0)
 
 
 def shown_colour(colour: str) -> str:

@@ -11,8 +11,8 @@ from fuzzycnc_ros.studies.page.chart import DOTS_MAX, Axis, Chart, Panel, Series
 from fuzzycnc_ros.studies.page.drawing import INK, MUTED, add_legend, new_figure, plot_style
 from fuzzycnc_ros.studies.page.requirement import require
 
-_ROWS = 240
-"""Rows of a panel on paper: no printer shows more extremes."""
+_ROWS, _POINTS, _ROWS_MIN = 240, 1200, 60
+"""Rows of a panel on paper: no printer shows more extremes; fewer where there are many series."""
 
 _DOT = 3.0
 """Size of a dot [pt]."""
@@ -37,7 +37,8 @@ def drawn(chart: Chart) -> Any:
             axes.remove()
         handles: dict[str, Any] = {}
         for number, (axes, panel) in enumerate(zip(places, chart.panels, strict=False)):
-            for name, handle in _panel(axes, panel.thinned(_ROWS), chart.x_axis).items():
+            rows_max = max(_ROWS_MIN, min(_ROWS, _POINTS // max(1, len(panel.series))))
+            for name, handle in _panel(axes, panel.thinned(rows_max), chart.x_axis).items():
                 handles.setdefault(name, handle)
             if not (stacked and chart.linked) or number == rows - 1:
                 axes.set_xlabel(chart.x_axis.label)

@@ -2,12 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """A table once, shown in the terminal, as plain text, as Markdown and in HTML."""
 
+from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Any
+from typing import Any, TypeVar
 
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.studies.page.requirement import require
+
+Key = TypeVar('Key', bound=Hashable)
 
 WARNING_MARK = '! '
 """Stands before a number that warns."""
@@ -158,6 +161,18 @@ class Table:
     def _markdown_cell(self, row: int, column: int) -> str:
         text = _escaped(self.marked(row, column))
         return f'**{text}**' if (row, column) in self.strong else text
+
+
+def tied(texts: Mapping[Key, str], best: Collection[Key]) -> list[Key]:
+    """Return the keys whose text is that of one of the best: what looks equal is marked alike.
+
+    Examples
+    --------
+    >>> tied({'mlp': '2.4', 'arma': '2.4', 'lag_ridge': '2.5'}, ['mlp'])
+    ['mlp', 'arma']
+    """
+    shown = {texts[key] for key in best}
+    return [key for key, text in texts.items() if text in shown]
 
 
 def _escaped(text: str) -> str:

@@ -20,7 +20,7 @@ from fuzzycnc_ros.studies.page.drawing import (
     MUTED,
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, tied
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.pareto.pareto import Pareto
@@ -90,8 +90,9 @@ def pareto_table(pareto: Pareto, knobs: Mapping[str, str]) -> Table:
             for row, (name, cells) in enumerate(zip(names, rows, strict=True))
             if name != REFINED and cells[column] != '-'
         }
-        least = min(competing.values(), key=float, default='')
-        strong |= {(row, column) for row, text in competing.items() if text == least}
+        if competing:
+            least = min(competing, key=lambda row: float(competing[row]))
+            strong |= {(row, column) for row in tied(competing, [least])}
     highlight = frozenset({names.index(DEFAULT)} if DEFAULT in names else ())
     title = f'Time at equal largest contour error: {pareto.path}'
     return Table(

@@ -53,6 +53,19 @@
     return panel;
   }
 
+  // Plain numbers on a logarithmic axis: all of a decade where there is room, else 1, 2 and 5.
+  function decades(low, high) {
+    const span = Math.log10(high / low);
+    const every = span < 0.6 ? [1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9] : span < 3 ? [1, 2, 5] : [1];
+    const found = [];
+    for (let power = Math.floor(Math.log10(low)); power <= Math.ceil(Math.log10(high)); power++)
+      for (const step of every) {
+        const tick = Number((step * 10 ** power).toPrecision(3));
+        if (tick >= low && tick <= high) found.push(tick);
+      }
+    return found;
+  }
+
   function scaleOf(axis, time) {
     const scale = {time: false, auto: true};
     if (axis.scale === 'log') scale.distr = 3;
@@ -92,7 +105,7 @@
       stroke: item.quiet ? faded(stroke) : stroke,
       width: item.quiet ? 0.8 : item.width,
       dash: item.dashes.map(length => 1.4 * length),
-      spanGaps: item.own,
+      spanGaps: item.joined,
       points: {show: dots, size: 5, fill: stroke, width: 0},
       value: (u, value) =>
         flag ? (value ? 'yes' : value === 0 ? 'no' : '–')
@@ -200,9 +213,13 @@
     note.className = 'nearest';
     const ink = colour('--muted');
     const grid = {stroke: colour('--grid'), width: 1};
-    const marks = axis => (axis.ticks.length
-      ? {splits: (u, i, low, high) => axis.ticks.filter(tick => tick >= low && tick <= high)}
-      : {});
+    const marks = axis => {
+      const places = axis.ticks.length
+        ? (low, high) => axis.ticks.filter(tick => tick >= low && tick <= high)
+        : axis.scale === 'log' ? decades : null;
+      if (!places) return {};
+      return {splits: (u, i, low, high) => places(low, high), filter: (u, splits) => splits};
+    };
     const axisOf = (axis, side) => ({
       label: side === 'x' || place.clientWidth > 0 ? axis.label : '',
       stroke: ink,
@@ -240,7 +257,7 @@
           drag,
           points: {size: 6},
           focus: {prox: -1},
-          hover: {skip: [undefined, null], prox: panel.series.some(item => item.own) ? null : 0},
+          hover: {skip: [undefined, null], prox: panel.series.some(item => item.joined) ? null : 0},
           ...(linked ? {sync: {key, scales: ['x', null]}} : {}),
         },
         scales: {
@@ -277,7 +294,7 @@
         },
       },
       panel.columns.map((column, i) =>
-        (panel.series[i - 1]?.own ? column.map(value => value ?? undefined) : column)),
+        (panel.series[i - 1]?.joined ? column.map(value => value ?? undefined) : column)),
       place,
     );
     if (quiet) place.append(note);
