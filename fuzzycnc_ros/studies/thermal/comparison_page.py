@@ -237,14 +237,14 @@ def traces_chart(
         Name of each model for people.
     """
     x, unit = time_axis(time)
-    colours = (BEFORE, OTHER, AFTER)[-len(left) :]
+    colours = {UNCOMPENSATED: BEFORE, shown.DEFAULT: AFTER}
     panels = [
         Panel(
             x,
             Axis('error left', 'µm'),
             [
-                Series(labels[name], 1e6 * residual[:, c], colour, 1.2)
-                for (name, residual), colour in zip(left.items(), colours, strict=True)
+                Series(labels[name], 1e6 * residual[:, c], colours.get(name, OTHER), 1.2)
+                for name, residual in left.items()
             ],
             title=title,
             rules=[Rule(0.0, MUTED)],
