@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 
-PIECES = 4000
+PIECES = 2000
 """Pieces in which a path is drawn at most, about: more make a page large and slow, not better."""
 
 

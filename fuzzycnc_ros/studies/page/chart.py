@@ -19,8 +19,9 @@ from fuzzycnc_ros.studies.page.drawing import THEME
 
 Floats = NDArray[np.float64]
 
-ROWS_MAX = 1500
-"""Rows of a panel that a page holds at most; of more, the extremes of stretches are kept."""
+ROWS_MAX, NUMBERS_MAX, ROWS_MIN = 1500, 20_000, 400
+"""Rows of a panel that a page holds at most, and fewer where it has many series; of more, the
+extremes of stretches are kept."""
 
 DOTS_MAX = 140
 """Dots of a series that are drawn at a time; the rest shows when a reader zooms in."""
@@ -351,7 +352,8 @@ def _alone(values: Floats) -> bool:
 
 def _panel_document(panel: Panel, x_axis: Axis) -> dict[str, Any]:
     total = _rows(panel)
-    panel = panel.thinned(ROWS_MAX)
+    most = NUMBERS_MAX // max(1, len(panel.series))
+    panel = panel.thinned(max(ROWS_MIN, min(ROWS_MAX, most)))
     kept = _rows(panel)
     # Each x of its own gets rows of its own: what is equal in one series may differ in another.
     own = [item.x for item in panel.series if item.x is not None]
@@ -481,8 +483,8 @@ def _decimals(values: Floats, axis: Axis, steps: Floats | None) -> int:
 
 
 def _cell(value: Any) -> Any:
-    """Return a cell of a table: numbers in ten digits, nothing for those that are none."""
+    """Return a cell of a table: numbers in seven digits, nothing for those that are none."""
     if isinstance(value, str):
         return value
     number = float(value)
-    return float(f'{number:.10g}') if isfinite(number) else ''
+    return float(f'{number:.7g}') if isfinite(number) else ''

@@ -7,15 +7,10 @@ from subprocess import run as start
 
 import numpy as np
 import pytest
+from thermal_reports import mill_run, report
 
 from fuzzycnc_ros import __version__
-from fuzzycnc_ros.simulation.thermal.duties import DUTIES, record_run
-from fuzzycnc_ros.studies.thermal.report_data import (
-    CompensationRun,
-    Latency,
-    ReportData,
-    SensorCountCurve,
-)
+from fuzzycnc_ros.studies.thermal.report_data import Latency, ReportData
 from fuzzycnc_ros.studies.thermal.report_page import report_page
 
 pytest.importorskip('matplotlib', reason='matplotlib is not installed')
@@ -25,50 +20,6 @@ from fuzzycnc_ros.studies.page import drawing
 from fuzzycnc_ros.studies.page.html import render_page, to_inline_svg
 from fuzzycnc_ros.studies.page.paper import drawn
 from fuzzycnc_ros.studies.thermal import report_page as plots
-
-
-def mill_run(name='T2', **changes):
-    """Build a run of the simulated mill with a stand-in for its predictions."""
-    recorded = record_run(name, 1)
-    measured = recorded.displacement
-    prediction = 0.9 * measured
-    rows = len(recorded.time)
-    fields = {
-        'name': name,
-        'time': recorded.time,
-        'sensor': recorded.sensor,
-        'temperature': recorded.temperature,
-        'cluster': [0] * 32 + [1] * 29 + [2] * 12 + [-1] * 3,
-        'chosen': ['T18', 'T55', 'T63'],
-        'channel': recorded.channel,
-        'measured': measured,
-        'predicted': {'classical_grey': 1.4 * measured, 'lag_ridge': prediction},
-        'default': 'lag_ridge',
-        'standard_deviation': np.full((rows, 2), 1e-6),
-        'in_domain': np.arange(rows) != 100,
-        'offset': -prediction,
-        'applied': -prediction,
-        'offset_limit': 50e-6,
-        'spindle_speed': [DUTIES[name].spindle_speed(t) for t in recorded.time],
-        **changes,
-    }
-    return CompensationRun(**fields)
-
-
-def report(**changes):
-    fields = {
-        'title': 'A shift of <mill_1>',
-        'runs': [mill_run()],
-        'summary': 'One run & its figures.',
-        'sensor_count_curve': SensorCountCurve(
-            (1, 5), ('Y', 'Z'), 1e-6 * np.ones((2, 2)), 'T2', 'LagRidge', 5
-        ),
-        'latency': Latency(1e-3 * np.linspace(1.0, 3.0, 101)),
-        'facts': {'Model hash': 'sha256:abc'},
-        'notes': ['No safety function.'],
-        **changes,
-    }
-    return ReportData(**fields)
 
 
 class Outline(HTMLParser):

@@ -257,7 +257,6 @@
           drag,
           points: {size: 6},
           focus: {prox: -1},
-          hover: {skip: [undefined, null], prox: panel.series.some(item => item.joined) ? null : 0},
           ...(linked ? {sync: {key, scales: ['x', null]}} : {}),
         },
         scales: {
