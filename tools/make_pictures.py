@@ -55,7 +55,8 @@ DRAWN = """@media (prefers-reduced-motion: no-preference) {
   #p-said { animation: say 9s linear infinite; }
 }
 @keyframes draw {
-  0%, 25% { stroke-dashoffset: 0; } 25.1% { stroke-dashoffset: 1; } 80%, 100% { stroke-dashoffset: 0; }
+  0%, 25%, 80%, 100% { stroke-dashoffset: 0; }
+  25.1% { stroke-dashoffset: 1; }
 }
 @keyframes say { 0%, 25% { opacity: 1; } 25.1%, 80% { opacity: 0; } 86%, 100% { opacity: 1; } }
 """
