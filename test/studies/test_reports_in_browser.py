@@ -39,6 +39,9 @@ COMMANDS = {
 }
 """A command of each kind of report."""
 
+BARS_ONLY = {'grinder'}
+"""Reports without curves: they have data, but nothing to zoom into."""
+
 
 @pytest.fixture(scope='module')
 def reader(tmp_path_factory):
@@ -175,7 +178,9 @@ def test_each_kind_of_report_fits_all_screens(reader, recordings, name, monkeypa
     for number in range(1, 1 + len(reader.driver.find_elements('css selector', 'figure'))):
         assert reader.data(number)
     live = reader.driver.find_elements('css selector', 'figure.live')
-    assert live
+    assert bool(live) == (name not in BARS_ONLY)
+    if not live:
+        return
     figure = int(live[0].get_attribute('id').removeprefix('figure-'))
     low, high = reader.ends(figure)
     reader.drag(reader.plot(figure), 0.3, 0.7)

@@ -52,7 +52,11 @@ class Reader:
         self.driver.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', size)
         features = [{'name': 'prefers-color-scheme', 'value': theme}]
         self.driver.execute_cdp_cmd('Emulation.setEmulatedMedia', {'features': features})
+        self.driver.get('about:blank')
         self.driver.get(page.as_uri())
+        wait_for(
+            lambda: self.run('return document.readyState') == 'complete', f'all of {page.name}'
+        )
 
     def complaints(self) -> list[str]:
         """Return what the browser has complained about since it was asked last."""
