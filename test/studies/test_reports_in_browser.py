@@ -15,6 +15,8 @@ from fuzzycnc_ros.studies.thermal.report_page import report_page
 SIZE_MAX = 1.5e6
 """Size of the report on a day [bytes]."""
 
+RUNS = ('shift_calibration/D0', 'shift_calibration/D0b', 'shift_calibration/T1')
+
 COMMANDS = {
     'simulate': ('simulate', '--duties', 'T2'),
     'evaluate': (
@@ -25,9 +27,9 @@ COMMANDS = {
         '--probe-every',
         '1h',
     ),
-    'compare': ('compare', 'shift_calibration', '--models', 'static_ridge,lag_ridge'),
+    'compare': ('compare', *RUNS, '--models', 'static_ridge,lag_ridge'),
     'grinder': ('compare', '--machine', 'grinder', '--models', 'lag_ridge,static_ridge'),
-    'curve': ('curve', 'shift_calibration', '--counts', '1,2'),
+    'curve': ('curve', *RUNS, '--counts', '1,2'),
     'schedule': ('schedule', 'part.ngc', '--tolerance', '20um', '--out', 'out.ngc'),
     'advise': ('advise', 'part.ngc', '--tolerance', '20um'),
     'pareto': ('pareto', 'butterfly'),
@@ -160,7 +162,7 @@ def recordings(tmp_path_factory, root):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         assert run(['simulate', '--duties', 'T2', '--out', 'shift']) == 0
-        assert run(['train', 'shift_calibration', '--out', 'm.json']) == 0
+        assert run(['train', *RUNS, '--out', 'm.json']) == 0
     return folder
 
 

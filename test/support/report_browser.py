@@ -4,6 +4,7 @@
 
 import csv
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -69,13 +70,15 @@ class Reader:
         return found
 
     def ends(self, figure: int, panel: int = 0) -> list[float]:
-        """Return the stretch of x that a plot shows."""
-        return self.run(
-            "const one = fuzzycncCharts.find(item => item.key === `figure-${arguments[0]}`);"
-            "const {min, max} = one.plots[arguments[1]].scales.x; return [min, max];",
+        """Return the stretch of x that a plot says it shows."""
+        said = self.run(
+            'return [...document.querySelectorAll(`#figure-${arguments[0]} .panel`)]'
+            '[arguments[1]].lastElementChild.textContent',
             figure,
             panel,
-        )  # fmt: skip
+        )
+        low, high = re.fullmatch(r'Shown: .* (\S+) to (\S+)(?: .*)?', said).groups()
+        return [float(low), float(high)]
 
     def drag(self, area: Any, begin: float, end: float) -> None:
         """Drag across a plot, between shares of its width."""

@@ -211,6 +211,9 @@
     const course = panel.series.some(item => item.kind === 'line' || item.kind === 'steps');
     const note = document.createElement('p');
     note.className = 'nearest';
+    const stretch = document.createElement('p');
+    stretch.className = 'nearest';
+    let whole = '';
     const ink = colour('--muted');
     const grid = {stroke: colour('--grid'), width: 1};
     const marks = axis => {
@@ -283,6 +286,14 @@
         hooks: {
           drawAxes: [self => drawRules(self, panel)],
           draw: [self => drawMarks(self, panel)],
+          setScale: [(self, name) => {
+            if (name !== 'x' || self.scales.x.min === null) return;
+            const [low, high] = [self.scales.x.min, self.scales.x.max]
+              .map(end => readable(end, panel.x.decimals));
+            stretch.textContent = `Shown: ${x.name} ${low} to ${withUnit(high, x.unit)}`;
+            whole ||= stretch.textContent;
+            stretch.hidden = stretch.textContent === whole;
+          }],
           setCursor: [self => { if (quiet) note.textContent = nearestQuiet(self, panel, panel.y); }],
           ready: [self => {
             // What is many stays out of the legend; the upper edge of a band stands for both.
@@ -297,6 +308,7 @@
       place,
     );
     if (quiet) place.append(note);
+    place.append(stretch);
     new ResizeObserver(() => {
       if (place.clientWidth > 0 && place.clientWidth !== u.width) u.setSize(sizeOf());
     }).observe(place);
@@ -396,5 +408,4 @@
   }
   draw();
   dark.addEventListener('change', draw);
-  window.fuzzycncCharts = charts; // for whoever looks into the page from its console
 })();
