@@ -3,6 +3,7 @@
 """A command line: its commands and groups of them, and what becomes of their errors."""
 
 import inspect
+import os
 import sys
 import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -12,10 +13,11 @@ from importlib import import_module
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.cli.background_output import background_output
+from fuzzycnc_ros.cli.completion import join_bash_words
 from fuzzycnc_ros.cli.console import complain
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros.bring_up import GraphError
@@ -112,6 +114,8 @@ class Application:
         class InOrder(TyperGroup):
             """Lists commands in their order, under headings, and loads one when it is used."""
 
+            _listing = False
+
             def list_commands(self, ctx: Any) -> list[str]:
                 """Return the names of the commands."""
                 return list(commands)
@@ -119,11 +123,21 @@ class Application:
             def get_command(self, ctx: Any, cmd_name: str) -> Any:
                 """Return a command, None if there is none of that name."""
                 command = commands.get(cmd_name)
+                if isinstance(command, Later) and self._listing:
+                    return TyperCommand(cmd_name, help=command.help)
                 if isinstance(command, Later) and cmd_name not in self.commands:
                     holder = typer.Typer(rich_markup_mode=None, context_settings=_SETTINGS)
                     _add(holder, {cmd_name: command.load()})
                     self.commands.update(typer.main.get_group(holder).commands)
                 return super().get_command(ctx, cmd_name)
+
+            def shell_complete(self, ctx: Any, incomplete: str) -> Any:
+                """Return the names that begin as what was typed, without loading any command."""
+                self._listing = True
+                try:
+                    return super().shell_complete(ctx, incomplete)
+                finally:
+                    self._listing = False
 
             def format_commands(self, ctx: Any, formatter: Any) -> None:
                 """Write what each command does, by jobs, without loading any."""
@@ -141,7 +155,6 @@ class Application:
             cls=InOrder,
             help=manual(text),
             epilog=EPILOG,
-            add_completion=False,
             no_args_is_help=True,
             pretty_exceptions_enable=False,
             rich_markup_mode=None,
@@ -172,6 +185,8 @@ class Application:
     def main(self) -> None:
         """Run the command line of this process."""
         words, _ = _without_debug(sys.argv[1:])
+        if os.environ.get(f'_{self.name.upper()}_COMPLETE') == 'complete_bash':
+            join_bash_words(os.environ)
         watching = bool(words) and words[0] in self._watching
         with interruptible() as wish, background_output() if watching else nullcontext():
             code = self.run(sys.argv[1:])

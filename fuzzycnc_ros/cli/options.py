@@ -8,10 +8,23 @@ from typing import Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.completion import Complete, one_of, word_or_file
 from fuzzycnc_ros.cli.console import words
 
 ALL = 'all'
 """Word for every model."""
+
+BUILT_IN_MACHINES = ('mill', 'lathe', 'ballscrew')
+"""Machines that come with the package, as machine files; their reader would load numpy."""
+
+DUTIES = ('D0', 'D0b', 'T1', 'T2', 'T3')
+"""Duties of the simulated mill; where they are made would load numpy."""
+
+PROGRAM_UNITS = ('mm', 'inch')
+"""Units of part programs."""
+
+SENSOR_CHOICES = ('auto', 'clusters', 'all')
+"""Ways to choose the sensors of a model."""
 
 OptionalText = Optional[str]  # noqa: UP045 - typer 0.9 does not read the newer form
 OptionalNumber = Optional[float]  # noqa: UP045
@@ -20,7 +33,9 @@ OptionalPath = Optional[Path]  # noqa: UP045
 """Types of options that need not be given."""
 
 
-def given(text: str, *names: str, metavar: str | None = None) -> Any:
+def given(
+    text: str, *names: str, metavar: str | None = None, complete: Complete | None = None
+) -> Any:
     """Return an option that counts only if it is given, and so shows no default.
 
     Parameters
@@ -31,17 +46,39 @@ def given(text: str, *names: str, metavar: str | None = None) -> Any:
         What it is called, if not as its parameter.
     metavar : str, optional
         What stands for its value.
+    complete : callable, optional
+        What a shell proposes for its value.
     """
-    return typer.Option(*names, metavar=metavar, show_default=False, help=text)
+    return typer.Option(
+        *names, metavar=metavar, show_default=False, autocompletion=complete, help=text
+    )
+
+
+def choice(text: str, words: Sequence[str], *, default: bool = True) -> Any:
+    """Return an option that takes one of some words, which its help and shells name.
+
+    Parameters
+    ----------
+    text : str
+        Its help.
+    words : sequence of str
+        What it takes.
+    default : bool
+        Whether the help shows its default.
+    """
+    return typer.Option(
+        metavar='|'.join(words), show_default=default, autocompletion=one_of(words), help=text
+    )
 
 
 MachineFile = Annotated[
     OptionalText,
-    given('Machine file, or one that is built in: mill, lathe, ballscrew.', metavar='FILE.yaml'),
+    given(
+        f'Machine file, or one that is built in: {", ".join(BUILT_IN_MACHINES)}.',
+        metavar='FILE.yaml',
+        complete=word_or_file(BUILT_IN_MACHINES, '.yaml'),
+    ),
 ]
-
-BUILT_IN_MACHINES = ('mill', 'lathe', 'ballscrew')
-"""Machines that come with the package, as machine files; their reader would load numpy."""
 
 Bags = Annotated[
     list[Path], typer.Argument(metavar='BAG...', help='Bags of runs, each from a cold start.')
@@ -76,9 +113,10 @@ Interval = Annotated[
 
 Sensors = Annotated[
     str,
-    typer.Option(
-        help='clusters = one sensor per cluster, all = every sensor that warms up, '
-        'auto = all up to 24 sensors, clusters above.'
+    choice(
+        'clusters = one sensor per cluster, all = every sensor that warms up, '
+        'auto = all up to 24 sensors, clusters above.',
+        SENSOR_CHOICES,
     ),
 ]
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.completion import word_or_file
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_folder,
@@ -27,6 +28,7 @@ from fuzzycnc_ros.cli.options import (
     MachineFile,
     OptionalNumber,
     OptionalPath,
+    choice,
     given,
 )
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
@@ -56,9 +58,7 @@ def identify(
             'commanded_Y, ... of axes that follow a path. Numbers where there is no header.',
         ),
     ] = None,
-    unit: Annotated[
-        str, typer.Option(metavar='|'.join(LENGTHS), help='Unit of the positions.')
-    ] = 'mm',
+    unit: Annotated[str, choice('Unit of the positions.', tuple(LENGTHS))] = 'mm',
     full: Annotated[float, typer.Option(help='Command at full duty, such as 10 for 10 V.')] = 1.0,
     force: Annotated[
         OptionalNumber,
@@ -293,15 +293,16 @@ File = Annotated[
     typer.Argument(
         metavar='FILE|NAME',
         help=f'Machine file, or one that is built in: {", ".join(BUILT_IN_MACHINES)}.',
+        autocompletion=word_or_file(BUILT_IN_MACHINES, '.yaml'),
     ),
 ]
 
 
 def new(
     out: Annotated[Path, typer.Argument(metavar='FILE.yaml', help='New machine file.')],
-    like: Annotated[
-        str, typer.Option(metavar='|'.join(BUILT_IN_MACHINES), help='Machine to begin from.')
-    ] = BUILT_IN_MACHINES[0],
+    like: Annotated[str, choice('Machine to begin from.', BUILT_IN_MACHINES)] = BUILT_IN_MACHINES[
+        0
+    ],
     linuxcnc_ini: Annotated[
         OptionalPath,
         given(

@@ -21,6 +21,7 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     signed,
     warnings_said,
 )
+from fuzzycnc_ros.cli.completion import one_of
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_at_least,
@@ -45,6 +46,12 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.servo.controller import AxisController
     from fuzzycnc_ros.core.servo.profile import Reference
     from fuzzycnc_ros.simulation.servo.axes import AxisPlant
+
+MACHINE_CHOICES = ('pid', 'cascade', 'linear_tangent', 'variable_universe')
+"""Controllers of an axis of a machine file."""
+
+SENSORS = ('grating', 'encoder')
+"""What measures the position of an axis."""
 
 DURATION_MIN, DURATION_MAX = 0.05, 120.0
 """Lengths of a run that are simulated [s]."""
@@ -72,7 +79,8 @@ def position(
             metavar='NAME',
             show_default=False,
             help=f'One of {", ".join(CHOICES)}; the ballscrew has {DEFAULT} alone. With a machine '
-            'file pid, cascade, linear_tangent or variable_universe; its own without this.',
+            f'file {", ".join(MACHINE_CHOICES)}; its own without this.',
+            autocompletion=one_of((*CHOICES, *MACHINE_CHOICES)),
         ),
     ] = '',
     params: Annotated[
@@ -113,7 +121,8 @@ def position(
         OptionalText,
         given(
             'Linear grating or encoder on the screw; by default the lathe has a grating.',
-            metavar='grating|encoder',
+            metavar='|'.join(SENSORS),
+            complete=one_of(SENSORS),
         ),
     ] = None,
     noise: Annotated[
@@ -168,7 +177,7 @@ def position(
     knobs |= _load(plain, load, load_at)
     knobs['seed'] = ('--seed', seed)
     if sensor is not None:
-        if sensor not in ('grating', 'encoder'):
+        if sensor not in SENSORS:
             raise ValueError(f'--sensor: expected grating or encoder but found {sensor!r}')
         knobs['sensor'] = ('--sensor', sensor)
     if noise is not None:

@@ -21,6 +21,7 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     make_controller,
     warnings_said,
 )
+from fuzzycnc_ros.cli.completion import some_of
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_at_least,
@@ -42,6 +43,7 @@ from fuzzycnc_ros.cli.options import (
     OptionalText,
     OptionalWhole,
     Report,
+    choice,
     given,
     names_of,
 )
@@ -62,6 +64,17 @@ HELP = """Compare, learn, tune and judge controllers that position an axis.
 `fuzzycnc position` moves an axis with what they find.
 """
 
+SEARCHED = (
+    'error_exponent',
+    'rate_exponent',
+    'error_floor',
+    'rate_floor',
+    'output_gain',
+    'rate_range',
+    'disturbance',
+)
+"""Settings that `servo tune` searches; where they are made would load numpy."""
+
 MachineAxis = Annotated[
     str, typer.Option(metavar='NAME', show_default=False, help='Axis of the machine file.')
 ]
@@ -77,6 +90,7 @@ def compare(
         typer.Option(
             metavar='NAME,...',
             help=f'Controllers to compare, or {ALL}: {", ".join(CHOICES)}.',
+            autocompletion=some_of((ALL, *CHOICES)),
         ),
     ] = [ALL],  # noqa: B006 - typer copies it
     moves: Annotated[
@@ -156,8 +170,8 @@ def tune(
         list[str],
         typer.Option(
             metavar='NAME,...',
-            help=f'Settings to search, or {ALL}: error_exponent, rate_exponent, error_floor, '
-            'rate_floor, output_gain, rate_range, disturbance.',
+            help=f'Settings to search, or {ALL}: {", ".join(SEARCHED)}.',
+            autocompletion=some_of((ALL, *SEARCHED)),
         ),
     ] = [ALL],  # noqa: B006
     seed: Annotated[int, typer.Option(help='Seed of the search.')] = 0,
@@ -250,11 +264,11 @@ def stability(
     machine_file: MachineFile = None,
     controller: Annotated[
         str,
-        typer.Option(
-            metavar='|'.join(TUNABLE),
-            show_default=False,
-            help=f'Controller of the lathe axis, {DEFAULT} without it; with a machine file '
+        choice(
+            f'Controller of the lathe axis, {DEFAULT} without it; with a machine file '
             'variable_universe or linear_tangent, its own without it.',
+            (*TUNABLE, 'linear_tangent'),
+            default=False,
         ),
     ] = '',
     params: Params = None,
@@ -353,16 +367,14 @@ def learn(
         OptionalText, given('Axis of the bag, if it drives several.', metavar='AXIS')
     ] = None,
     unit: Annotated[
-        OptionalText, given('Unit of the lengths of a .csv.', metavar='|'.join(LENGTHS))
+        OptionalText, choice('Unit of the lengths of a .csv.', tuple(LENGTHS), default=False)
     ] = None,
     method: Annotated[
-        str, typer.Option(metavar='lsq|wm', help='Least squares, or Wang-Mendel as published.')
+        str, choice('Least squares, or Wang-Mendel as published.', ('lsq', 'wm'))
     ] = 'lsq',
     sets: Annotated[
         int,
-        typer.Option(
-            metavar='6|7', help='Sets of error and rate: the six published, or one about zero too.'
-        ),
+        choice('Sets of error and rate: the six published, or one about zero too.', ('6', '7')),
     ] = 6,
     reversed_axis: Annotated[
         bool,

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fuzzycnc_ros.cli.console import say
+from fuzzycnc_ros.cli.options import choice
 from fuzzycnc_ros.cli.quantities import quantity
 
 if TYPE_CHECKING:
@@ -46,10 +47,10 @@ TIMES: Mapping[str, float] = MappingProxyType({'s': 1.0, 'ms': 1e-3})
 
 Axis = Annotated[
     str,
-    typer.Option(
-        metavar='|'.join(AXES),
-        show_default=False,
-        help=f'Simulated axis, {AXES[0]} without it; with a machine file the name of its axis.',
+    choice(
+        f'Simulated axis, {AXES[0]} without it; with a machine file the name of its axis.',
+        AXES,
+        default=False,
     ),
 ]
 

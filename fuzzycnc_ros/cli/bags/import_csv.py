@@ -9,6 +9,7 @@ from typing import Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.completion import one_of
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, progress_bar, say, words, write_json
 from fuzzycnc_ros.cli.options import OptionalPath, given
 
@@ -25,7 +26,11 @@ def import_csv(
     ] = None,
     time_unit: Annotated[
         OptionalText,
-        typer.Option(show_default=False, help='s, ms, min, h or iso8601 [default: s].'),
+        given(
+            's, ms, min, h or iso8601 [default: s].',
+            metavar='UNIT',
+            complete=one_of(('s', 'ms', 'min', 'h', 'iso8601')),
+        ),
     ] = None,
     time_format: Annotated[
         OptionalText,
@@ -44,7 +49,12 @@ def import_csv(
         ),
     ] = None,
     temperature_unit: Annotated[
-        OptionalText, typer.Option(show_default=False, help='degC, K or degF [default: degC].')
+        OptionalText,
+        given(
+            'degC, K or degF [default: degC].',
+            metavar='UNIT',
+            complete=one_of(('degC', 'K', 'degF')),
+        ),
     ] = None,
     displacement: Annotated[
         Texts,
@@ -60,7 +70,8 @@ def import_csv(
         OptionalText, typer.Option(show_default=False, help='Spindle-speed column.')
     ] = None,
     speed_unit: Annotated[
-        OptionalText, typer.Option(show_default=False, help='rpm or rad/s [default: rpm].')
+        OptionalText,
+        given('rpm or rad/s [default: rpm].', metavar='UNIT', complete=one_of(('rpm', 'rad/s'))),
     ] = None,
     rename: Annotated[
         Texts,

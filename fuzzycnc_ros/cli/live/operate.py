@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.completion import live_settings, managed_nodes, one_of
 from fuzzycnc_ros.cli.console import JsonFile, check_ros, say, show, words, write_json
 from fuzzycnc_ros.cli.options import node_parameters
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
@@ -40,7 +41,10 @@ MICRO = 1e-6
 MachineName = Annotated[
     str, typer.Option('--machine', help='Name of the machine: the namespace of its nodes.')
 ]
-ManagedNode = Annotated[str, typer.Argument(metavar='[NODE]', help='A managed node.')]
+ManagedNode = Annotated[
+    str,
+    typer.Argument(metavar='[NODE]', help='A managed node.', autocompletion=one_of(managed_nodes)),
+]
 
 
 def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
@@ -134,7 +138,12 @@ def deactivate(node: ManagedNode = 'compensator', machine: MachineName = 'mill')
 def set_values(
     values: Annotated[
         list[str],
-        typer.Argument(metavar='NODE.NAME=VALUE...', help='See docs/reference/parameters.md.'),
+        typer.Argument(
+            metavar='NODE.NAME=VALUE...',
+            help='Numbers with their unit, such as 5um, or plain in SI; see '
+            'docs/reference/parameters.md.',
+            autocompletion=live_settings,
+        ),
     ],
     machine: MachineName = 'mill',
 ) -> None:

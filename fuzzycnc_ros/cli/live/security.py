@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 import typer
 
+from fuzzycnc_ros.cli.completion import node_names, some_of
 from fuzzycnc_ros.cli.console import say, words, write_text
 
 if TYPE_CHECKING:
@@ -49,8 +50,11 @@ def write(
     nodes: Annotated[
         str,
         typer.Option(
+            metavar='NODE,...',
+            show_default=False,
             help='Nodes, with commas; without it all but simulated_machine, simulated_body and '
-            'player, which only play a machine.'
+            'player, which only play a machine.',
+            autocompletion=some_of(node_names),
         ),
     ] = '',
     subscribe: Annotated[

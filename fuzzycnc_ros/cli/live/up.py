@@ -10,9 +10,11 @@ from typing import Annotated, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.completion import node_names, some_of
 from fuzzycnc_ros.cli.console import check_folder, check_ros, words, write_json
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.supervision_run import check_free, supervise
+from fuzzycnc_ros.cli.options import DUTIES
 from fuzzycnc_ros.cli.terminal import Terminal
 from fuzzycnc_ros.ros.bring_up import (
     BANNER,
@@ -39,8 +41,12 @@ def up(
     simulate: Annotated[
         str,
         typer.Option(
-            help='Duties of the simulated machine, comma-separated (D0, D0b, T1, T2, T3); each '
-            'begins cold, a day later, and nobody waits for that. Leave it out for a real machine.'
+            metavar='DUTY,...',
+            show_default=False,
+            help=f'Duties of the simulated machine, comma-separated: {", ".join(DUTIES)}. Each '
+            'begins a day later with a cold machine, at once after the one before. Leave it out '
+            'for a real machine.',
+            autocompletion=some_of(DUTIES),
         ),
     ] = '',
     model: Annotated[
@@ -77,7 +83,10 @@ def up(
     nodes: Annotated[
         str,
         typer.Option(
-            help='Nodes to run, comma-separated, in place of those of thermal compensation.'
+            metavar='NODE,...',
+            show_default=False,
+            help='Nodes to run, comma-separated, in place of those of thermal compensation.',
+            autocompletion=some_of(node_names),
         ),
     ] = '',
     rate: Annotated[

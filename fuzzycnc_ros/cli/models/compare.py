@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.completion import one_of, some_of
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_at_least,
@@ -92,7 +93,11 @@ def compare(
     ] = None,
     machine: Annotated[
         OptionalText,
-        given(f'Simulated machine instead of bags: {", ".join(MACHINES)}.', metavar='NAME'),
+        given(
+            f'Simulated machine instead of bags: {", ".join(MACHINES)}.',
+            metavar='NAME',
+            complete=one_of(MACHINES),
+        ),
     ] = None,
     models: Annotated[
         list[str],
@@ -100,6 +105,7 @@ def compare(
             metavar='NAME,...',
             help=f'Models to compare, or {ALL}: {", ".join(COMPARED)}. '
             'A simulated machine has a list of its own.',
+            autocompletion=some_of((ALL, *COMPARED)),
         ),
     ] = [ALL],  # noqa: B006 - typer copies it
     interval: Interval = 60.0,
