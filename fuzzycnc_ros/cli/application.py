@@ -16,9 +16,10 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from fuzzycnc_ros import __version__
+from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.cli.background_output import background_output
 from fuzzycnc_ros.cli.completion import join_bash_words
-from fuzzycnc_ros.cli.console import complain
+from fuzzycnc_ros.cli.console import complain, flush, say
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros.bring_up import GraphError
 from fuzzycnc_ros.ros.processes import interruptible
@@ -38,6 +39,10 @@ ENDED_BY = 128
 _Refusal: type[Exception] = next(
     kind for kind in reversed(typer.BadParameter.__mro__) if hasattr(kind, 'format_message')
 )
+
+
+class _PipeError(Exception):
+    """The reader of a pipe has gone; carries the error that says so."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +136,13 @@ class Application:
                     self.commands.update(typer.main.get_group(holder).commands)
                 return super().get_command(ctx, cmd_name)
 
+            def invoke(self, ctx: Any) -> Any:
+                """Run the command; typer would end a broken pipe without a word."""
+                try:
+                    return super().invoke(ctx)
+                except BrokenPipeError as error:
+                    raise _PipeError(error) from error
+
             def shell_complete(self, ctx: Any, incomplete: str) -> Any:
                 """Return the names that begin as what was typed, without loading any command."""
                 self._listing = True
@@ -166,11 +178,12 @@ class Application:
     def run(self, arguments: Sequence[str]) -> int:
         """Carry out a command line and return its exit code."""
         words, debug = _without_debug(arguments)
-        if words[:1] == ['--version']:
-            print(f'{self.name} {__version__}')
-            return 0
         try:
+            if words[:1] == ['--version']:
+                say(f'{self.name} {__version__}')
+                return 0
             code = self.typer(words or ['--help'], prog_name=self.name, standalone_mode=False)
+            flush()
         except (KeyboardInterrupt, typer.Abort):
             code = INTERRUPTED
         except Exception as error:  # the one place where every error becomes a line for people
@@ -190,9 +203,20 @@ class Application:
         watching = bool(words) and words[0] in self._watching
         with interruptible() as wish, background_output() if watching else nullcontext():
             code = self.run(sys.argv[1:])
+        _drop_unwritten()
         if code == INTERRUPTED and wish.number:
             code = ENDED_BY + wish.number
         sys.exit(code)
+
+
+def _drop_unwritten() -> None:
+    """Drop what a full disk or a broken pipe does not take: that was said already."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 def _add(to: typer.Typer, commands: Mapping[str, Callable[..., Any] | CommandGroup]) -> None:
@@ -228,12 +252,18 @@ def _without_debug(arguments: Sequence[str]) -> tuple[list[str], bool]:
 
 def _line(error: Exception, name: str) -> str:
     """Return an error in one line."""
+    if isinstance(error, _PipeError):
+        (error,) = error.args
     if isinstance(error, _Refusal):
         text = error.format_message()  # type: ignore[attr-defined]
         context = getattr(error, 'ctx', None)
         command = context.command_path if context is not None else name
         text = f'{text.rstrip(".")}; see `{command} --help`'
-    elif isinstance(error, (ValueError, OSError, ModuleNotFoundError, GraphError)):
+    elif isinstance(error, OSError):
+        text = os_sentence(error)
+    elif isinstance(cause := error.__cause__, OSError) and str(cause) in str(error):
+        text = os_sentence(cause)
+    elif isinstance(error, (ValueError, ModuleNotFoundError, GraphError)):
         text = str(error)
     else:
         text = (

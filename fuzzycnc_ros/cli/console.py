@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 import typer
 
 from fuzzycnc_ros.bags.atomic import write_text as write_whole
+from fuzzycnc_ros.bags.os_errors import STANDARD_OUTPUT, about, no_folder
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.studies.page.document import to_document
 
@@ -41,7 +42,7 @@ Tell = Callable[[str, int, int], None]
 def show(table: 'Table') -> None:
     """Print a table: with emphasis on a terminal, as plain text elsewhere."""
     if not sys.stdout.isatty():
-        print(table.to_text())
+        _put(table.to_text())
         return
     from fuzzycnc_ros.cli.terminal import Terminal
 
@@ -99,7 +100,23 @@ def _fits(table: 'Table', chosen: list[int], console: 'Console') -> bool:
 
 def say(text: str) -> None:
     """Print a line of the result; control characters of foreign names are spelt out."""
-    print(visible(text), flush=True)
+    _put(visible(text))
+
+
+def _put(text: str) -> None:
+    """Print to standard output; an error names it."""
+    try:
+        print(text, flush=True)
+    except OSError as error:
+        raise about(error, STANDARD_OUTPUT) from None
+
+
+def flush() -> None:
+    """Write out what was printed; an error names standard output."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        raise about(error, STANDARD_OUTPUT) from None
 
 
 def remark(line: 'Remark') -> None:
@@ -213,7 +230,7 @@ def check_folder(*paths: Path | None) -> None:
         if path.is_dir():
             raise ValueError(f'{path}: expected a file to write but found a directory')
         if not path.absolute().parent.is_dir():
-            raise ValueError(f'{path}: expected an existing folder but found no {path.parent}')
+            raise ValueError(no_folder(path))
 
 
 def check_at_least(option: str, value: float | None, low: float) -> None:
