@@ -16,6 +16,7 @@ import typer
 
 from fuzzycnc_ros.bags.atomic import write_text as write_whole
 from fuzzycnc_ros.bags.os_errors import STANDARD_OUTPUT, about, no_folder
+from fuzzycnc_ros.cli.progress_lines import progress_lines
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.studies.page.document import to_document
 
@@ -136,9 +137,10 @@ def complain(text: str) -> None:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Tell]:
-    """Show the progress of long work on standard error, if that is a terminal."""
+    """Show the progress of long work on standard error: a bar, or lines if it is no terminal."""
     if not sys.stderr.isatty():
-        yield lambda text, done, total: None
+        with progress_lines(title) as lines:
+            yield lines.tell
         return
     from rich.progress import BarColumn, Progress, TimeElapsedColumn
 
