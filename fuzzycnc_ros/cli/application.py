@@ -20,6 +20,7 @@ from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.cli.background_output import background_output
 from fuzzycnc_ros.cli.completion import join_bash_words
 from fuzzycnc_ros.cli.console import complain, flush, say
+from fuzzycnc_ros.cli.quantities import with_their_units
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros.bring_up import GraphError
 from fuzzycnc_ros.ros.processes import interruptible
@@ -182,6 +183,7 @@ class Application:
             if words[:1] == ['--version']:
                 say(f'{self.name} {__version__}')
                 return 0
+            words = with_their_units(words)
             code = self.typer(words or ['--help'], prog_name=self.name, standalone_mode=False)
             flush()
         except (KeyboardInterrupt, typer.Abort):

@@ -110,7 +110,7 @@ def test_a_compensator_is_looked_at_limited_activated_and_put_to_rest(
     )
     assert command('set', 'compensator.offset_max=5e-6') == (
         0,
-        'mill/compensator.offset_max = 5e-06\n',
+        'mill/compensator.offset_max = 5e-06 m\n',
         '',
     )
     assert command('activate') == (0, 'mill/compensator is active\n', '')

@@ -31,7 +31,7 @@ from fuzzycnc_ros.cli.options import (
     choice,
     given,
 )
-from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.cli.quantities import FORCES, LENGTHS, TIMES, number_in, quantity
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.identify.axis_fit import AxisRecording
@@ -62,7 +62,12 @@ def identify(
     full: Annotated[float, typer.Option(help='Command at full duty, such as 10 for 10 V.')] = 1.0,
     force: Annotated[
         OptionalNumber,
-        given('Force at full duty [N]; without it the mass cannot be told, and is called 1 kg.'),
+        given(
+            'Force at full duty, in N unless it has a unit; without it the mass cannot be told, '
+            'and is called 1 kg.',
+            metavar='FORCE',
+            read=number_in(FORCES, 'a force'),
+        ),
     ] = None,
     reverse: Annotated[
         bool, typer.Option('--reversed', help='A positive command drives to negative positions.')
@@ -99,7 +104,7 @@ def identify(
         raise ValueError(f'--full: expected a number above 0 but found {full:g}')
     if force is not None and not force > 0.0:
         raise ValueError(f'--force: expected a number above 0 but found {force:g}')
-    every = quantity('--period', period, {'s': 1.0, 'ms': 1e-3}, example='1ms') if period else None
+    every = quantity('--period', period, TIMES, example='1ms') if period else None
     wanted = parse_columns(columns or [])
     base = read_machine_file(machine_file) if machine_file is not None else None
     if any(what.startswith(('commanded', 'actual')) for what in wanted):

@@ -13,7 +13,6 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     AXES,
     CHOICES,
     DEFAULT,
-    TIMES,
     Axis,
     check_axis,
     made_with,
@@ -39,7 +38,7 @@ from fuzzycnc_ros.cli.options import (
     Report,
     given,
 )
-from fuzzycnc_ros.cli.quantities import LENGTHS, SHARES, quantity
+from fuzzycnc_ros.cli.quantities import LENGTHS, SHARES, TIMES, quantity
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.machine.machine_data import AxisData, PlantConfig

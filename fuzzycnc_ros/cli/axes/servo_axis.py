@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -41,9 +40,6 @@ DEFAULT = CHOICES[0]
 
 TUNABLE = CHOICES[:3]
 """Controllers that settings from a file are for."""
-
-TIMES: Mapping[str, float] = MappingProxyType({'s': 1.0, 'ms': 1e-3})
-"""What a time of 1 is, by unit [s]."""
 
 Axis = Annotated[
     str,

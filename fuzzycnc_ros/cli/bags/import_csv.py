@@ -12,6 +12,7 @@ import typer
 from fuzzycnc_ros.cli.completion import one_of
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, progress_bar, say, words, write_json
 from fuzzycnc_ros.cli.options import OptionalPath, given
+from fuzzycnc_ros.cli.quantities import TIMES, number_in
 
 OptionalText = Optional[str]  # noqa: UP045 - typer 0.9 does not read the newer form
 OptionalNumber = Optional[float]  # noqa: UP045
@@ -118,8 +119,10 @@ def import_csv(
     ] = False,
     resample: Annotated[
         OptionalNumber,
-        typer.Option(
-            show_default=False, help='Put uneven rows on an even grid of this interval [s].'
+        given(
+            'Put uneven rows on an even grid of this interval, in s unless it has a unit.',
+            metavar='TIME',
+            read=number_in(TIMES, 'a time'),
         ),
     ] = None,
     machine: Annotated[
@@ -128,7 +131,11 @@ def import_csv(
     ] = None,
     epoch: Annotated[
         OptionalNumber,
-        typer.Option(show_default=False, help='Stamp of the first sample [s] [default: 1].'),
+        given(
+            'Stamp of the first sample, in s unless it has a unit [default: 1 s].',
+            metavar='TIME',
+            read=number_in(TIMES, 'a time'),
+        ),
     ] = None,
     mapping: Annotated[
         OptionalPath,

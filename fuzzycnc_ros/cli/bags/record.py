@@ -23,6 +23,7 @@ from fuzzycnc_ros.cli.console import (
     write_json,
 )
 from fuzzycnc_ros.cli.options import OptionalNumber, given
+from fuzzycnc_ros.cli.quantities import TIMES, number_in
 from fuzzycnc_ros.ros.bring_up import GraphError, machine_name
 from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
 
@@ -45,7 +46,12 @@ def record(
         bool, typer.Option('--lockstep', help='Take turns in a lock-step run, losing nothing.')
     ] = False,
     duration: Annotated[
-        OptionalNumber, given('Stop after so many seconds; else Ctrl-C stops.')
+        OptionalNumber,
+        given(
+            'Stop after this time, in s unless it has a unit, such as 8h; else Ctrl-C stops.',
+            metavar='TIME',
+            read=number_in(TIMES, 'a time'),
+        ),
     ] = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -57,7 +63,7 @@ def record(
     `fuzzycnc info BAG --repair` makes the bag whole.
 
         fuzzycnc record --machine mill_1 --out monday
-        fuzzycnc record --out axes --topics '/(joint_states|tf)$' --duration 60
+        fuzzycnc record --out axes --topics '/(joint_states|tf)$' --duration 60s
     """
     check_at_least('--duration', duration, 0.0)
     machine = machine_name(machine) if machine.strip('/') else ''

@@ -24,7 +24,7 @@ HELP = """Act at a running machine: look, activate, set limits, reference and pr
 
     fuzzycnc operate status
     fuzzycnc operate reference --by anna
-    fuzzycnc operate set compensator.offset_max=5e-6
+    fuzzycnc operate set compensator.offset_max=5um
     fuzzycnc operate activate
     fuzzycnc operate probe Y=-3um Z=12um
     fuzzycnc operate deactivate
@@ -149,9 +149,10 @@ def set_values(
 ) -> None:
     """Set live parameters of running nodes, until they are started again.
 
-    Values are checked by the rules of `docs/reference/parameters.md`, in SI units.
+    Numbers may have a unit of the kind that `docs/reference/parameters.md` names; a plain number
+    is in that unit itself. Values are checked by the rules of that page.
 
-        fuzzycnc operate set compensator.offset_max=10e-6 compensator.slew_max=5e-8
+        fuzzycnc operate set compensator.offset_max=10um compensator.slew_max=0.05um/s
     """
     check_ros('operate')
     from fuzzycnc_ros.registry import COMPONENTS
@@ -175,7 +176,8 @@ def set_values(
         if refused:
             raise GraphError(f'{machine}/{node}: {"; ".join(refused)}')
         for name, value in own.items():
-            say(f'{machine}/{node}.{name} = {value}')
+            unit = COMPONENTS[node].CONFIG.__dataclass_fields__[name].metadata['unit']
+            say(f'{machine}/{node}.{name} = {value}' + (f' {unit}' if unit != '-' else ''))
 
 
 def reference(

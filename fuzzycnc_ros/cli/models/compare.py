@@ -50,6 +50,7 @@ from fuzzycnc_ros.cli.options import (
     given,
     names_of,
 )
+from fuzzycnc_ros.cli.quantities import TIMES, number_in
 from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
 from fuzzycnc_ros.papers.names import COMPARED
 
@@ -120,7 +121,8 @@ def compare(
         typer.Option(
             metavar='START:END',
             show_default=False,
-            help='Stretch of a single bag to hold out [s]; repeat for more.',
+            help='Stretch of a single bag to hold out, in s unless with units, such as 16h:24h; '
+            'repeat for more.',
         ),
     ] = None,
     jobs: Jobs = None,
@@ -408,13 +410,15 @@ def _check_machine(context: typer.Context, machine: str) -> None:
 def _window(text: str) -> tuple[float, float]:
     """Return START:END as two numbers."""
     start, _, end = text.partition(':')
+    read = number_in(TIMES, 'a time')
     try:
-        window = float(start), float(end)
-    except ValueError:
+        window = read(start), read(end)
+    except typer.BadParameter:
         window = 0.0, 0.0
     if not window[0] < window[1]:
         raise ValueError(
-            f'--hold-out: expected START:END in s, such as 57600:86400, but found {text!r}'
+            '--hold-out: expected START:END in s, such as 57600:86400 or 16h:24h, but found '
+            f'{text!r}'
         )
     return window
 

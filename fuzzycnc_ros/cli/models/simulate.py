@@ -100,7 +100,7 @@ def simulate(
         fuzzycnc simulate
         fuzzycnc simulate --seeds 12 --json shift.json
         fuzzycnc simulate --duties T2 --fault T18:drift:3600 --report t2.html
-        fuzzycnc simulate --out shift --param compensator.offset_max=20e-6
+        fuzzycnc simulate --out shift --param compensator.offset_max=20um
     """
     from fuzzycnc_ros.studies.thermal.summary import summary_document, summary_table
 
