@@ -26,9 +26,9 @@ from fuzzycnc_ros.ros.bring_up import GraphError
 from fuzzycnc_ros.ros.processes import interruptible
 
 EPILOG = (
-    'Exit codes: 0 done; 1 done, and something differs; 2 refused, with one line on standard '
-    'error; 130 interrupted, 143 if by SIGTERM, 129 if by SIGHUP. --debug, anywhere on the line, '
-    'shows the traceback of an error. Not a safety function: e-stop, limit switches and drive '
+    'Exit codes: 0 done; 1 done, but the result is not as wanted; 2 refused, with one line on '
+    'standard error; 130 ended by Ctrl-C, 143 by SIGTERM, 129 by SIGHUP. --debug, anywhere on the '
+    'line, shows the traceback of an error. Not a safety function: e-stop, limit switches and drive '
     'limits stay in hardware.'
 )
 

@@ -102,7 +102,7 @@ def compare(
     report: Report = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Put all position controllers on the same cases of the lathe axis, or of a machine's.
+    """Compare all position controllers on the same cases of the lathe axis, or of a machine's.
 
     Steps and profiles with and without friction, the gain halved and one and a half times, a step
     of load, a sine, a circle of two axes, and random moves whose gain, load, noise and friction
@@ -238,7 +238,7 @@ def tune(
     before = default_cost()
     show(tuning_table(found, before))
     if found.cost >= before:
-        say('note: no better than the defaults; more generations or candidates may be')
+        say('note: no better than the defaults; try more --generations or a larger --population')
     with warnings.catch_warnings():
         warnings.simplefilter('ignore')
         best = production(make_axis(axis, {}).linear(), found.settings)
@@ -279,11 +279,11 @@ def stability(
     report: Report = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Show what a position loop has to spare before it swings.
+    """Show how far a position loop is from swinging.
 
-    Gains near the target, gain and phase margin, the spectral radius of the sampled loop with its
-    observer over the gain of the axis, and the amplitude of a lasting oscillation that the
-    describing function of the contracted surface predicts.
+    The tables have the gains near the target, gain and phase margin, the spectral radius of the
+    sampled loop with its observer for several gains of the axis, and the amplitude of a lasting
+    oscillation as the describing function of the contracted surface predicts it.
 
         fuzzycnc servo stability
         fuzzycnc servo stability --params settings.yaml --gains 0.5,1,1.5,2 --report margins.html
@@ -384,8 +384,8 @@ def learn(
 ) -> None:
     """Learn the rules of the controller from recorded moves of any controller.
 
-    Shown is where every cell is from: records, the opposite cell, or its neighbours. The file is
-    for `fuzzycnc position --params` and `fuzzycnc servo stability --params`.
+    The table shows where the rule of every cell comes from: records, the opposite cell, or its
+    neighbours. `fuzzycnc position --params` and `fuzzycnc servo stability --params` read the file.
 
         fuzzycnc servo learn run --out rules.yaml
         fuzzycnc servo learn moves.csv --unit mm --method wm --out rules.json
@@ -451,7 +451,7 @@ def learn(
     cells = learned.values.size
     say(
         f'{learned.used:,} records; data in {round(learned.coverage * cells)} of {cells} cells, '
-        f'{int(learned.conflicts.sum()):,} records of another set than their cell'
+        f'{int(learned.conflicts.sum()):,} records that contradict the rule of their cell'
     )
     if not learned.count[OUTER].any():
         say(

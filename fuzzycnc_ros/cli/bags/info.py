@@ -110,7 +110,7 @@ def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
         show(Table('Topics', columns, rows))
     attachments = reader.attachments()
     for name, item in attachments.items():
-        say(f'attachment {name}: {len(item.data)} bytes, {item.media_type}')
+        say(f'attachment {name}: {len(item.data):,} bytes, {item.media_type}')
     lost, holed = lost_messages(attachments), holes(attachments)
     for topic, count in lost.items():
         say(f'lost while recording: {count} messages of {topic}')

@@ -39,11 +39,15 @@ def record(
     topics: Annotated[
         str,
         typer.Option(
-            metavar='REGEX', help='Topics to record, absolute names; all of the machine if empty.'
+            metavar='REGEX',
+            help='Topics to record, absolute names; all of the machine without it.',
         ),
     ] = '',
     lockstep: Annotated[
-        bool, typer.Option('--lockstep', help='Take turns in a lock-step run, losing nothing.')
+        bool,
+        typer.Option(
+            '--lockstep', help='Take part in a lock-step run, so that no message is lost.'
+        ),
     ] = False,
     duration: Annotated[
         OptionalNumber,
@@ -57,8 +61,8 @@ def record(
 ) -> None:
     """Record the topics of a live machine, undecoded, until Ctrl-C.
 
-    The bag is one that `ros2 bag info` and `ros2 bag play` read. Topics are taken up as they
-    appear. Lost messages and holes in samples are counted, written into the bag, and end the
+    `ros2 bag info` and `ros2 bag play` read the bag. Topics are recorded from when they appear.
+    Lost messages and holes in samples are counted, written into the bag, and end the
     command with code 1; if this process is killed, at most the last second is lost, and
     `fuzzycnc info BAG --repair` makes the bag whole.
 

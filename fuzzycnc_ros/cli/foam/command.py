@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
     from fuzzycnc_ros.studies.soft.foam_records import Samples
 
-HELP = """Straighten patterns on soft material: show, train, compensate, learn.
+HELP = """Compensate patterns on soft material: show, train, compensate, learn.
 
     fuzzycnc foam demo --report foam.html
     fuzzycnc foam train calibration --out model.json

@@ -17,7 +17,7 @@ from fuzzycnc_ros.cli.console import say, words, write_text
 if TYPE_CHECKING:
     from fuzzycnc_ros.ros.access import Access
 
-HELP = """Let each node of a machine do what it needs, and nobody else anything.
+HELP = """Write access rights: each node may do what it needs, and nobody else anything.
 
     fuzzycnc security write policies --machine mill
 
@@ -53,7 +53,7 @@ def write(
             metavar='NODE,...',
             show_default=False,
             help='Nodes, with commas; without it all but simulated_machine, simulated_body and '
-            'player, which only play a machine.',
+            'player, which only stand in for a machine.',
             autocompletion=some_of(node_names),
         ),
     ] = '',

@@ -79,8 +79,8 @@ def check_free(monitor: 'Monitor', presence: 'Presence', plans: Mapping[str, Pla
     found = sorted(living | (heard & taken))
     if found:
         raise GraphError(
-            f'expected nobody at {", ".join(sorted({machine for machine, _ in found}))} but '
-            f'found {", ".join(f"/{machine}/{node}" for machine, node in found)} at work in '
+            f'expected no nodes in {", ".join(sorted({machine for machine, _ in found}))} but '
+            f'found {", ".join(f"/{machine}/{node}" for machine, node in found)} running in '
             f'ROS domain {os.environ.get("ROS_DOMAIN_ID") or 0}: end them, choose another '
             '--machine or ROS_DOMAIN_ID, or add --takeover to run beside them'
         )

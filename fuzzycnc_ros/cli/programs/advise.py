@@ -97,7 +97,7 @@ def advise(
     report: Report = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Show what keeps a contour tolerance on LinuxCNC, and recommend the fastest remedy.
+    """Show which settings keep a contour tolerance on LinuxCNC, and recommend the fastest.
 
     What costs nothing comes first: a lower MAX_ACCELERATION and another P of G64. Then scheduled
     feeds, mixtures of all, and feeds that are refined on the simulated controller. Each is judged
@@ -266,8 +266,8 @@ def _notes(given: 'Program', path: 'ProgramPath') -> list[str]:
     notes = [f'note: {note}' for note in given.notes[:8]]
     if path.program.unknown:
         notes.append(
-            f'left out: {path.program.unknown:,} motions of which the program does not tell '
-            'where they go or how fast'
+            f'left out: {path.program.unknown:,} motions whose end or feed the program '
+            'does not tell'
         )
     return notes
 
