@@ -28,8 +28,8 @@ from fuzzycnc_ros.ros.processes import interruptible
 EPILOG = (
     'Exit codes: 0 done; 1 done, but the result is not as wanted; 2 refused, with one line on '
     'standard error; 130 ended by Ctrl-C, 143 by SIGTERM, 129 by SIGHUP. --debug, anywhere on the '
-    'line, shows the traceback of an error. Not a safety function: e-stop, limit switches and drive '
-    'limits stay in hardware.'
+    'line, shows the traceback of an error. Not a safety function: e-stop, limit switches and '
+    'drive limits stay in hardware.'
 )
 
 INTERRUPTED = 130

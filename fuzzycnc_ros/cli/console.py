@@ -3,10 +3,12 @@
 """What all subcommands share: tables, progress, files of figures."""
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
@@ -36,6 +38,9 @@ JsonFile = Annotated[
     ),
 ]
 
+PLAIN_WIDTH = 100
+"""Characters of a line where the output is no terminal and COLUMNS is not set."""
+
 Tell = Callable[[str, int, int], None]
 """Told what is going on, steps done and in all."""
 
@@ -43,17 +48,31 @@ Tell = Callable[[str, int, int], None]
 def show(table: 'Table') -> None:
     """Print a table: with emphasis on a terminal, as plain text elsewhere."""
     if not sys.stdout.isatty():
-        _put(table.to_text())
+        width = plain_width()
+        for part in fitting(table, lambda part: part.least_width() <= width):
+            _put(part.to_text(width))
         return
     from fuzzycnc_ros.cli.terminal import Terminal
 
     console = Terminal()
-    for part in fitting(table, console):
+    for part in fitting(table, partial(fits_terminal, console=console)):
         console.print(part.to_rich())
 
 
-def fitting(table: 'Table', console: 'Console') -> 'list[Table]':
-    """Return a table in parts that fit a terminal, so that no figure is cut short.
+def plain_width() -> int:
+    """Return how many characters a line of a table has in a pipe or file."""
+    columns = os.environ.get('COLUMNS', '')
+    return int(columns) if columns.isdecimal() and int(columns) else PLAIN_WIDTH
+
+
+def fits_terminal(table: 'Table', console: 'Console') -> bool:
+    """Return whether a terminal shows a table without cutting a number."""
+    endless = console.options.update(max_width=10_000)
+    return console.measure(table.to_rich(), options=endless).minimum <= console.width
+
+
+def fitting(table: 'Table', fits: 'Callable[[Table], bool]') -> 'list[Table]':
+    """Return a table in parts that fit, so that no figure is cut short.
 
     Each part repeats the first column.  Columns of one group stay together, and so do groups
     whose names begin with the same word, such as the axes of a run, if a part can hold them.
@@ -63,11 +82,11 @@ def fitting(table: 'Table', console: 'Console') -> 'list[Table]':
         for _, members in groupby(table.columns[1:], key):
             first = parts[-1][-1] + 1 if parts else 1
             columns = list(range(first, first + len(list(members))))
-            if parts and _fits(table, [*parts[-1], *columns], console):
+            if parts and fits(_columns(table, [*parts[-1], *columns])):
                 parts[-1] += columns
             else:
                 parts.append(columns)
-        if all(_fits(table, part, console) for part in parts):
+        if all(fits(_columns(table, part)) for part in parts):
             break
     return [_columns(table, part) for part in parts] or [table]
 
@@ -90,13 +109,6 @@ def _columns(table: 'Table', chosen: list[int]) -> 'Table':
         strong=frozenset((r, columns.index(c)) for r, c in table.strong if c in columns),
         warning=frozenset((r, columns.index(c)) for r, c in table.warning if c in columns),
     )
-
-
-def _fits(table: 'Table', chosen: list[int], console: 'Console') -> bool:
-    """Return whether some columns of a table fit without cutting anything."""
-    endless = console.options.update(max_width=10_000)
-    width = console.measure(_columns(table, chosen).to_rich(), options=endless).maximum
-    return width <= console.width
 
 
 def say(text: str) -> None:
