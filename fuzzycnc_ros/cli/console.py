@@ -77,7 +77,7 @@ def fitting(table: 'Table', fits: 'Callable[[Table], bool]') -> 'list[Table]':
     Each part repeats the first column.  Columns of one group stay together, and so do groups
     whose names begin with the same word, such as the axes of a run, if a part can hold them.
     """
-    for key in (_family, _group):
+    for key in (_family, _group, id):
         parts: list[list[int]] = []
         for _, members in groupby(table.columns[1:], key):
             first = parts[-1][-1] + 1 if parts else 1

@@ -31,7 +31,9 @@ FEEDS: Mapping[str, float] = MappingProxyType(
 DURATIONS: Mapping[str, float] = MappingProxyType({'s': 1.0, 'min': MINUTE, 'h': 60.0 * MINUTE})
 """What a duration of 1 is, by unit [s]."""
 
-TIMES: Mapping[str, float] = MappingProxyType({**DURATIONS, 'd': 24 * 60.0 * MINUTE, 'ms': 1e-3})
+TIMES: Mapping[str, float] = MappingProxyType(
+    {'s': 1.0, 'ms': 1e-3, 'min': MINUTE, 'h': 60.0 * MINUTE, 'd': 1440.0 * MINUTE}
+)
 """What a time is where a plain number means seconds [s]."""
 
 FORCES: Mapping[str, float] = MappingProxyType({'N': 1.0, 'kN': 1e3})

@@ -85,6 +85,11 @@ LONG = Table(
         ('thermal_predictor', '0.1', ''),
     ),
 )
+UNGROUPED = Table(
+    'Figures',
+    (Column('Case', numeric=False), *(Column(f'quantity {n} [um]') for n in range(12))),
+    (('step', *(f'{n}.25' for n in range(12))),),
+)
 HASHES = Table(
     'Hashes',
     (Column('Topic', numeric=False), Column('SHA-256', numeric=False)),
@@ -93,7 +98,7 @@ HASHES = Table(
 
 
 @pytest.mark.parametrize('columns', [80, 100])
-@pytest.mark.parametrize('table', [TABLE, LONG, HASHES])
+@pytest.mark.parametrize('table', [TABLE, LONG, UNGROUPED, HASHES])
 def test_in_a_pipe_a_line_has_as_many_characters_as_columns(monkeypatch, capsys, table, columns):
     monkeypatch.setenv('COLUMNS', str(columns))
     show(table)

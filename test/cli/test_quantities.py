@@ -67,7 +67,7 @@ def test_other_units_of_the_same_kind(text, unit, value):
     [
         ('compensator.offset_max=5s', 'a length in mm, um, m or inch but found'),
         ('compensator.slew_max=5 um', "a velocity in um/s, .*inch/min but found '5 um'"),
-        ('linuxcnc_bridge.lead_max=1 m', 'a time in s, min, h, d or ms but found'),
+        ('linuxcnc_bridge.lead_max=1 m', 'a time in s, ms, min, h or d but found'),
         ('compensator.offset_max=far', "a length in .* but found 'far'"),
     ],
 )
@@ -99,7 +99,7 @@ def test_parameters_of_nodes_take_units_and_text_stays_text():
 def test_options_in_seconds_take_other_units():
     read = number_in(TIMES, 'a time')
     assert [read(text) for text in ('86400', '24h', '24 h', '1440min', 86400.0)] == 5 * [86400.0]
-    with pytest.raises(typer.BadParameter, match=r"a time in s, min, h, d or ms but found '5um'"):
+    with pytest.raises(typer.BadParameter, match=r"a time in s, ms, min, h or d but found '5um'"):
         read('5um')
 
 
