@@ -75,7 +75,9 @@ def identify(
     period: Annotated[
         str,
         typer.Option(
-            metavar='TIME', show_default=False, help='Time between samples, if no column has it.'
+            metavar='TIME',
+            show_default=False,
+            help='Time between samples, such as 1ms, if no column has it.',
         ),
     ] = '',
     json_file: JsonFile = None,
