@@ -137,13 +137,14 @@ class Table:
         width : int, optional
             Characters of a line; cells of text take several lines where they must, numbers never.
         """
-        headings, *shown = self._shown()
-        widths = self._natural_widths()
-        if width is not None:
-            widths = self._narrowed(widths, width)
+        headings = [tuple(column.full_heading for column in self.columns)]
+        widths = self._natural_widths(headings)
+        if width is not None and sum(widths) + 2 * (len(widths) - 1) > width:
+            headings = self._stacked()
+            widths = self._narrowed(self._natural_widths(headings), width)
         rule = tuple('-' * size for size in widths)
         lines = []
-        for row in (headings, rule, *shown):
+        for row in (*headings, rule, *self._cells()):
             cells = [
                 [cell] if column.numeric else wrap(cell, max(size, 1)) or ['']
                 for cell, size, column in zip(row, widths, self.columns, strict=True)
@@ -161,28 +162,32 @@ class Table:
         """Return how many characters a line of plain text needs, so that no number is cut."""
         return sum(self._least_widths()) + 2 * (len(self.columns) - 1)
 
-    def _shown(self) -> list[tuple[str, ...]]:
-        """Return headings and cells as plain text has them."""
-        rows = [
+    def _cells(self) -> list[tuple[str, ...]]:
+        """Return the rows as plain text has them."""
+        return [
             tuple(self.marked(r, c) for c in range(len(row))) for r, row in enumerate(self.rows)
         ]
-        return [tuple(column.full_heading for column in self.columns), *rows]
 
-    def _natural_widths(self) -> list[int]:
-        return [max(map(len, column)) for column in zip(*self._shown(), strict=True)]
+    def _stacked(self) -> list[tuple[str, ...]]:
+        """Return groups above headings."""
+        groups = tuple(column.group for column in self.columns)
+        headings = tuple(column.heading for column in self.columns)
+        return [groups, headings] if any(groups) else [headings]
+
+    def _natural_widths(self, headings: list[tuple[str, ...]]) -> list[int]:
+        rows = zip(*headings, *self._cells(), strict=True)
+        return [max(map(len, column)) for column in rows]
 
     def _least_widths(self) -> list[int]:
         """Return the least width of each column: numbers whole, of text its longest word."""
-        return [
-            natural
-            if column.numeric
-            else min(
-                natural, max(TEXT_MIN, *(len(word) for cell in cells for word in cell.split()))
-            )
-            for column, natural, cells in zip(
-                self.columns, self._natural_widths(), zip(*self._shown(), strict=True), strict=True
-            )
-        ]
+        stacked = self._stacked()
+        found = []
+        for c, natural in enumerate(self._natural_widths(stacked)):
+            cells = [row[c] for row in (*stacked, *self._cells())]
+            longest = max((len(word) for cell in cells for word in cell.split()), default=0)
+            words = natural if self.columns[c].numeric else max(TEXT_MIN, longest)
+            found.append(min(natural, words))
+        return found
 
     def _narrowed(self, widths: list[int], width: int) -> list[int]:
         """Return widths that fit a line, if the widest columns of text can give enough away."""
