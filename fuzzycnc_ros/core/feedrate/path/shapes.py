@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import Array, dot_products, vector_lengths
 from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, NurbsSegment, Segment
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.path_geometry import (
@@ -94,7 +94,7 @@ class _CurveStretch:
         for _ in range(3 if len(between) else 0):
             at = found[between]
             excess = self.curve.arc_length(at) - self.offset - place[between]
-            speed = np.linalg.norm(self.curve.derivative(at), axis=1)
+            speed = vector_lengths(self.curve.derivative(at))
             step = excess / np.maximum(speed, 1e-30)
             row = np.clip(np.searchsorted(self.place, place[between]), 1, len(self.node) - 1)
             found[between] = np.clip(at - step, self.node[row - 1], self.node[row])
@@ -137,16 +137,16 @@ def _frames(curve: NurbsCurve, u: Array, low: float, high: float) -> tuple[Array
     inside = np.clip(u, low, np.nextafter(high, low))
     point = curve.point(np.clip(u, low, high))
     first, second = curve.derivative(inside, 1), curve.derivative(inside, 2)
-    speed = np.linalg.norm(first, axis=1)
+    speed = vector_lengths(first)
     mean = curve.length / (curve.domain[1] - curve.domain[0])
     still = np.flatnonzero(speed <= _ASIDE * mean)
     if len(still):
         away = np.where(inside[still] < 0.5 * (low + high), 1.0, -1.0) * (high - low) * 1e-3
         first[still] = curve.derivative(inside[still] + away, 1)
         second[still] = curve.derivative(inside[still] + away, 2)
-        speed[still] = np.linalg.norm(first[still], axis=1)
+        speed[still] = vector_lengths(first[still])
     tangent = first / speed[:, np.newaxis]
-    along = (second * tangent).sum(axis=1, keepdims=True)
+    along = dot_products(second, tangent)[:, np.newaxis]
     return point, tangent, (second - along * tangent) / speed[:, np.newaxis] ** 2
 
 
@@ -160,8 +160,8 @@ def _edges(curve: NurbsCurve) -> Array:
     _, before, bend = _frames(curve, inner, first, last)
     left = [_frames(curve, np.array([u]), first, u) for u in inner.tolist()]
     ahead, behind = before, np.concatenate([one[1] for one in left])
-    jump = np.linalg.norm(bend - np.concatenate([one[2] for one in left]), axis=1)
-    size = np.linalg.norm(bend, axis=1)
+    jump = vector_lengths(bend - np.concatenate([one[2] for one in left]))
+    size = vector_lengths(bend)
     rough = (turn_angles(behind, ahead) > SMOOTH_TURN) | (jump > _JUMP * size + 1e-9)
     return np.concatenate([[first], inner[rough], [last]])
 
@@ -206,8 +206,8 @@ def _pieces_needed(curve: NurbsCurve, begin: Array, end: Array, low: float, high
         np.repeat(length, 2)[:-1],
     )[::2]
     found = np.einsum('kb,mbd->mkd', bernstein(5, _TRIED), piece)
-    off = np.linalg.norm(found - point[:, 1:-1], axis=2).max(axis=1)
-    curvature = np.linalg.norm(bend, axis=2)
+    off = vector_lengths(found - point[:, 1:-1]).max(axis=1)
+    curvature = vector_lengths(bend)
     inner = curvature.max(axis=1)
     ends = np.maximum(curvature[:, 0], curvature[:, -1])
     turn = inner * length
@@ -234,7 +234,7 @@ class Frame:
     @property
     def curvature(self) -> Array:
         """Size of the curvature vector, shape (k,) [1/m]."""
-        return np.asarray(np.linalg.norm(self.bend, axis=-1))
+        return np.asarray(vector_lengths(self.bend))
 
 
 @dataclass(frozen=True)
@@ -329,9 +329,9 @@ class Shapes:
             excess = _arc_length(number, share) - place
             share = np.clip(share - excess / _arc_speed(number, share), 0.0, 1.0)
         point, first, second = _arc_derivatives(number, share)
-        speed = np.linalg.norm(first, axis=1, keepdims=True)
+        speed = vector_lengths(first)[:, np.newaxis]
         tangent = first / speed
-        along = (second * tangent).sum(axis=1, keepdims=True)
+        along = dot_products(second, tangent)[:, np.newaxis]
         return Frame(point, tangent, (second - along * tangent) / speed**2)
 
     def _curves(self, index: NDArray[np.intp], place: Array) -> Frame:
@@ -377,7 +377,7 @@ def make_shapes(
     rapid = np.array([segment.rapid for segment in segments], dtype=bool)
     feed = np.array([_feed(segment) for segment in segments], dtype=float)
     kind = np.full(count, LINE, dtype=np.int8)
-    length = np.linalg.norm(end - start, axis=1)
+    length = vector_lengths(end - start)
     arc = np.zeros((count, 17))
     curve = np.full(count, None, dtype=object)
     stretches: dict[int, list[_CurveStretch]] = {}
