@@ -381,14 +381,16 @@ def make_shapes(
     arc = np.zeros((count, 17))
     curve = np.full(count, None, dtype=object)
     stretches: dict[int, list[_CurveStretch]] = {}
+    bent: list[ArcSegment] = []
     for k, segment in enumerate(segments):
         if isinstance(segment, ArcSegment):
             kind[k] = ARC
-            arc[k] = _arc_numbers(segment, start[k], end[k])
+            bent.append(segment)
         elif isinstance(segment, NurbsSegment):
             kind[k] = CURVE
             stretches[k] = _curve_stretches(segment, start[k])
     arcs = np.flatnonzero(kind == ARC)
+    arc[arcs] = _arc_numbers(bent, start[arcs], end[arcs])
     length[arcs] = _arc_length(arc[arcs], np.ones(len(arcs)))
     shapes = Shapes(kind, start, end, length, owner, feed, rapid, halt, rest, arc, curve)
     return _with_stretches(shapes, stretches) if stretches else shapes
@@ -417,38 +419,42 @@ def _feed(segment: Segment) -> float:
     return math.inf if segment.rapid or segment.feed is None else segment.feed
 
 
-def _arc_numbers(segment: ArcSegment, start: Array, end: Array) -> Array:
+def _arc_numbers(segments: Sequence[ArcSegment], start: Array, end: Array) -> Array:
     """Return axes (3), centre (2), radius, its change, angle, sweep, height, rise, misfits (6).
 
-    The misfits are what the ends are off the formula, spread over the arc.
+    One row for each arc.  The misfits are what the ends (k, 3) are off the formula, spread over
+    the arc.
     """
-    first, second, across = segment.axes
-    low, high = segment.radii
-    angle = math.atan2(
-        segment.start[second] - segment.centre[1], segment.start[first] - segment.centre[0]
-    )
-    height = segment.start[across]
-    # A change of the radius within the digits of the coordinates is none.
-    change = high - low if abs(high - low) > 1e-14 + 1e-12 * low else 0.0
-    number = np.zeros(17)
-    number[:11] = (
-        *segment.axes,
-        *segment.centre,
-        low,
-        change,
-        angle,
-        segment.sweep,
-        height,
-        segment.end[across] - height,
-    )
-    point, _, _ = _arc_derivatives(np.stack([number, number]), np.array([0.0, 1.0]))
-    misfit = np.stack([start, end]) - point
-    if not np.linalg.norm(misfit[1]) <= _ARC_MISFIT:
-        raise ValueError(
-            f'line {segment.line}: expected an arc that ends where its centre and angle lead, but '
-            f'found its end {1e3 * np.linalg.norm(misfit[1]):.6g} mm away from there'
+    number = np.zeros((len(segments), 17))
+    for row, segment in zip(number, segments, strict=True):
+        first, second, across = segment.axes
+        low, high = segment.radii
+        angle = math.atan2(
+            segment.start[second] - segment.centre[1], segment.start[first] - segment.centre[0]
         )
-    number[11:] = misfit.ravel()
+        height = segment.start[across]
+        # A change of the radius within the digits of the coordinates is none.
+        change = high - low if abs(high - low) > 1e-14 + 1e-12 * low else 0.0
+        row[:11] = (
+            *segment.axes,
+            *segment.centre,
+            low,
+            change,
+            angle,
+            segment.sweep,
+            height,
+            segment.end[across] - height,
+        )
+    begin, _, _ = _arc_derivatives(number, np.zeros(len(number)))
+    finish, _, _ = _arc_derivatives(number, np.ones(len(number)))
+    number[:, 11:14], number[:, 14:] = start - begin, end - finish
+    away = vector_lengths(number[:, 14:])
+    if not (away <= _ARC_MISFIT).all():
+        at = int(np.argmin(away <= _ARC_MISFIT))
+        raise ValueError(
+            f'line {segments[at].line}: expected an arc that ends where its centre and angle '
+            f'lead, but found its end {1e3 * away[at]:.6g} mm away from there'
+        )
     return number
 
 
