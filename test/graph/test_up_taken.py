@@ -89,6 +89,18 @@ def test_who_is_in_nobodys_way_may_join(up, tmp_path):
     started(up('meant', '--nodes', 'compensator', '--takeover'))
 
 
+def test_a_bridge_by_itself_is_refused_beside_another(up, graph, observer):
+    started(up('first', '--simulate', 'T2', '--nodes', 'temperature_acquisition'))
+    bridge = graph.start('opcua_bridge', {'axes': ['Y']})
+    assert bridge.wait() == 2
+    (line,) = [line for line in bridge.output.splitlines() if line.startswith('error: ')]
+    assert 'opcua_bridge: expected nobody who stands for mill' in line
+    assert 'found /mill/simulated_machine at work' in line
+    elsewhere = graph.start('opcua_bridge', {'axes': ['Y']}, namespace='/lathe')
+    assert observer.state('opcua_bridge', 'lathe')
+    assert elsewhere.process.poll() is None
+
+
 @pytest.mark.parametrize('dead', ['command', 'nodes'])
 def test_what_was_killed_locks_nobody_out(up, dead):
     """The nodes of a killed command end by themselves; killed nodes linger in the graph."""
