@@ -58,7 +58,7 @@ def refusal(command):
 def test_second_of_the_same_name_is_refused(up):
     started(up('first', '--nodes', NODES, '--compose'))
     line = refusal(up('second', '--nodes', 'compensator,sensor_selector'))
-    assert 'expected nobody at mill but found /mill/compensator at work' in line
+    assert 'expected no nodes in mill but found /mill/compensator at work' in line
     assert '--takeover' in line
     line = refusal(up('both', '--machine', 'mill,other'))
     assert 'found /mill/compensator, /mill/temperature_acquisition at work' in line

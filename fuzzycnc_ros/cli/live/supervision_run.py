@@ -79,7 +79,7 @@ def check_free(monitor: 'Monitor', presence: 'Presence', plans: Mapping[str, Pla
     found = sorted(living | (heard & taken))
     if found:
         raise GraphError(
-            f'expected nobody at {", ".join(sorted({machine for machine, _ in found}))} but '
+            f'expected no nodes in {", ".join(sorted({machine for machine, _ in found}))} but '
             f'found {at_work(found)}: end them, choose another --machine or ROS_DOMAIN_ID, or add '
             '--takeover to run beside them'
         )
