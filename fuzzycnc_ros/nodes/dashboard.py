@@ -39,7 +39,6 @@ SOONEST = 0.3
 """Part of the interval after which new data are shown, though a view was shown before them."""
 ANSWERED = 10.0
 """Wall time [s] that a page waits for a stretch of history."""
-NEEDED = ('starlette', 'uvicorn', 'websockets')
 OWN_FOLDER = '~/.fuzzycnc/dashboard'
 
 
@@ -80,7 +79,8 @@ class DashboardNode:
         self._actions = Actions(node, bags)
         self._server = self._make_server(bags)
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._watch = MachineWatch(node, changed=self._on_changed)
+        # Beside the machines it shows all of them, within the namespace of one that one alone.
+        self._watch = MachineWatch(node, node.get_namespace().strip('/'), self._on_changed)
         wall_timer(node, TICK, self._show)
         wall_timer(node, DISCOVERY_PERIOD, self._look)
         wall_timer(node, 1.0, self._report)

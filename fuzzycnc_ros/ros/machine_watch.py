@@ -132,7 +132,7 @@ class WatchedMachine:
         for topic in self._topics:
             topic.read()
 
-    def look(self, present: set[str], now: float) -> None:
+    def look(self, present: set[str]) -> None:
         """Take which nodes are in the graph, and which have ended.
 
         The graph shows a node that was killed for 20 s more; where its process lived on this
@@ -144,7 +144,7 @@ class WatchedMachine:
         gone = {name for name in known - present - living}
         ended = gone | ((self._lived & known) - living)
         self._lived |= living
-        view.set_nodes(present, ended, now)
+        view.set_nodes(present, ended)
 
     def close(self) -> None:
         """Read no more."""
@@ -185,7 +185,6 @@ class MachineWatch:
 
     def look(self) -> None:
         """Look which machines and nodes there are, from time to time."""
-        now = time.monotonic()
         nodes: dict[str, set[str]] = {}
         for name, space in self._node.get_node_names_and_namespaces():
             nodes.setdefault(space.strip('/'), set()).add(name)
@@ -197,7 +196,7 @@ class MachineWatch:
             if wanted and fresh and self._only in ('', machine):
                 self._add(machine)
         for machine, watched in self.machines.items():
-            watched.look(nodes.get(machine, set()), now)
+            watched.look(nodes.get(machine, set()))
 
     def read(self) -> None:
         """Look into what has come on fast topics since the last time."""

@@ -179,8 +179,8 @@ class Actions:
         answer = await self._call(SetThermalReference, name, request)
         if answer.success:
             return str(answer.message)
-        applied = view.newest('compensation_applied')
-        if applied is not None and applied.offset.any() and not force:
+        told = (view.newest('compensation_applied'), view.newest('compensation'))
+        if not force and any(record is not None and record.offset.any() for record in told):
             raise NeedsForceError(str(answer.message))
         raise GraphError(str(answer.message))
 

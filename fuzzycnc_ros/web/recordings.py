@@ -72,7 +72,7 @@ class BagFolder:
             metadata = None
         if metadata is not None:
             complete = True
-            begin, duration = 1e-9 * metadata.start, 1e-9 * metadata.duration
+            begin, duration = 1e-9 * metadata.start, 1e-9 * (metadata.stop - metadata.start)
         return {
             'name': visible(bag.name),
             'bytes': sum(item.st_size for item in files),

@@ -61,7 +61,7 @@ class _Ring:
         self._flag: Bools = np.zeros((0, 0), bool)
         self._held = 0  # rows that are filled
         self._head = -1  # the newest of them
-        self._bin = -1
+        self._bin = 0.0
 
     def widen(self, columns: int) -> None:
         """Make room for more columns; before, they were unknown."""
@@ -73,8 +73,8 @@ class _Ring:
 
     def add(self, time: float, values: Floats, flag: Bools) -> None:
         """Take a sample of all columns."""
-        number = int(time // self._tier.period) if self._tier.period else -1
-        if self._head < 0 or not self._tier.period or number != self._bin:
+        number = time // self._tier.period if self._tier.period else time
+        if self._head < 0 or number != self._bin:
             self._begin(time)
             self._bin = number
         row = self._values[self._head]
@@ -170,19 +170,13 @@ class Series:
         Parameters
         ----------
         stamp : int
-            Machine time [ns].  The newest again is left out; one before it means that the clock
-            began anew, and with it the series.
+            Machine time [ns].  What comes late, from another topic, joins the newest sample.
         values : mapping of str to float
             Values by column; what is not finite counts as none.
         flagged : frozenset of str
             Columns whose value here is to be marked.
         """
-        if self._newest is not None and stamp <= self._newest:
-            if stamp == self._newest:
-                return
-            self._rings = [_Ring(tier) for tier in self._tiers]
-            self._columns = {}
-        self._newest = stamp
+        self._newest = stamp if self._newest is None else max(stamp, self._newest)
         fresh = [name for name in values if name not in self._columns]
         for name in fresh[: COLUMNS_MAX - len(self._columns)]:
             self._columns[name] = len(self._columns)
@@ -198,7 +192,7 @@ class Series:
                 flag[place] = name in flagged
         row[~np.isfinite(row) | (np.abs(row) > np.finfo(np.float32).max)] = np.nan
         for ring in self._rings:
-            ring.add(stamp / SECOND, row, flag)
+            ring.add(self._newest / SECOND, row, flag)
 
     def rows(self, begin: float, end: float, points: int) -> Rows:
         """Return what happened between two times, each stretch as finely as it is known.
@@ -260,7 +254,12 @@ class History:
     """
 
     def __init__(self, tiers: Sequence[Tier] = DAY) -> None:
-        self._series = {name: Series(tiers) for name in SERIES}
+        self._tiers = tiers
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all: the clock began anew."""
+        self._series = {name: Series(self._tiers) for name in SERIES}
 
     def __getitem__(self, name: str) -> Series:
         """Return a series by name."""
@@ -281,7 +280,7 @@ def history_document(
     machine: str, name: str, columns: Sequence[str], rows: Rows
 ) -> dict[str, Any]:
     """Return rows of a series as a JSON document; unknown values are None."""
-    flagged = rows.flag.any(axis=0)
+    flagged = np.atleast_1d(rows.flag.any(axis=0)).tolist()
     return {
         'machine': machine,
         'series': name,

@@ -14,10 +14,15 @@ from math import isfinite
 from statistics import median
 from typing import Any
 
-import numpy as np
-
+from fuzzycnc_ros.components.dashboard.equipment import (
+    feeds_document,
+    servo_document,
+    soft_document,
+)
 from fuzzycnc_ros.components.dashboard.history import History
+from fuzzycnc_ros.components.dashboard.node_report import NodeReport
 from fuzzycnc_ros.components.dashboard.trend import Trend
+from fuzzycnc_ros.components.dashboard.values import finite, number, value_of, word
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.enums import (
@@ -25,10 +30,8 @@ from fuzzycnc_ros.runtime.enums import (
     CompensationState,
     MachineMode,
     Reason,
-    ServoStatus,
     SpeedStatus,
     Status,
-    TrajectoryStatus,
 )
 from fuzzycnc_ros.runtime.host import NodeConfiguration
 from fuzzycnc_ros.runtime.records import (
@@ -78,8 +81,6 @@ SILENT = 2.0
 second."""
 LATE_FACTOR = 3.0
 """Data that come slowly are late after so many of their own intervals."""
-NODE_SILENT = 5.0
-"""Time [s] without a report after which a node does not answer."""
 SIMULATED = frozenset({'simulated_machine', 'simulated_body', 'player'})
 """Nodes that play a machine."""
 PROBE_CHANNELS_MAX = 100
@@ -99,14 +100,6 @@ _STATE_WORDS = {
     CompensationState.RAMPING: 'offsets go to zero',
     CompensationState.EXPIRED: 'offsets are at zero until the predicted error is of use',
 }
-_VERBS = frozenset(
-    (
-        *('activate', 'add', 'call', 'check', 'choose', 'compare', 'cut', 'deactivate', 'delete'),
-        *('end', 'force', 'give', 'import', 'look', 'name', 'plug', 'put', 'raise', 'release'),
-        *('repair', 'replace', 'restart', 'see', 'send', 'set', 'start', 'train', 'try', 'use'),
-    )
-)
-"""Words with which nodes begin to say what to do."""
 
 
 @dataclass
@@ -135,66 +128,6 @@ class _Heard:
         return now - self.at > max(SILENT, LATE_FACTOR * usual)
 
 
-@dataclass
-class _NodeReport:
-    """What a node says of itself.
-
-    Attributes
-    ----------
-    seen : bool
-        Whether it is in the graph, or was and has not ended.
-    ended : bool
-        Whether its process is known to have ended.
-    heard_at : float, optional
-        Time of its newest health [s].
-    items : tuple of Health
-        Its newest health.
-    configuration : NodeConfiguration, optional
-        What it runs with.
-    parameters : mapping
-        The same, read.
-    """
-
-    ended: bool = False
-    ended_at: float = 0.0
-    heard_at: float | None = None
-    items: tuple[Health, ...] = ()
-    configuration: NodeConfiguration | None = None
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-
-    def silent(self, now: float) -> bool:
-        """Whether it reports no more."""
-        return self.heard_at is not None and now - self.heard_at > NODE_SILENT
-
-
-@dataclass(frozen=True)
-class _Alarm:
-    """Something that an operator has to know."""
-
-    level: str
-    node: str
-    name: str
-    cause: str
-    remedy: str
-
-
-def split_advice(text: str) -> tuple[str, str]:
-    """Return cause and remedy of what a node says; the remedy may be empty.
-
-    Nodes say first what is wrong, then, behind a semicolon, what to do.
-
-    Examples
-    --------
-    >>> split_advice('no model; set the parameter model or call train_thermal_model')
-    ('no model', 'set the parameter model or call train_thermal_model')
-    """
-    parts = text.split('; ')
-    for place, part in enumerate(parts):
-        if place and part.split(' ')[0] in _VERBS:
-            return '; '.join(parts[:place]), '; '.join(parts[place:])
-    return text, ''
-
-
 class MachineView:
     """Put together what the nodes of one machine say.
 
@@ -211,8 +144,7 @@ class MachineView:
         self.history = History() if history is None else history
         self._newest: dict[str, Any] = {}
         self._heard: dict[str, _Heard] = {}
-        self._nodes: dict[str, _NodeReport] = {}
-        self._present: frozenset[str] = frozenset()
+        self._nodes: dict[str, NodeReport] = {}
         self._stamp: int | None = None
         self._sequence = 0
         self.news = 0
@@ -259,29 +191,25 @@ class MachineView:
 
     def take_health(self, node: str, items: Iterable[Health], now: float) -> None:
         """Take what a node reports on /diagnostics."""
-        report = self._nodes.setdefault(node, _NodeReport())
+        report = self._nodes.setdefault(node, NodeReport())
         report.heard_at, report.items = now, tuple(items)
         report.ended = False
 
     def take_configuration(self, configuration: NodeConfiguration) -> None:
         """Take what a node runs with."""
-        report = self._nodes.setdefault(configuration.node, _NodeReport())
+        report = self._nodes.setdefault(configuration.node, NodeReport())
         report.configuration = configuration
         report.parameters = _object(configuration.parameters)
         if configuration.model_hash and configuration.model_hash != self._model_hash:
             self._model_hash = configuration.model_hash
             self._model = _model_facts(configuration, report.parameters)
 
-    def set_nodes(self, present: Collection[str], ended: Collection[str], now: float) -> None:
+    def set_nodes(self, present: Collection[str], ended: Collection[str]) -> None:
         """Say which nodes are in the graph, and which of all have ended for sure."""
-        self._present = frozenset(present)
-        for name in self._present:
-            self._nodes.setdefault(name, _NodeReport())
+        for name in present:
+            self._nodes.setdefault(name, NodeReport())
         for name, report in self._nodes.items():
-            if name in ended and not report.ended:
-                report.ended, report.ended_at = True, now
-            elif name not in ended and name in self._present:
-                report.ended = False
+            report.ended = name in ended
 
     def set_recording(self, bag: str | None) -> None:
         """Say which bag is recorded from here; None if none is."""
@@ -304,6 +232,13 @@ class MachineView:
         """Names of those that have not ended."""
         return tuple(name for name, report in self._nodes.items() if not report.ended)
 
+    @property
+    def complete(self) -> bool:
+        """Whether all nodes that live have reported, and there are data."""
+        living = [report for report in self._nodes.values() if not report.ended]
+        told = all(report.heard_at is not None for report in living)
+        return bool(living) and told and self._stamp is not None
+
     def quiet_for(self, now: float) -> float:
         """Return for how long nothing was heard of the machine or its nodes [s]."""
         heard = [item.at for item in self._heard.values()]
@@ -322,7 +257,7 @@ class MachineView:
             bool(self._silence(now)),
             tuple(
                 (
-                    *(name, report.ended, report.silent(now), self.lifecycle(name)),
+                    *(name, report.ended, report.silent(now), report.lifecycle),
                     *((item.name, item.level) for item in report.items if item.level),
                 )
                 for name, report in self._nodes.items()
@@ -333,12 +268,6 @@ class MachineView:
         """Return the newest record of a topic, None if there is none."""
         return self._newest.get(topic)
 
-    def lifecycle(self, node: str) -> str:
-        """Return the lifecycle state that a node has told last; empty if none."""
-        report = self._nodes.get(node)
-        known = report is not None and report.configuration is not None
-        return report.configuration.lifecycle_state if known else ''  # type: ignore[union-attr]
-
     def parameter(self, node: str, name: str) -> Any:
         """Return a parameter of a node as it has told it, None if it has not."""
         report = self._nodes.get(node)
@@ -347,25 +276,28 @@ class MachineView:
     def document(self, now: float) -> dict[str, Any]:
         """Return the view, with values that JSON can hold: unknown ones are None."""
         self._sequence += 1
-        silent = self._silence(now)
         return {
             'machine': self.machine,
             'sequence': self._sequence,
             'stamp': None if self._stamp is None else self._stamp / SECOND,
             'age': self._age(now),
             'simulated': bool(SIMULATED & self._nodes.keys()),
-            'silent': silent,
+            'silent': self._silence(now),
             'state': self._state(),
             'axes': self._axes(),
             'spindle': self._spindle(),
             'sensors': self._sensors(),
             'model': self._model_document(),
-            'nodes': [self._node(name, now) for name in sorted(self._nodes)],
+            'nodes': [report.document(name, now) for name, report in sorted(self._nodes.items())],
             'alarms': self._alarms(now),
             'recording': self._recording(now),
-            'feeds': self._feeds(),
-            'servo': self._servo(),
-            'soft': self._soft(),
+            'feeds': feeds_document(
+                self._newest.get('feed_schedule'), self._newest.get('trajectory_state')
+            ),
+            'servo': servo_document(
+                self._newest.get('servo_state'), self._newest.get('axis_state')
+            ),
+            'soft': soft_document(self._newest.get('compensated_path')),
         }
 
     # Records.
@@ -373,6 +305,7 @@ class MachineView:
     def _begin_anew(self, stamp: int) -> None:
         """Forget by stamps of before what a clock that was set, or a new run, makes void."""
         self._stamp = stamp
+        self.history.clear()
         self._trends, self._approaches, self._probes = {}, {}, {}
         self._since = {}
         self._newest = {
@@ -401,12 +334,11 @@ class MachineView:
             place = record.axis.index(axis) if axis in record.axis else None
             if place is not None:
                 approach.add(record.stamp, float(record.error[place]))
-        report = self._nodes.get('thermal_predictor')
-        for item in report.items if report is not None else ():
+        for item in self._items('thermal_predictor'):
             for key, value in item.values.items() if item.name == 'probing' else ():
                 kind, _, channel = key.partition(' ')
                 if kind == 'cusum':
-                    row[f'{visible(channel.partition(" [")[0])} cusum'] = _number(value)
+                    row[f'{visible(channel.partition(" [")[0])} cusum'] = number(value)
         self.history['error'].add(record.stamp, row)
 
     def _on_compensation(self, record: Compensation) -> None:
@@ -416,15 +348,14 @@ class MachineView:
             row[f'{visible(axis)} requested'] = offset
             if limit is not None:
                 row[f'{visible(axis)} limit'] = limit
-        applied = self._newest.get('compensation_applied')
-        if applied is not None:
-            for axis, offset in zip(applied.axis, applied.offset.tolist(), strict=False):
-                row[f'{visible(axis)} applied'] = offset
         self.history['compensation'].add(record.stamp, row)
 
     def _on_applied(self, record: CompensationApplied) -> None:
+        row = {}
         for axis, offset in zip(record.axis, record.offset.tolist(), strict=False):
             self._trends.setdefault(axis, Trend()).add(record.stamp, offset)
+            row[f'{visible(axis)} applied'] = offset
+        self.history['compensation'].add(record.stamp, row)
 
     def _on_displacement(self, record: Displacement) -> None:
         error = self._newest.get('thermal_error')
@@ -436,9 +367,9 @@ class MachineView:
         for channel, axis, value in measured[:PROBE_CHANNELS_MAX]:
             if not isfinite(value):
                 continue
-            expected = None if error is None else _at(error.channel, error.error, channel)
+            expected = None if error is None else value_of(error.channel, error.error, channel)
             if expected is not None and record.includes_compensation:
-                offset = None if applied is None else _at(applied.axis, applied.offset, axis)
+                offset = None if applied is None else value_of(applied.axis, applied.offset, axis)
                 expected = expected + (offset or 0.0)
             name = visible(channel)
             row[f'{name} probed'] = value
@@ -455,6 +386,15 @@ class MachineView:
             row[f'{visible(axis)} position'] = float(place)
             row[f'{visible(axis)} following'] = float(wanted) - float(place)
         self.history['axes'].add(record.stamp, row)
+
+    def _items(self, node: str) -> tuple[Health, ...]:
+        """Return the newest health of a node; nothing if it has told none."""
+        report = self._nodes.get(node)
+        return () if report is None else report.items
+
+    def _said(self, node: str, name: str) -> str:
+        """Return the text of an item of a node's health; empty if there is none."""
+        return next((item.message for item in self._items(node) if item.name == name), '')
 
     # Parts of the document.
 
@@ -513,13 +453,11 @@ class MachineView:
         if report is not None and report.ended:
             why = 'the compensator has ended; the machine goes to zero by itself'
         elif report is not None:
-            known = CompensationState.INACTIVE if told is None else told.state
-            state = _word(CompensationState, known)
-            why = _STATE_WORDS.get(known, state)  # type: ignore[call-overload]
-            for item in report.items:
-                said, _, reason = item.message.partition(': ')
-                if item.name == 'state' and reason and said == state:
-                    why = visible(reason)
+            said, _, reason = self._said('compensator', 'state').partition(': ')
+            states = {item.name.lower(): item for item in CompensationState}
+            known = states.get(said, CompensationState.INACTIVE) if told is None else told.state
+            state = word(CompensationState, known)
+            why = visible(reason) if reason and said == state else _STATE_WORDS.get(known, state)
         if applied is not None and applied.status == AppliedStatus.REFUSED:
             why += f'; the machine refuses offsets: {visible(applied.reason)}'
         mode = 'unknown'
@@ -556,8 +494,8 @@ class MachineView:
 
     def _axis(self, axis: str, told: Any, applied: Any, error: Any) -> dict[str, Any]:
         limit = self._limit
-        offset = None if applied is None else _at(applied.axis, applied.offset, axis)
-        requested = None if told is None else _at(told.axis, told.offset, axis)
+        offset = None if applied is None else value_of(applied.axis, applied.offset, axis)
+        requested = None if told is None else value_of(told.axis, told.offset, axis)
         shown = requested if offset is None else offset
         limited = []
         if told is not None and axis in told.axis:
@@ -568,17 +506,17 @@ class MachineView:
             limited += ['machine'] if applied.at_limit[applied.axis.index(axis)] else []
         predicted = deviation = None
         if error is not None and error.valid:
-            predicted = _at(error.axis, error.error, axis)
-            deviation = _at(error.axis, error.standard_deviation, axis)
+            predicted = value_of(error.axis, error.error, axis)
+            deviation = value_of(error.axis, error.standard_deviation, axis)
         trend, approach = self._trends.get(axis), self._approaches.get(axis)
         probe = self._probes.get(axis)
         return {
             'axis': visible(axis),
             'offset': offset,
             'requested': requested,
-            'slope': None if told is None else _at(told.axis, told.slope, axis),
+            'slope': None if told is None else value_of(told.axis, told.slope, axis),
             'reference_position': (
-                None if told is None else _at(told.axis, told.reference_position, axis)
+                None if told is None else value_of(told.axis, told.reference_position, axis)
             ),
             'limit': limit,
             'share': None if limit is None or shown is None else abs(shown) / limit,
@@ -600,7 +538,7 @@ class MachineView:
         if own is not None and own.status == SpeedStatus.OK and isfinite(own.speed):
             return float(own.speed)
         machine = self._newest.get('machine_state')
-        return None if machine is None else _finite(machine.spindle_speed)
+        return None if machine is None else finite(machine.spindle_speed)
 
     def _sensors(self) -> dict[str, Any]:
         sample = self._newest.get('temperatures')
@@ -610,7 +548,7 @@ class MachineView:
         if sample is not None:
             rows = zip(sample.sensor, sample.temperature.tolist(), sample.status, strict=False)
             for name, value, status in rows:
-                values[visible(name)] = _finite(value)
+                values[visible(name)] = finite(value)
                 if status:
                     why = _STATUS_WORDS.get(int(status), f'status {int(status)}')  # type: ignore[call-overload]
                     missing.append({'name': visible(name), 'why': why})
@@ -635,17 +573,16 @@ class MachineView:
         if self._model is None and error is None:
             return None
         shadow = distance = None
-        report = self._nodes.get('thermal_predictor')
-        for item in report.items if report is not None else ():
+        for item in self._items('thermal_predictor'):
             if item.name == 'prediction':
-                distance = _finite(_number(item.values.get('distance [-]', 'nan')))
+                distance = finite(number(item.values.get('distance [-]', 'nan')))
             if item.name == 'swap':
                 shadow = {'name': visible(item.message), 'difference': {}}
         label = '' if error is None else visible(error.model)
         facts = self._model or {'file': '', 'hash': '', 'runs': [], 'held_out': {}}
         why = ''
         if error is not None and not error.valid:
-            why = _word(Reason, error.reason).replace('_', ' ')
+            why = word(Reason, error.reason).replace('_', ' ')
         return {
             'name': label,
             **facts,
@@ -656,33 +593,10 @@ class MachineView:
             'shadow': shadow,
         }
 
-    def _node(self, name: str, now: float) -> dict[str, Any]:
-        report = self._nodes[name]
-        worst = max((item.level for item in report.items), default=Level.OK)
-        level = {Level.OK: 'ok', Level.WARN: 'warn', Level.ERROR: 'error'}.get(worst, 'stale')
-        lifecycle = self.lifecycle(name) or ('running' if report.heard_at is not None else '')
-        if report.ended:
-            level, lifecycle = 'error', 'ended'
-        elif report.silent(now):
-            level, lifecycle = 'stale', 'silent'
-        activity: Mapping[str, str] = {}
-        for item in report.items:
-            if item.name == 'activity':
-                activity = item.values
-        rate = _finite(_number(activity.get('rate [1/s]', 'nan')))
-        latency = _finite(1e-3 * _number(activity.get('latency [ms]', 'nan')))
-        troubles = sorted((i for i in report.items if i.level > Level.OK), key=lambda i: -i.level)
-        return {
-            'name': visible(name),
-            'lifecycle': lifecycle,
-            'level': level,
-            'rate': rate,
-            'latency': latency,
-            'trouble': [visible(f'{item.name}: {item.message}') for item in troubles],
-        }
-
     def _alarms(self, now: float) -> list[dict[str, Any]]:
-        found = [alarm for name in sorted(self._nodes) for alarm in self._alarms_of(name, now)]
+        found = [
+            alarm for name in sorted(self._nodes) for alarm in self._nodes[name].alarms(name, now)
+        ]
         found.sort(key=lambda alarm: alarm.level != 'error')
         known = {(alarm.node, alarm.name) for alarm in found}
         self._since = {key: since for key, since in self._since.items() if key in known}
@@ -699,122 +613,14 @@ class MachineView:
             for alarm in found
         ]
 
-    def _alarms_of(self, name: str, now: float) -> list[_Alarm]:
-        report = self._nodes[name]
-        if report.ended:
-            remedy = f'start it again; its log says why it ended (ros2 run fuzzycnc_ros {name})'
-            return [_Alarm('error', name, 'ended', f'{name} has ended', remedy)]
-        if report.silent(now):
-            assert report.heard_at is not None, 'it was heard before it was silent'
-            cause = f'{name} does not report, for {now - report.heard_at:.0f} s'
-            remedy = 'look whether its process hangs, and at the network to its computer'
-            return [_Alarm('error', name, 'silent', cause, remedy)]
-        return [
-            _Alarm(
-                'warn' if item.level is Level.WARN else 'error',
-                name,
-                item.name,
-                *split_advice(item.message),
-            )
-            for item in report.items
-            if item.level > Level.OK
-        ]
-
     def _recording(self, now: float) -> dict[str, Any] | None:
         if self._bag is not None:
             return {'active': True, 'bag': visible(self._bag)}
         report = self._nodes.get('recorder')
         if report is None or report.ended or report.heard_at is None or report.silent(now):
             return None
-        bag = next((i.values.get('bag', '') for i in report.items if i.name == 'bag'), '')
+        bag = next((item.values.get('bag', '') for item in report.items), '')
         return {'active': True, 'bag': visible(bag)}
-
-    def _feeds(self) -> dict[str, Any] | None:
-        schedule = self._newest.get('feed_schedule')
-        state = self._newest.get('trajectory_state')
-        if schedule is None and state is None:
-            return None
-        feed = None
-        if schedule is not None and len(schedule.arc_length):
-            place = np.nan if state is None else state.arc_length
-            at = int(np.searchsorted(schedule.arc_length, place)) if isfinite(place) else 0
-            feed = _finite(schedule.speed[min(at, len(schedule.speed) - 1)])
-        known = state if state is not None else schedule
-        return {
-            'path': visible(known.path_id),
-            'status': '' if state is None else _word(TrajectoryStatus, state.status),
-            'reason': '' if state is None else visible(state.reason),
-            'arc_length': None if state is None else _finite(state.arc_length),
-            'feed': feed,
-            'override': None if schedule is None else _finite(schedule.feed_override),
-            'method': '' if schedule is None else visible(schedule.method),
-            'tolerance': None if schedule is None else _finite(schedule.tolerance),
-        }
-
-    def _servo(self) -> dict[str, Any] | None:
-        servo, axes = self._newest.get('servo_state'), self._newest.get('axis_state')
-        if servo is None and axes is None:
-            return None
-        shown = []
-        for axis in dict.fromkeys([*(axes.axis if axes else ()), *(servo.axis if servo else ())]):
-            known = servo is not None and axis in servo.axis
-            shown.append(
-                {
-                    'axis': visible(axis),
-                    'position': None if axes is None else _at(axes.axis, axes.position, axis),
-                    'velocity': None if axes is None else _at(axes.axis, axes.velocity, axis),
-                    'error': None if servo is None else _at(servo.axis, servo.error, axis),
-                    'saturated': known and bool(servo.saturated[servo.axis.index(axis)]),
-                }
-            )
-        return {
-            'status': '' if servo is None else _word(ServoStatus, servo.status),
-            'reason': '' if servo is None else visible(servo.reason),
-            'missed': None if servo is None else int(servo.missed),
-            'axes': shown,
-        }
-
-    def _soft(self) -> dict[str, Any] | None:
-        path = self._newest.get('compensated_path')
-        if path is None:
-            return None
-        size = np.abs(path.offset[np.isfinite(path.offset)])
-        return {
-            'path': visible(path.path_id),
-            'material': visible(path.material),
-            'model': visible(path.model),
-            'thickness': _finite(path.thickness),
-            'stitches': len(path.offset) // 2,
-            'offset_max': float(size.max()) if len(size) else None,
-            'flagged': int(np.count_nonzero(path.flag)),
-        }
-
-
-def _at(names: Collection[str], values: Any, name: str) -> float | None:
-    """Return the value of a name, None if it has none."""
-    for known, value in zip(names, values, strict=False):
-        if known == name:
-            return _finite(value)
-    return None
-
-
-def _finite(value: Any) -> float | None:
-    """Return a number, None if it is not finite."""
-    return float(value) if isfinite(value) else None
-
-
-def _number(text: str) -> float:
-    """Return the number that a text holds, NaN if it is none."""
-    try:
-        return float(text)
-    except ValueError:
-        return float('nan')
-
-
-def _word(kind: Any, code: int) -> str:
-    """Return a code in words; a newer sender may know more of them."""
-    known = {item.value: item.name.lower() for item in kind}
-    return known.get(code, f'state {code}')
 
 
 def _object(text: str) -> Mapping[str, Any]:
@@ -836,7 +642,7 @@ def _model_facts(
     try:
         for place, item in enumerate(document['channels']):
             left = document['candidates'][item['default']]['held_out_rms'][place]
-            held_out[visible(str(item['name']))] = _finite(left)
+            held_out[visible(str(item['name']))] = finite(left)
     except (KeyError, IndexError, TypeError):
         held_out = {}  # of another version, or without scores
     return {
