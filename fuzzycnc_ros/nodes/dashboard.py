@@ -10,7 +10,7 @@ through the services that nodes offer anyway.
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf
+from math import inf, nextafter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from fuzzycnc_ros import __version__
-from fuzzycnc_ros.components.dashboard.history import history_document
+from fuzzycnc_ros.components.dashboard.history import Rows, history_document, joined
 from fuzzycnc_ros.components.dashboard.machine_view import MachineView
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.bring_up import GraphError
@@ -31,6 +31,7 @@ from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.host import DashboardConfig
 
 if TYPE_CHECKING:
+    from fuzzycnc_ros.web.recordings import BagFolder
     from fuzzycnc_ros.web.server import PageServer
 
 TICK = 0.1
@@ -72,6 +73,7 @@ class DashboardNode:
         (config,) = declare(node, DashboardConfig)
         self._config = config
         self.executor = config.executor
+        self._bags: BagFolder
         self._dirty: set[str] = set()
         self._shown: dict[str, _Shown] = {}
         self._known: set[str] = set()
@@ -123,11 +125,11 @@ class DashboardNode:
                 certificate = own_certificate(folder, config.listen)
             if certificate is not None:
                 say(f'certificate SHA-256 {fingerprint(certificate[0])}')
-            self._writable = True
+            self._bags = BagFolder(bags)
             self._token = bool(secret)
             return PageServer(
                 self,
-                BagFolder(bags),
+                self._bags,
                 address=config.listen,
                 port=config.port,
                 token=Token(secret),
@@ -165,13 +167,21 @@ class DashboardNode:
     def history(
         self, machine: str, series: str, begin: float, end: float, points: int
     ) -> dict[str, Any]:
-        """Return a stretch of a series; the thread of the node gives the rows."""
+        """Return a stretch of a series; the thread of the node gives the rows.
 
-        def rows() -> Any:
+        What was before the memory of this process comes from bags.
+        """
+
+        def rows() -> tuple[float, tuple[str, ...], Rows]:
             kept = self._watch.machines[machine].view.history[series]
-            return kept.names, kept.rows(begin, end, points)
+            return kept.begin, kept.names, kept.rows(begin, end, points)
 
-        names, found = self._actions.thread.ask(rows).result(ANSWERED)
+        oldest, names, found = self._actions.thread.ask(rows).result(ANSWERED)
+        if begin < oldest:
+            until = min(end, nextafter(oldest, -inf))
+            recorded = self._bags.history(machine, series, begin, until)
+            if recorded is not None:
+                names, found = joined(recorded, (names, found), points)
         return history_document(machine, series, names, found)
 
     async def act(self, machine: str, action: str, body: Mapping[str, Any]) -> str:
@@ -223,7 +233,7 @@ class DashboardNode:
                 'type': 'hello',
                 'version': __version__,
                 'machines': sorted(self._watch.machines),
-                'writable': self._writable,
+                'writable': True,
                 'needs_token': self._token,
                 'interval': self._config.interval,
             }

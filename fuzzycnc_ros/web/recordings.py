@@ -4,16 +4,29 @@
 
 import os
 import tarfile
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from fuzzycnc_ros.bags.metadata import read_metadata
+from fuzzycnc_ros.bags.errors import BagError
+from fuzzycnc_ros.bags.metadata import Metadata, read_metadata
+from fuzzycnc_ros.components.dashboard.history import POINTS_MAX, History, Rows, Tier, joined
+from fuzzycnc_ros.components.dashboard.machine_view import SOURCES, MachineView
 from fuzzycnc_ros.core.names import visible
+from fuzzycnc_ros.runtime.convert import decode
 
 CHUNK = 1 << 16
 REPORTS = ('report.html',)
 """Names of reports in or beside a bag; `<bag>.html` is one too."""
+
+
+RECORDED = (Tier(10.0, 8640), Tier(60.0, 20160))
+"""How finely a bag is kept once it was read: a day in rows of 10 s, two weeks in minutes."""
+KEPT = 3
+"""Bags that are kept so."""
+LOOKED_INTO = 10
+"""Bags that are read for one answer, the newest of those that are meant."""
 
 
 class BagFolder:
@@ -27,6 +40,48 @@ class BagFolder:
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
+        self._reading = threading.Lock()
+        self._read: dict[tuple[str, int, str], History] = {}
+
+    def history(
+        self, machine: str, series: str, begin: float, end: float
+    ) -> tuple[tuple[str, ...], Rows] | None:
+        """Return what bags hold of a series between two times; None if they hold nothing.
+
+        The times of messages in a bag have to be machine time, as they are in real time and in
+        lock-step.
+
+        Parameters
+        ----------
+        machine, series : str
+            What is wanted.
+        begin, end : float
+            Machine time [s].
+        """
+        meant = []
+        for bag in self._bags():
+            metadata = _metadata(bag)
+            if metadata is None or not metadata.message_count or _open(metadata):
+                continue
+            if 1e-9 * metadata.start <= end and 1e-9 * metadata.stop >= begin:
+                meant.append((metadata.start, metadata.stop, bag))
+        found: tuple[tuple[str, ...], Rows] | None = None
+        for _, stop, bag in sorted(meant)[-LOOKED_INTO:]:
+            kept = self._kept(bag, stop, machine)[series]
+            part = kept.names, kept.rows(begin, end, POINTS_MAX)
+            if len(part[1].time):
+                found = part if found is None else joined(found, part, POINTS_MAX)
+        return found
+
+    def _kept(self, bag: Path, stop: int, machine: str) -> History:
+        """Return what a bag holds of a machine; one bag is read at a time."""
+        key = bag.name, stop, machine
+        with self._reading:
+            if key not in self._read:
+                while len(self._read) >= KEPT:
+                    del self._read[next(iter(self._read))]
+                self._read[key] = _history_of(bag, machine)
+            return self._read[key]
 
     def listed(self) -> list[dict[str, Any]]:
         """Return name, size, time, duration and completeness of each bag, the newest first."""
@@ -63,23 +118,53 @@ class BagFolder:
 
     def _described(self, bag: Path) -> dict[str, Any]:
         files = [item.stat() for item in bag.iterdir() if item.is_file()]
+        metadata = _metadata(bag)
         begin: float | None = min((item.st_mtime for item in files), default=None)
         duration = None
-        complete = False
-        try:
-            metadata = read_metadata(bag)
-        except ValueError:
-            metadata = None
-        if metadata is not None:
-            complete = True
+        if metadata is not None and metadata.message_count:
             begin, duration = 1e-9 * metadata.start, 1e-9 * (metadata.stop - metadata.start)
         return {
             'name': visible(bag.name),
             'bytes': sum(item.st_size for item in files),
             'begin': begin,
             'duration': duration,
-            'complete': complete,
+            'complete': metadata is not None and not _open(metadata),
         }
+
+
+def _metadata(bag: Path) -> Metadata | None:
+    try:
+        return read_metadata(bag)
+    except BagError:
+        return None
+
+
+def _open(metadata: Metadata) -> bool:
+    """Whether a recorder still writes the bag, or was killed while it did."""
+    return metadata.custom.get('fuzzycnc_state') == 'recording'
+
+
+def _history_of(bag: Path, machine: str) -> History:
+    """Read what a bag holds of a machine, as far as it can be read."""
+    # On use: it brings rosbags.
+    from fuzzycnc_ros.bags.reader import BagReader
+
+    view = MachineView(machine, History(RECORDED))
+    names = {f'/{machine}/{name}': name for name in SOURCES}
+    try:
+        with BagReader(bag, strict=False) as reader:
+            topics = [
+                topic
+                for topic, name in names.items()
+                if topic in reader.connections
+                and reader.connections[topic].type == SOURCES[name].TYPE
+            ]
+            for item in reader.messages(topics) if topics else ():
+                name = names[item.topic]
+                view.take(name, decode(SOURCES[name], item.message), 1e-9 * item.log_time)
+    except BagError:
+        return view.history  # what came before the damage
+    return view.history
 
 
 def _is_bag(folder: Path) -> bool:

@@ -219,6 +219,32 @@ class Series:
         return _merged(whole, max(1, min(points, POINTS_MAX)))
 
 
+def joined(
+    before: tuple[Sequence[str], Rows], after: tuple[Sequence[str], Rows], points: int
+) -> tuple[tuple[str, ...], Rows]:
+    """Return two stretches of a series, one after the other, in at most so many rows.
+
+    Parameters
+    ----------
+    before, after : (sequence of str, Rows)
+        Columns and rows of each.
+    points : int
+        Most rows that are wanted.
+    """
+    columns = tuple(dict.fromkeys([*before[0], *after[0]]))
+    parts = []
+    for names, rows in (before, after):
+        place = [columns.index(name) for name in names]
+        shape = len(rows.time), len(columns)
+        wide = np.full((3, *shape), np.nan, np.float32)
+        wide[:, :, place] = (rows.low, rows.high, rows.mean)
+        flag = np.zeros(shape, bool)
+        flag[:, place] = rows.flag
+        parts.append(Rows(rows.time, wide[0], wide[1], wide[2], flag))
+    whole_rows = Rows(*(np.concatenate(items) for items in zip(*parts, strict=True)))
+    return columns, _merged(whole_rows, max(1, min(points, POINTS_MAX)))
+
+
 def _merged(rows: Rows, points: int) -> Rows:
     """Return at most so many rows, of stretches of equal duration."""
     if len(rows.time) <= points:
