@@ -262,16 +262,17 @@ async def _live(page: Page, socket: WebSocket) -> None:
     try:
         number = -1
         while not listening.done():
+            fresh = frames.fresh  # what comes from here on sets it
             number, newer = frames.since(number)
             for frame in newer:
                 await asyncio.wait_for(socket.send_text(frame), SEND_WITHIN)
-            waiting = asyncio.create_task(frames.wait())
+            waiting = asyncio.create_task(fresh.wait())
             await asyncio.wait({waiting, listening}, return_when=asyncio.FIRST_COMPLETED)
             waiting.cancel()
     except (TimeoutError, WebSocketDisconnect, RuntimeError):
         return  # it is gone, or as good as gone
     finally:
-        frames.clients -= 1
+        frames.leave()
         listening.cancel()
 
 
