@@ -4,11 +4,16 @@
 /* global uPlot */
 
 import {make, match, say} from './dom.js';
-import {moment, number} from './units.js';
+import {moment, number, quantity} from './units.js';
 
 const HEIGHT = 260;
+const FONT = '13px system-ui, sans-serif';
 /** A pause longer than this many usual steps is drawn as a pause. */
 const PAUSE = 5;
+/** How times are written along the axis: from which step on, as what, and with which date. */
+const DATE = '{YYYY}-{MM}-{DD}';
+const TIMES = [[86400, DATE], [60, '{HH}:{mm}', `\n${DATE}`], [1, '{HH}:{mm}:{ss}', `\n${DATE}`]]
+  .map(([step, text, date = null]) => [step, text, date, date, date, null, null, null, 1]);
 const cursors = uPlot.sync('time');
 
 function colour(name) {
@@ -59,7 +64,7 @@ export class Chart {
     this.note = make('p', {class: 'note', text: note});
     this.at = make('span', {class: 'at'});
     this.keys = make('ul', {class: 'keys', 'aria-label': `Lines of ${title}`});
-    this.place = make('div', {class: 'plot', role: 'img', 'aria-label': `${title} [${unit}] over time`});
+    this.place = make('div', {class: 'plot', role: 'img', 'aria-label': `${title} [${unit || '–'}] over time`});
     this.element = make('figure', {class: 'chart'}, this.heading, this.place,
       make('figcaption', {}, this.at, this.keys, this.note));
     this.observer = new ResizeObserver(() => this.#resize());
@@ -112,7 +117,7 @@ export class Chart {
       }
     }
     const axis = {stroke: paint('muted'), grid: {stroke: paint('grid'), width: 1},
-      ticks: {stroke: paint('grid')}, font: '13px system-ui, sans-serif'};
+      ticks: {stroke: paint('grid')}, font: FONT};
     this.#plot = new uPlot({
       width: this.place.clientWidth, height: HEIGHT, series, bands,
       legend: {show: false},
@@ -122,8 +127,9 @@ export class Chart {
         focus: {prox: 24}, bind: {dblclick: () => () => this.zoom(null)},
       },
       focus: {alpha: 0.3},
-      axes: [axis, {...axis, size: 64, label: this.unit, labelFont: '13px system-ui, sans-serif',
-        labelSize: 22, values: (plot, ticks) => ticks.map((value) => String(Number(value.toPrecision(6))).replace('-', '\u2212'))}],
+      axes: [{...axis, values: TIMES}, {...axis, size: 64, label: this.unit || ' ', labelFont: FONT, labelSize: 22,
+        values: (plot, ticks) => ticks.map((value) => (
+          String(Number(value.toPrecision(6))).replace('-', '\u2212')))}],
       hooks: {
         setCursor: [(plot) => this.#tell(plot.cursor.idx ?? null)],
         setSelect: [(plot) => {
@@ -168,7 +174,7 @@ export class Chart {
       if (!line?.at) return;
       const values = this.#data[line.at];
       const value = row === null ? values.findLast((item) => item !== null) : values[row];
-      say(key.querySelector('.value'), `${number(value, this.digits)}\u00a0${this.unit}`);
+      say(key.querySelector('.value'), this.unit ? quantity(value, this.unit, this.digits) : number(value, this.digits));
     });
   }
 

@@ -10,10 +10,17 @@ export const STATES = {
 };
 const ARROWS = {up: '▲', down: '▼', steady: '■'};
 const MOVES = {up: 'rising', down: 'falling', steady: 'steady'};
+/** What holds an offset back, as an operator calls it. */
+const LIMITS = {clamp: 'limit of size', slew: 'limit of rate', machine: 'limit of the machine itself'};
 const ALARM_SIGNS = {warn: '▲', error: '✕'};
 export const ALARM_WORDS = {warn: 'warning', error: 'error'};
 /** Share of the limit from which the bar warns. */
 const NEAR_LIMIT = 0.8;
+
+/** Return in words what holds an offset back; empty where nothing does. */
+export function limits(names) {
+  return names.map((name) => LIMITS[name] ?? name).join(', ');
+}
 
 /** Return the time [s] in which the slowest axis is stable; null where one does not know. */
 export function stableIn(view) {
@@ -38,8 +45,8 @@ function buildAxis({axis}) {
     'aria-label': `${axis}: offset as a share of its limit`}, make('span', {class: 'fill'}));
   return make('article', {class: 'axis', 'aria-label': `Axis ${axis}`},
     make('h2', {text: axis}),
-    make('p', {class: 'offset', data: {field: `${axis} offset`}}),
     make('p', {class: 'move', data: {field: `${axis} move`}}),
+    make('p', {class: 'offset', data: {field: `${axis} offset`}}),
     bar,
     make('p', {class: 'share'}, make('span', {data: {field: `${axis} share`}}), ' of ',
       make('span', {data: {field: `${axis} limit`}})),
@@ -61,7 +68,7 @@ function updateAxis(card, axis) {
   put('probe', axis.probe ? `${micrometres(axis.probe.measured, {signed: true})} measured, `
     + `${micrometres(axis.probe.predicted, {signed: true})} predicted, `
     + `${duration(axis.probe.age)} ago` : 'none');
-  put('limited', axis.limited.length ? `✕ limited: ${axis.limited.join(', ')}` : '');
+  put('limited', axis.limited.length ? `✕ ${limits(axis.limited)}` : '');
   const bar = card.querySelector('.bar');
   const fill = bar.firstElementChild;
   const share = Math.min(axis.share ?? 0, 1);
@@ -75,23 +82,23 @@ function updateAxis(card, axis) {
 /** Return a prediction [m] with its band [m]. */
 export function withBand(predicted, band) {
   if (predicted === null) return UNKNOWN;
-  const spread = band === null ? '' : ` ± ${number(band * 1e6, 1)}`;
+  const spread = band === null ? '' : `\u00a0±\u00a0${number(band * 1e6, 1)}`;
   return `${number(predicted * 1e6, 1, true)}${spread}\u00a0µm`;
 }
 
 /** Return the elements of one alarm. */
 function buildAlarm(alarm) {
   return make('li', {class: 'alarm', data: {level: alarm.level}},
-    make('p', {class: 'what'}), make('p', {class: 'cause'}), make('p', {class: 'remedy'}));
+    make('p', {class: 'since quiet-text', 'aria-hidden': 'true'}), make('p', {class: 'what'}), make('p', {class: 'cause'}), make('p', {class: 'remedy'}));
 }
 
 function updateAlarm(row, alarm, stamp) {
-  const [what, cause, remedy] = row.children;
+  const [since, what, cause, remedy] = row.children;
   say(what, `${ALARM_SIGNS[alarm.level] ?? '▲'} ${ALARM_WORDS[alarm.level] ?? alarm.level}: `
     + `${alarm.name} (${alarm.node})`);
   say(cause, alarm.cause);
   say(remedy, alarm.remedy);
-  cause.title = `for ${duration(stamp - alarm.since)}`;
+  say(since, alarm.since === null ? '' : `for ${duration(stamp - alarm.since)}`);
 }
 
 /** Return the key of an alarm: its causes may change their figures, it stays the same alarm. */

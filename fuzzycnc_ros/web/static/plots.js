@@ -81,7 +81,7 @@ function error(stretch) {
   return [...charts,
     {title: 'Residual: probed minus predicted', unit: 'µm', note: 'One point a probe.',
       lines: all('residual', {factor: MICRO, points: true, span: true})},
-    {title: 'Drift of the model (CUSUM)', unit: '–', note: 'Sum of the residuals beyond chance; '
+    {title: 'Drift of the model (CUSUM)', unit: '', digits: 2, note: 'Sum of the residuals beyond chance; '
       + 'the predictor asks for training anew where it is too large.',
     lines: all('cusum', {width: 2, span: true})}];
 }

@@ -3,7 +3,7 @@
 // Tabs of tables: offsets, model and nodes, feeds and axes, bags, shop.
 
 import {field, make, match, say, table} from './dom.js';
-import {STATES, stable, stableIn} from './operator.js';
+import {limits, STATES, stable, stableIn} from './operator.js';
 import {
   bytes, duration, micrometres, millimetres, moment, number, percent, quantity, UNKNOWN,
 } from './units.js';
@@ -50,7 +50,7 @@ export function buildOffsets(panel) {
     ['share of the limit', ({share}) => percent(share, 1)],
     ['slope', ({slope}) => quantity(slope === null ? null : slope * 1e6, 'µm/m', 2, true)],
     ['reference position', ({reference_position: place}) => millimetres(place)],
-    ['limited by', ({limited}) => limited.join(', ') || 'nothing', true],
+    ['limited by', ({limited}) => limits(limited) || 'nothing', true],
   ]);
   panel.prepend(axes.element);
   return (view) => axes.show(view.axes, ({axis}) => axis);
@@ -182,8 +182,8 @@ export function buildBags(panel) {
 /** One row a machine; `open(machine)` shows it. */
 export function buildShop(panel, open) {
   const shop = table('Machines of this server', [
-    {label: 'machine'}, {label: 'compensation'}, {label: 'machine state'},
-    {label: 'largest share of a limit', numeric: true}, {label: 'stable in about', numeric: true},
+    {label: 'machine'}, {label: 'compensation'}, {label: 'state'},
+    {label: 'largest share of limit', numeric: true}, {label: 'stable in about', numeric: true},
     {label: 'sensors not ok', numeric: true}, {label: 'alarms'}, {label: 'data', numeric: true}]);
   panel.append(make('div', {class: 'sheet', tabindex: 0, role: 'region', 'aria-label': 'Machines'}, shop));
 
@@ -211,7 +211,8 @@ export function buildShop(panel, open) {
     put(3, silent || !shares.length ? UNKNOWN : percent(Math.max(...shares), 1));
     put(4, silent ? UNKNOWN : stable(stableIn(view)));
     put(5, silent ? UNKNOWN : String(view.sensors.substituted.length + view.sensors.missing.length));
-    put(6, view.alarms.map(({level, name}) => `${level === 'error' ? '✕' : '▲'} ${name}`).join(', ') || '✓ none');
+    put(6, view.alarms.map(({level, name}) => `${level === 'error' ? '✕' : '▲'} ${name}`).join(', ')
+      || (silent ? UNKNOWN : '✓ none'));
   }
 
   return (rows) => match(shop.tBodies[0], rows, ({machine}) => machine, build, update);
