@@ -31,9 +31,9 @@ STAMP = 1.7e9
 DAY = 86400.0
 BAGS = [
     {'name': 'run_1', 'bytes': 12_345_678, 'begin': STAMP - 7200.0, 'duration': 5400.0,
-     'complete': True, 'report': True},
+     'complete': True},
     {'name': 'a run/<b>&', 'bytes': 900, 'begin': STAMP - 60.0, 'duration': 12.0,
-     'complete': False, 'report': False},
+     'complete': False},
 ]  # fmt: skip
 HEADERS = {'Content-Security-Policy': "default-src 'self'"}
 
@@ -234,7 +234,7 @@ class FakeDashboard:
         self.reset()
         routes = [
             Route('/', self._page),
-            Route('/static/{name}', self._static),
+            Route('/static/{name:path}', self._static),
             Route('/history/{machine}', self._history),
             Route('/bags/', self._bags),
             Route('/bags/{name:path}/report', self._report),
@@ -283,21 +283,21 @@ class FakeDashboard:
     # What browsers ask for; all of it runs in the thread of the server.
 
     async def _page(self, request: Request) -> Response:
-        return HTMLResponse((WEB / 'static' / 'page.html').read_text(), headers=HEADERS)
+        return HTMLResponse((WEB / 'static' / 'index.html').read_text(), headers=HEADERS)
 
     async def _static(self, request: Request) -> Response:
         name = request.path_params['name']
-        for folder in (WEB / 'static', WEB / 'vendor' / 'uplot'):
-            if (folder / name).is_file():
-                return FileResponse(folder / name, headers=HEADERS)
-        return PlainTextResponse(f'no file {name}', 404)
+        path = WEB / name if name.startswith('vendor/') else WEB / 'static' / name
+        if path.is_file():
+            return FileResponse(path, headers=HEADERS)
+        return _refused(404, f'no file {name}')
 
     async def _history(self, request: Request) -> Response:
         asked, machine = request.query_params, request.path_params['machine']
         begin, end = float(asked['begin']), float(asked['end'])
         self.asked.append((machine, asked['series'], begin, end))
         if machine not in self.views:
-            return JSONResponse({'error': f'no machine {machine}'}, 404)
+            return _refused(404, f'no machine {machine}')
         newest = self.views[machine]['stamp']
         found = rows(asked['series'], begin, end, int(asked['points']), newest)
         return JSONResponse({'machine': machine, 'series': asked['series'], **found})
@@ -311,7 +311,7 @@ class FakeDashboard:
     async def _report(self, request: Request) -> Response:
         if request.path_params['name'] == 'run_1':
             return HTMLResponse('<!DOCTYPE html><title>Report of run_1</title>', headers=HEADERS)
-        return PlainTextResponse('this bag has no report', 404)
+        return _refused(404, 'no report of that bag; write one')
 
     async def _act(self, request: Request) -> Response:
         path, body = request.path_params, await request.json()
@@ -349,6 +349,10 @@ class FakeDashboard:
                         await socket.send_json(frame)
                 await asyncio.sleep(self.interval)
             await socket.close()
+
+
+def _refused(status: int, says: str) -> Response:
+    return JSONResponse({'done': False, 'says': says}, status)
 
 
 @contextmanager

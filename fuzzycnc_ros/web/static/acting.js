@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a person may do: each act is confirmed, signed with a name, and answered by the server.
 
+import {refusal} from './answers.js';
 import {make} from './dom.js';
 import {micrometres} from './units.js';
 
@@ -16,12 +17,11 @@ async function request(machine, action, body) {
   try {
     const url = `/act/${encodeURIComponent(machine)}/${encodeURIComponent(action)}`;
     const answer = await fetch(url, {method: 'POST', headers, body: JSON.stringify(body)});
-    const text = await answer.text();
-    try {
-      return {...JSON.parse(text), status: answer.status};
-    } catch {
-      return {done: false, status: answer.status, says: text || `HTTP ${answer.status}`};
+    const {status} = answer;
+    if (!answer.ok && !answer.headers.get('content-type')?.startsWith('application/json')) {
+      return {done: false, status, says: await refusal(answer)};
     }
+    return {...await answer.json(), status};
   } catch (error) {
     return {done: false, status: 0, says: `The server does not answer: ${error.message}.`};
   }
@@ -67,6 +67,7 @@ class Question {
       }
       localStorage.setItem(NAME, by);
       this.confirm.disabled = true;
+      this.#tell('wait', '… asked; the machine has not answered yet');
       const answer = await act(by, (text, element) => this.#refuse(text, element));
       this.confirm.disabled = false;
       if (answer) this.#show(answer);
@@ -77,15 +78,18 @@ class Question {
     (first ?? this.close).focus();
   }
 
-  #refuse(text, element) {
-    this.says.dataset.done = 'false';
+  #tell(done, text) {
+    this.says.dataset.done = done;
     this.says.textContent = text;
+  }
+
+  #refuse(text, element) {
+    this.#tell('false', text);
     element?.focus();
   }
 
   #show(answer) {
-    this.says.dataset.done = String(Boolean(answer.done));
-    this.says.textContent = (answer.done ? '✓ ' : '✕ ') + answer.says;
+    this.#tell(String(Boolean(answer.done)), (answer.done ? '✓ ' : '✕ ') + answer.says);
     if (answer.status === 401 || answer.status === 403) {
       sessionStorage.removeItem(TOKEN);
       this.token.value = '';

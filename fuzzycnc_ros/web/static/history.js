@@ -2,6 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // A stretch of the past of one machine: fetched once, then continued by what views say.
 
+import {refusal} from './answers.js';
+
 /** Rows that are asked for; a screen has hardly more columns. */
 const POINTS = 1000;
 /** Rows from which a live stretch is fetched anew, coarser. */
@@ -31,7 +33,7 @@ export class Stretch {
     this.#waiting = [];
     const query = new URLSearchParams({series: this.series, begin, end, points: POINTS});
     const answer = await fetch(`/history/${encodeURIComponent(this.machine)}?${query}`);
-    if (!answer.ok) throw new Error(`history of ${this.machine}: ${await answer.text()}`);
+    if (!answer.ok) throw new Error(await refusal(answer));
     const {time, columns, flags} = await answer.json();
     if (turn !== this.#loading) return false;
     this.#loading = 0;

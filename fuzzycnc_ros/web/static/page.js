@@ -134,6 +134,7 @@ function tick() {
   const cover = find('no-data');
   cover.hidden = !why || (!lost && APART.has(tab));
   cover.classList.toggle('through', PAST.has(tab));
+  find('main').inert = !cover.hidden && !PAST.has(tab);
   say(find('no-data-cause'), why);
   document.body.dataset.silent = String(Boolean(why));
   if (tab === 'shop') {

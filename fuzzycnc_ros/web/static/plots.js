@@ -211,7 +211,7 @@ export class Plots {
         this.#draw();
       }
     } catch (fault) {
-      say(this.trouble, `${fault.message}`);
+      say(this.trouble, `The past could not be read: ${fault.message}`);
     }
   }
 

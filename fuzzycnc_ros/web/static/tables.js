@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tabs of tables: offsets, model and nodes, feeds and axes, bags, shop.
 
+import {refusal} from './answers.js';
 import {field, make, match, say, table} from './dom.js';
 import {limits, STATES, stable, stableIn} from './operator.js';
 import {
@@ -142,10 +143,12 @@ export function buildBags(panel) {
 
   async function openReport(event, url, name) {
     event.preventDefault();
-    const answer = await fetch(url, {method: 'HEAD'}).catch(() => null);
-    if (answer?.ok) window.open(url, '_blank', 'noopener');
-    else say(said, answer?.status === 404 ? `${name} has no report: make one with fuzzycnc report.`
-      : `The report of ${name} could not be opened: ${answer ? `HTTP ${answer.status}` : 'no answer'}.`);
+    try {
+      if ((await fetch(url, {method: 'HEAD'})).ok) window.open(url, '_blank', 'noopener');
+      else say(said, `${name}: ${await refusal(await fetch(url))}`);
+    } catch (fault) {
+      say(said, `${name}: the server does not answer: ${fault.message}.`);
+    }
   }
 
   function build({name}) {
@@ -161,7 +164,7 @@ export function buildBags(panel) {
   async function load() {
     try {
       const answer = await fetch('/bags/');
-      if (!answer.ok) throw new Error(`HTTP ${answer.status}`);
+      if (!answer.ok) throw new Error(await refusal(answer));
       const items = await answer.json();
       match(bags.tBodies[0], items, ({name}) => name, build, (row, item) => {
         say(row.cells[1], moment(item.begin));
@@ -182,9 +185,9 @@ export function buildBags(panel) {
 /** One row a machine; `open(machine)` shows it. */
 export function buildShop(panel, open) {
   const shop = table('Machines of this server', [
-    {label: 'machine'}, {label: 'compensation'}, {label: 'state'},
+    {label: 'machine'}, {label: 'data'}, {label: 'compensation'}, {label: 'state'},
     {label: 'largest share of limit', numeric: true}, {label: 'stable in about', numeric: true},
-    {label: 'sensors not ok', numeric: true}, {label: 'alarms'}, {label: 'data', numeric: true}]);
+    {label: 'sensors not ok', numeric: true}, {label: 'alarms'}]);
   panel.append(make('div', {class: 'sheet', tabindex: 0, role: 'region', 'aria-label': 'Machines'}, shop));
 
   function build({machine}) {
@@ -192,26 +195,25 @@ export function buildShop(panel, open) {
     button.addEventListener('click', () => open(machine));
     const cell = (kind) => make('td', {class: kind});
     return make('tr', {data: {machine}}, make('td', {class: 'text'}, button), cell('text'), cell('text'),
-      cell('number'), cell('number'), cell('number'), cell('text'), cell('number'));
+      cell('text'), cell('number'), cell('number'), cell('number'), cell('text'));
   }
 
   function update(row, {view, silent, age}) {
     row.dataset.silent = String(Boolean(silent));
     const put = (place, text) => say(row.cells[place], text);
-    put(7, silent ? `NO DATA: ${silent}` : `${duration(age)} old`);
+    put(1, silent ? `✕ NO DATA: ${silent}` : `${duration(age)} old`);
     if (!view) {
-      for (let place = 1; place < 7; place += 1) put(place, UNKNOWN);
+      for (let at = 2; at < row.cells.length; at += 1) put(at, UNKNOWN);
       return;
     }
     const {compensation, machine} = view.state;
-    row.dataset.state = compensation;
     const shares = view.axes.map(({share}) => share).filter((share) => share !== null);
-    put(1, silent ? UNKNOWN : `${STATES[compensation] ?? '×'} ${compensation}`);
-    put(2, silent ? UNKNOWN : machine);
-    put(3, silent || !shares.length ? UNKNOWN : percent(Math.max(...shares), 1));
-    put(4, silent ? UNKNOWN : stable(stableIn(view)));
-    put(5, silent ? UNKNOWN : String(view.sensors.substituted.length + view.sensors.missing.length));
-    put(6, view.alarms.map(({level, name}) => `${level === 'error' ? '✕' : '▲'} ${name}`).join(', ')
+    put(2, silent ? UNKNOWN : `${STATES[compensation] ?? '×'} ${compensation}`);
+    put(3, silent ? UNKNOWN : machine);
+    put(4, silent || !shares.length ? UNKNOWN : percent(Math.max(...shares), 1));
+    put(5, silent ? UNKNOWN : stable(stableIn(view)));
+    put(6, silent ? UNKNOWN : String(view.sensors.substituted.length + view.sensors.missing.length));
+    put(7, view.alarms.map(({level, name}) => `${level === 'error' ? '✕' : '▲'} ${name}`).join(', ')
       || (silent ? UNKNOWN : '✓ none'));
   }
 

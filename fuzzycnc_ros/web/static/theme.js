@@ -10,7 +10,9 @@
     document.documentElement.dataset.theme = theme;
     const button = document.getElementById('theme');
     if (button) {
-      button.textContent = {system: '◐ system', light: '○ light', dark: '● dark'}[theme];
+      const [sign, word] = button.children;
+      sign.textContent = {system: '◐', light: '○', dark: '●'}[theme];
+      word.textContent = theme;
       button.setAttribute('aria-label', `Theme: ${theme}. Change to ${NEXT[theme]}.`);
     }
     // Canvases do not follow style sheets by themselves.
