@@ -264,7 +264,7 @@ class FakeDashboard:
     def stop(self) -> None:
         """End the server."""
         self.refusing = True
-        self._server.should_exit = self._server.force_exit = True
+        self._server.should_exit = True
         self._thread.join()
 
     def reset(self) -> None:

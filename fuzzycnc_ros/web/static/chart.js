@@ -41,7 +41,7 @@ function withPauses(time, lists) {
       lists.forEach((list, column) => found[column + 1].push(null));
     }
     found[0].push(value);
-    lists.forEach((list, column) => found[column + 1].push(list[at] ?? null));
+    lists.forEach((list, column) => found[column + 1].push(list[at]));
   });
   return found;
 }
@@ -173,7 +173,7 @@ export class Chart {
       const line = this.#lines[place];
       if (!line?.at) return;
       const values = this.#data[line.at];
-      const value = row === null ? values.findLast((item) => item !== null) : values[row];
+      const value = row === null ? values.findLast((item) => Number.isFinite(item)) : values[row];
       say(key.querySelector('.value'), this.unit ? quantity(value, this.unit, this.digits) : number(value, this.digits));
     });
   }

@@ -45,10 +45,17 @@ export function match(parent, items, key, build, update = () => {}) {
   for (const child of old.values()) child.remove();
 }
 
-/** Make a table of a caption, headings and no rows; headings that end in a unit are numbers. */
+/** Make a table of a caption and headings {label, numeric}, without rows. */
 export function table(caption, headings) {
   const head = make('tr', {}, ...headings.map(
     ({label, numeric}) => make('th', {text: label, scope: 'col', class: numeric ? 'number' : 'text'}),
   ));
   return make('table', {}, make('caption', {text: caption}), make('thead', {}, head), make('tbody'));
+}
+
+/** Make a row of empty cells; each knows its heading, which narrow screens show beside it. */
+export function row(headings) {
+  return make('tr', {}, ...headings.map(
+    ({label, numeric}) => make('td', {class: numeric ? 'number' : 'text', data: {label}}),
+  ));
 }

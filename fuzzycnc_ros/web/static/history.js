@@ -10,8 +10,9 @@ const POINTS = 1000;
 const ROWS_MAX = 3 * POINTS;
 
 export class Stretch {
-  #waiting = [];
-  #loading = 0;
+  /** Rows that came while a stretch is being fetched; null while none is. */
+  #waiting = null;
+  #turn = 0;
 
   constructor(machine, series) {
     this.machine = machine;
@@ -28,25 +29,30 @@ export class Stretch {
 
   /** Fetch what happened between two stamps [s]; a later call makes an earlier one void. */
   async load(begin, end) {
-    this.#loading += 1;
-    const turn = this.#loading;
+    this.#turn += 1;
+    const turn = this.#turn;
     this.#waiting = [];
     const query = new URLSearchParams({series: this.series, begin, end, points: POINTS});
-    const answer = await fetch(`/history/${encodeURIComponent(this.machine)}?${query}`);
-    if (!answer.ok) throw new Error(await refusal(answer));
-    const {time, columns, flags} = await answer.json();
-    if (turn !== this.#loading) return false;
-    this.#loading = 0;
-    this.time = time;
-    this.columns = new Map(Object.entries(columns));
-    this.flags = new Map(Object.entries(flags));
-    for (const item of this.#waiting) this.#add(item);
+    try {
+      const answer = await fetch(`/history/${encodeURIComponent(this.machine)}?${query}`);
+      if (!answer.ok) throw new Error(await refusal(answer));
+      const {time, columns, flags} = await answer.json();
+      if (turn !== this.#turn) return false;
+      this.time = time;
+      this.columns = new Map(Object.entries(columns));
+      this.flags = new Map(Object.entries(flags));
+    } finally {
+      if (turn === this.#turn) {
+        for (const item of this.#waiting) this.#add(item);
+        this.#waiting = null;
+      }
+    }
     return true;
   }
 
   /** Continue by a row from a view: values and names of flagged columns at a stamp [s]. */
   append(stamp, values, flagged = []) {
-    if (this.#loading) this.#waiting.push({stamp, values, flagged});
+    if (this.#waiting) this.#waiting.push({stamp, values, flagged});
     else this.#add({stamp, values, flagged});
   }
 
@@ -67,21 +73,20 @@ export class Stretch {
   }
 
   #add({stamp, values, flagged}) {
-    if (this.time.length && stamp <= this.time.at(-1)) return;
-    const count = this.time.length;
-    const blank = () => new Array(count).fill(null);
+    if (stamp < this.time.at(-1)) return;
+    const told = stamp === this.time.at(-1);  // then what a view says is put into that row
+    const count = this.time.length - (told ? 1 : 0);
+    const blank = (value) => new Array(this.time.length).fill(value);
     for (const name of Object.keys(values)) {
       if (!this.columns.has(name)) {
-        this.columns.set(name, {min: blank(), max: blank(), mean: blank()});
+        this.columns.set(name, {min: blank(null), max: blank(null), mean: blank(null)});
       }
     }
-    for (const name of flagged) {
-      if (!this.flags.has(name)) this.flags.set(name, new Array(count).fill(0));
-    }
-    this.time.push(stamp);
+    for (const name of flagged) if (!this.flags.has(name)) this.flags.set(name, blank(0));
+    this.time[count] = stamp;
     for (const [name, column] of this.columns) {
-      for (const list of Object.values(column)) list.push(values[name] ?? null);
+      for (const list of Object.values(column)) list[count] = values[name] ?? list[count] ?? null;
     }
-    for (const [name, flags] of this.flags) flags.push(flagged.includes(name) ? 1 : 0);
+    for (const [name, flags] of this.flags) flags[count] = flagged.includes(name) ? 1 : 0;
   }
 }

@@ -130,6 +130,8 @@ function tick() {
   const link = find('link');
   link.dataset.link = lost ? 'lost' : helloAt === null ? 'connecting' : 'open';
   say(link, {lost: '× no connection', connecting: '… connecting', open: '✓ connected'}[link.dataset.link]);
+  const sequence = views.get(machine)?.view.sequence;
+  link.title = `fuzzycnc ${hello.version ?? ''}, view ${sequence ?? 'not yet'}`;
   say(find('age'), duration(age(machine)));
   const cover = find('no-data');
   cover.hidden = !why || (!lost && APART.has(tab));

@@ -69,6 +69,13 @@ function error(stretch) {
         value === null || band.values[at] === null ? null : value + sign * band.values[at]));
       Object.assign(predicted, {low: around(-1), high: around(1)});
     }
+    // A probe has a row of its own, which is no gap in the prediction: undefined is passed over.
+    const probed = stretch.columns.get(`${name} probed`)?.mean ?? [];
+    for (const list of [predicted.values, predicted.low, predicted.high]) {
+      list?.forEach((value, at) => {
+        if (value === null && (probed[at] ?? null) !== null) list[at] = undefined;
+      });
+    }
     return {
       title: `Predicted error of ${name}`, unit: 'µm',
       note: 'Filled: the band in which 95 % of probes are expected. Points: probed.',

@@ -3,7 +3,7 @@
 // Tabs of tables: offsets, model and nodes, feeds and axes, bags, shop.
 
 import {refusal} from './answers.js';
-import {field, make, match, say, table} from './dom.js';
+import {field, make, match, row, say, table} from './dom.js';
 import {limits, STATES, stable, stableIn} from './operator.js';
 import {
   bytes, duration, micrometres, millimetres, moment, number, percent, quantity, UNKNOWN,
@@ -19,8 +19,8 @@ function sheet(caption, columns) {
     element: make('div', {class: 'sheet', tabindex: 0, role: 'region', 'aria-label': caption}, element),
     show(items, key) {
       match(element.tBodies[0], items, key,
-        () => make('tr', {}, ...columns.map(([, , isText]) => make('td', {class: isText ? 'text' : 'number'}))),
-        (row, item) => columns.forEach(([, tell], place) => say(row.cells[place], tell(item))));
+        () => row(headings),
+        (line, item) => columns.forEach(([, tell], place) => say(line.cells[place], tell(item))));
       element.parentElement.dataset.empty = String(!items.length);
     },
   };
@@ -131,13 +131,16 @@ export function buildMotion(panel) {
   };
 }
 
+const BAGS = [
+  {label: 'bag'}, {label: 'begin'}, {label: 'duration', numeric: true},
+  {label: 'size', numeric: true}, {label: 'complete'}, {label: 'get'},
+];
+
 /** Bags of this server: list, download, report. */
 export function buildBags(panel) {
   const said = make('p', {class: 'trouble', role: 'status'});
   const again = make('button', {type: 'button', text: 'Look again'});
-  const bags = table('Recordings of this server', [
-    {label: 'bag'}, {label: 'begin'}, {label: 'duration', numeric: true}, {label: 'size', numeric: true},
-    {label: 'complete'}, {label: 'get'}]);
+  const bags = table('Recordings of this server', BAGS);
   panel.append(make('div', {class: 'range'}, again, said),
     make('div', {class: 'sheet', tabindex: 0, role: 'region', 'aria-label': 'Recordings'}, bags));
 
@@ -155,10 +158,11 @@ export function buildBags(panel) {
     const url = `/bags/${encodeURIComponent(name)}`;
     const report = make('a', {href: `${url}/report`, text: 'report', 'aria-label': `Report of ${name}`});
     report.addEventListener('click', (event) => openReport(event, report.href, name));
-    return make('tr', {}, make('td', {class: 'text', text: name}), make('td', {class: 'text'}),
-      make('td', {class: 'number'}), make('td', {class: 'number'}), make('td', {class: 'text'}),
-      make('td', {class: 'text'}, make('a', {href: url, download: true, text: 'download',
-        'aria-label': `Download ${name}`}), ' · ', report));
+    const line = row(BAGS);
+    say(line.cells[0], name);
+    line.cells[5].append(make('a', {href: url, download: true, text: 'download',
+      'aria-label': `Download ${name}`}), ' · ', report);
+    return line;
   }
 
   async function load() {
@@ -166,11 +170,11 @@ export function buildBags(panel) {
       const answer = await fetch('/bags/');
       if (!answer.ok) throw new Error(await refusal(answer));
       const items = await answer.json();
-      match(bags.tBodies[0], items, ({name}) => name, build, (row, item) => {
-        say(row.cells[1], moment(item.begin));
-        say(row.cells[2], duration(item.duration));
-        say(row.cells[3], bytes(item.bytes));
-        say(row.cells[4], item.complete ? '✓ complete' : '▲ not closed');
+      match(bags.tBodies[0], items, ({name}) => name, build, (line, item) => {
+        say(line.cells[1], moment(item.begin));
+        say(line.cells[2], duration(item.duration));
+        say(line.cells[3], bytes(item.bytes));
+        say(line.cells[4], item.complete ? '✓ complete' : '▲ not closed');
       });
       say(said, items.length ? '' : 'No recording yet.');
     } catch (fault) {
@@ -182,28 +186,31 @@ export function buildBags(panel) {
   return load;
 }
 
+const SHOP = [
+  {label: 'machine'}, {label: 'data'}, {label: 'compensation'}, {label: 'state'},
+  {label: 'largest share of limit', numeric: true}, {label: 'stable in about', numeric: true},
+  {label: 'sensors not ok', numeric: true}, {label: 'alarms'},
+];
+
 /** One row a machine; `open(machine)` shows it. */
 export function buildShop(panel, open) {
-  const shop = table('Machines of this server', [
-    {label: 'machine'}, {label: 'data'}, {label: 'compensation'}, {label: 'state'},
-    {label: 'largest share of limit', numeric: true}, {label: 'stable in about', numeric: true},
-    {label: 'sensors not ok', numeric: true}, {label: 'alarms'}]);
+  const shop = table('Machines of this server', SHOP);
   panel.append(make('div', {class: 'sheet', tabindex: 0, role: 'region', 'aria-label': 'Machines'}, shop));
 
   function build({machine}) {
     const button = make('button', {type: 'button', class: 'quiet', text: machine});
     button.addEventListener('click', () => open(machine));
-    const cell = (kind) => make('td', {class: kind});
-    return make('tr', {data: {machine}}, make('td', {class: 'text'}, button), cell('text'), cell('text'),
-      cell('text'), cell('number'), cell('number'), cell('number'), cell('text'));
+    const line = row(SHOP);
+    line.cells[0].append(button);
+    return line;
   }
 
-  function update(row, {view, silent, age}) {
-    row.dataset.silent = String(Boolean(silent));
-    const put = (place, text) => say(row.cells[place], text);
+  function update(line, {view, silent, age}) {
+    line.dataset.silent = String(Boolean(silent));
+    const put = (place, text) => say(line.cells[place], text);
     put(1, silent ? `✕ NO DATA: ${silent}` : `${duration(age)} old`);
     if (!view) {
-      for (let at = 2; at < row.cells.length; at += 1) put(at, UNKNOWN);
+      for (let at = 2; at < line.cells.length; at += 1) put(at, UNKNOWN);
       return;
     }
     const {compensation, machine} = view.state;
