@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a person may do: each act is confirmed, signed with a name, and answered by the server.
 
-import {refusal} from './answers.js';
+import {told} from './answers.js';
 import {make} from './dom.js';
 import {micrometres} from './units.js';
 
@@ -16,12 +16,7 @@ async function request(machine, action, body) {
   if (token) headers.Authorization = `Bearer ${token}`;
   try {
     const url = `/act/${encodeURIComponent(machine)}/${encodeURIComponent(action)}`;
-    const answer = await fetch(url, {method: 'POST', headers, body: JSON.stringify(body)});
-    const {status} = answer;
-    if (!answer.ok && !answer.headers.get('content-type')?.startsWith('application/json')) {
-      return {done: false, status, says: await refusal(answer)};
-    }
-    return {...await answer.json(), status};
+    return await told(await fetch(url, {method: 'POST', headers, body: JSON.stringify(body)}));
   } catch (error) {
     return {done: false, status: 0, says: `The server does not answer: ${error.message}.`};
   }
