@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import import_module
+from types import MappingProxyType
 from typing import Annotated, Any
 
 import typer
@@ -101,13 +102,22 @@ class Application:
         Subcommands by name.
     watching : collection of str
         Commands that watch over nodes, and so must never wait for the reader of their output.
+    alone : mapping of str to str
+        Options whose value may be left out, as typer has none, and what it then is; where it is
+        given an equals sign has to stand before it.
     """
 
     def __init__(
-        self, name: str, text: str, commands: Commands, watching: Collection[str] = ()
+        self,
+        name: str,
+        text: str,
+        commands: Commands,
+        watching: Collection[str] = (),
+        alone: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.name = name
         self._watching = watching
+        self._alone = alone
 
         class InOrder(TyperGroup):
             """Lists commands in their order, under headings, and loads one when it is used."""
@@ -156,6 +166,7 @@ class Application:
         if words[:1] == ['--version']:
             print(f'{self.name} {__version__}')
             return 0
+        words = [f'{word}={self._alone[word]}' if word in self._alone else word for word in words]
         try:
             code = self.typer(words or ['--help'], prog_name=self.name, standalone_mode=False)
         except (KeyboardInterrupt, typer.Abort):
