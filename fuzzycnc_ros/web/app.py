@@ -209,7 +209,8 @@ async def _report(page: Page, request: Request) -> Response:
     if found is None:
         return refused(404, 'no report of that bag; write one with fuzzycnc evaluate --report')
     # It comes from a file: it may show its own plots, and neither run scripts nor ask for more.
-    strict = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+    strict = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox; "
+    strict += "frame-ancestors 'none'"
     response = FileResponse(found, media_type='text/html')
     response.headers['Content-Security-Policy'] = strict
     return response
