@@ -241,11 +241,13 @@ class DashboardNode:
 
     def _show(self) -> None:
         """Give pages the views that are due: after new data, a change, or the interval."""
-        now, interval = time.monotonic(), self._config.interval
+        now, interval, clients = time.monotonic(), self._config.interval, self._server.clients
         for machine, watched in self._watch.machines.items():
             view, shown = watched.view, self._shown.get(machine, _Shown())
             elapsed = now - shown.at
             due = elapsed >= interval - TICK / 2.0
+            if not (due or clients):
+                continue
             if due:
                 watched.read()
             key = view.key(now) if due or machine in self._dirty else shown.key
@@ -255,7 +257,7 @@ class DashboardNode:
                 self._shown[machine] = _Shown(now, key, view.news)
                 view.set_recording(self._actions.recording(machine))
                 document = view.document(now)
-                if self._server.clients:
+                if clients:
                     self._server.show(machine, document)
 
     def _report(self) -> None:
