@@ -97,7 +97,13 @@ class DashboardNode:
         """
         try:
             from fuzzycnc_ros.web.guard import Token, is_loopback
-            from fuzzycnc_ros.web.keys import fingerprint, own_certificate, own_token, read_token
+            from fuzzycnc_ros.web.keys import (
+                check_pair,
+                fingerprint,
+                own_certificate,
+                own_token,
+                read_token,
+            )
             from fuzzycnc_ros.web.recordings import BagFolder
             from fuzzycnc_ros.web.server import PageServer
         except ModuleNotFoundError as error:
@@ -124,6 +130,7 @@ class DashboardNode:
             elif open_to_others:
                 certificate = own_certificate(folder, config.listen)
             if certificate is not None:
+                check_pair(*certificate)
                 say(f'certificate SHA-256 {fingerprint(certificate[0])}')
             self._bags = BagFolder(bags)
             self._token = bool(secret)

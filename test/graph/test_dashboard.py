@@ -136,7 +136,7 @@ def test_a_shift_is_shown_as_it_is_and_acted_at(graph, observer, model_file, ope
     told = observer.records('compensation', Compensation)
     errors = observer.records('thermal_error', ThermalError)
     samples = observer.records('temperatures', Temperatures)
-    events = observer.records('node_event', NodeEvent, Durability.LATCHED)
+    events = observer.records('node_event', NodeEvent)
     nodes = graph.start_shift(model_file, lockstep=False, rate=60.0)
     view = page.view_until(compensates, 'offsets in force')
 
@@ -345,6 +345,6 @@ def test_what_cannot_be_served_is_refused(refusal, graph, observer, tmp_path):
     port = int(re.findall(r':(\d+)/', running.output)[0])
     assert f'found {port}' in refusal('dashboard', {'port': port})
     assert 'token' in refusal('dashboard', {'port': 0, 'token_file': str(tmp_path / 'none')})
-    assert 'found 0.0' in refusal('dashboard', {'interval': 0.0}).replace('= 0.0', 'found 0.0')
+    assert 'interval' in refusal('dashboard', {'interval': 0.0})
     short = {'certificate': str(tmp_path / 'none.pem'), 'private_key': str(tmp_path / 'key.pem')}
     assert 'none.pem' in refusal('dashboard', {'port': 0, **short})
