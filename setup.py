@@ -9,6 +9,7 @@ from setuptools import find_packages, setup
 package_name = 'fuzzycnc_ros'
 nodes = [
     'compensator',
+    'dashboard',
     'deformation_compensator',
     'feedrate_scheduler',
     'linuxcnc_bridge',
@@ -31,7 +32,7 @@ docs = ['furo', 'myst-nb', 'sphinx', 'textstat<0.7.5']
 device_files = ['pydantic>=2.7', 'pyyaml']
 modbus = ['pymodbus>=3.10', *device_files]
 opcua = ['asyncua>=1.1.5', 'cryptography', *device_files]
-page = ['jinja2', 'starlette', 'uvicorn', 'websockets']
+page = ['cryptography', 'starlette', 'uvicorn>=0.35', 'websockets']
 executables = ['fuzzycnc', *nodes]
 
 
@@ -56,6 +57,7 @@ setup(
             'machine_file/built_in/*.yaml',
             'ros/*.xml',
             'studies/page/templates/*',
+            'web/static/*',
             'web/vendor/*/*',
         ]
     },

@@ -9,11 +9,12 @@ Names are relative to the machine, `~/` to the node, or absolute.
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from fuzzycnc_ros.components.dashboard.machine_view import SOURCES
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.runtime.component import Component
 
-RECORDER, PLAYER, OPERATOR = 'recorder', 'player', 'operator'
-TOOLS = (RECORDER, PLAYER, OPERATOR)
+RECORDER, PLAYER, OPERATOR, DASHBOARD = 'recorder', 'player', 'operator', 'dashboard'
+TOOLS = (RECORDER, PLAYER, OPERATOR, DASHBOARD)
 """Nodes without a component; `operator` is that of `fuzzycnc operate`."""
 PRETENDERS = ('simulated_machine', 'simulated_body', PLAYER)
 """What plays a machine: of no use beside a real one, and trusted with its topics."""
@@ -105,6 +106,17 @@ def access_of(node: str) -> Access:
             reply=PARAMETERS,
             request=_offered(),
             call=tuple(name for names in ACTIONS.values() for name in names),
+        )
+    if node == DASHBOARD:
+        managed = [name for name, item in COMPONENTS.items() if item.MANAGED]
+        return Access(
+            publish=('displacement', 'node_event', '/diagnostics', *own),
+            subscribe=(*SOURCES, 'node_configuration', '/clock', '/diagnostics'),
+            reply=PARAMETERS,
+            request=(
+                'set_thermal_reference',
+                *(f'{name}/{call}' for name in managed for call in ('change_state', 'get_state')),
+            ),
         )
     raise ValueError(
         f'expected a node among {", ".join((*COMPONENTS, *TOOLS))} but found {node!r}'
