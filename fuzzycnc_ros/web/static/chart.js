@@ -123,7 +123,9 @@ export class Chart {
       legend: {show: false},
       scales: {x: {time: true}},
       cursor: {
-        sync: {key: cursors.key}, drag: {x: true, y: false, setScale: false},
+        // Cursors go along; what is drawn with the mouse concerns the plot under it alone.
+        sync: {key: cursors.key, filters: {pub: (type) => /^mouse(move|leave)$/.test(type)}},
+        drag: {x: true, y: false, setScale: false},
         focus: {prox: 24}, bind: {dblclick: () => () => this.zoom(null)},
       },
       focus: {alpha: 0.3},
