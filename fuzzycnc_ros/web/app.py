@@ -209,7 +209,8 @@ async def _report(page: Page, request: Request) -> Response:
     if found is None:
         return refused(404, 'no report of that bag; write one with fuzzycnc evaluate --report')
     # It comes from a file: it may show its own plots, and neither run scripts nor ask for more.
-    strict = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+    strict = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox; "
+    strict += "frame-ancestors 'none'"
     response = FileResponse(found, media_type='text/html')
     response.headers['Content-Security-Policy'] = strict
     return response
@@ -262,16 +263,17 @@ async def _live(page: Page, socket: WebSocket) -> None:
     try:
         number = -1
         while not listening.done():
+            fresh = frames.fresh  # what comes from here on sets it
             number, newer = frames.since(number)
             for frame in newer:
                 await asyncio.wait_for(socket.send_text(frame), SEND_WITHIN)
-            waiting = asyncio.create_task(frames.wait())
+            waiting = asyncio.create_task(fresh.wait())
             await asyncio.wait({waiting, listening}, return_when=asyncio.FIRST_COMPLETED)
             waiting.cancel()
     except (TimeoutError, WebSocketDisconnect, RuntimeError):
         return  # it is gone, or as good as gone
     finally:
-        frames.clients -= 1
+        frames.leave()
         listening.cancel()
 
 

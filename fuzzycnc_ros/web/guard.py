@@ -117,7 +117,7 @@ class Guard:
 def _add_headers(message: MutableMapping[str, Any]) -> None:
     headers = MutableHeaders(scope=message)
     for name, value in HEADERS.items():
-        headers[name] = value
+        headers.setdefault(name, value)  # an answer may be stricter
     headers.setdefault('Cache-Control', 'no-store')
 
 

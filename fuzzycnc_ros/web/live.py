@@ -15,7 +15,8 @@ class Frames:
         self._frames: dict[str, tuple[int, str]] = {}
         self._hello: tuple[int, str] = (0, '{}')
         self._number = 0
-        self._fresh = asyncio.Event()
+        self.fresh = asyncio.Event()
+        """Set when something is newer; another one takes its place then."""
         self.clients = 0
         """Open pages."""
 
@@ -34,15 +35,17 @@ class Frames:
         }
         self._wake()
 
+    def leave(self) -> None:
+        """Note that a page has closed; after the last one frames grow old, and are dropped."""
+        self.clients -= 1
+        if not self.clients:
+            self._frames = {}
+
     def since(self, number: int) -> tuple[int, list[str]]:
         """Return what is newer than a number, and the number from which to ask next."""
         found = [self._hello, *self._frames.values()]
         return self._number, [frame for at, frame in sorted(found) if at > number]
 
-    async def wait(self) -> None:
-        """Wait until something is newer."""
-        await self._fresh.wait()
-
     def _wake(self) -> None:
-        self._fresh.set()
-        self._fresh = asyncio.Event()
+        self.fresh.set()
+        self.fresh = asyncio.Event()

@@ -186,7 +186,11 @@ def stable(seconds: float | None) -> str:
     return 'now' if seconds == 0.0 else span(seconds)
 
 
-LIMITS = {'clamp': 'limit of size', 'slew': 'limit of rate', 'machine': 'limit of the machine itself'}
+LIMITS = {
+    'clamp': 'limit of size',
+    'slew': 'limit of rate',
+    'machine': 'limit of the machine itself',
+}
 
 
 def limits(names: Sequence[str]) -> str:
@@ -203,7 +207,9 @@ def operator_fields(view: dict[str, Any]) -> dict[str, str]:
         'compensation': state['compensation'],
         'why': state['why'],
         'machine state': state['machine'],
-        'offsets allowed': {True: 'allowed', False: 'refused', None: '–'}[state['offsets_allowed']],
+        'offsets allowed': {True: 'allowed', False: 'refused', None: '–'}[
+            state['offsets_allowed']
+        ],
         'stable': stable(None if None in times or not times else max(times)),
         'spindle': number(None if spindle is None else spindle * 9.549296585513721, 0, 'rpm'),
         'alarm count': str(len(view['alarms'])),
@@ -247,9 +253,7 @@ def offset_rows(view: dict[str, Any]) -> list[list[str]]:
             micro(axis['offset'], 2, signed=True),
             '–' if axis['limit'] is None else '±' + micro(axis['limit']),
             number(None if axis['share'] is None else 100 * axis['share'], 1, '%'),
-            number(
-                None if axis['slope'] is None else 1e6 * axis['slope'], 2, 'µm/m', signed=True
-            ),
+            number(None if axis['slope'] is None else 1e6 * axis['slope'], 2, 'µm/m', signed=True),
             number(
                 None if axis['reference_position'] is None else 1e3 * axis['reference_position'],
                 3,

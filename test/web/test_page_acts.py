@@ -114,9 +114,7 @@ def test_a_reference_with_offsets_in_force_is_asked_twice(page, fake):
 def test_a_probe(page, fake):
     begin(page, 'probe')
     assert 'at least one' in confirm(page)
-    y, z, deviation = (
-        page.one(f'[data-probe="{name}"]') for name in ('Y', 'Z', 'deviation')
-    )
+    y, z, deviation = (page.one(f'[data-probe="{name}"]') for name in ('Y', 'Z', 'deviation'))
     y.send_keys('three')
     page.one('dialog button[type="submit"]').click()
     assert page.say() == 'Y: expected a number in µm but found "three".'

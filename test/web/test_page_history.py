@@ -44,7 +44,9 @@ def test_a_stretch_that_is_drawn_with_the_mouse_is_fetched(plots, fake):
     assert begin == pytest.approx(STAMP - 2700.0, abs=40.0)
     assert end == pytest.approx(STAMP - 900.0, abs=40.0)
     plots.until(lambda: plots.seen()['fields']['range'].endswith('stands still'), 'a fixed range')
-    assert plots.one('#panel-offsets [aria-label^="Live"]').get_attribute('aria-pressed') == 'false'
+    assert (
+        plots.one('#panel-offsets [aria-label^="Live"]').get_attribute('aria-pressed') == 'false'
+    )
     rows = plots.seen()['rows']
     fake.show(view(stamp=STAMP + 10.0))
     sequence = plots.seen()['sequence']
@@ -129,9 +131,16 @@ def test_recordings_are_listed_and_can_be_taken(page, fake):
     page.until(lambda: len(page.seen()['sheets']['Recordings of this server']) == 2, 'two bags')
     first, second = page.seen()['sheets']['Recordings of this server']
     assert first[0] == 'run_1'
-    assert first[2:] == ['1\u00a0h\u00a030\u00a0min', '12.3\u00a0MB', '✓ complete', 'download · report']
+    assert first[2:] == [
+        '1\u00a0h\u00a030\u00a0min',
+        '12.3\u00a0MB',
+        '✓ complete',
+        'download · report',
+    ]
     assert second[2:5] == ['12\u00a0s', '900\u00a0B', '▲ not closed']
-    links = [link.get_attribute('href') for link in page.driver.find_elements('css selector', 'td a')]
+    links = [
+        link.get_attribute('href') for link in page.driver.find_elements('css selector', 'td a')
+    ]
     assert links[0] == f'{fake.url}bags/run_1'
     assert links[2] == f'{fake.url}bags/a%20run%2F%3Cb%3E%26'
     page.driver.find_elements('css selector', 'td a')[3].click()

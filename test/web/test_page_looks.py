@@ -29,7 +29,9 @@ return [document.documentElement.scrollWidth - innerWidth, wide];
 def test_nothing_sticks_out(page, fake, width, height, theme):
     crowded = busy_view('a_machine_with_a_long_name', alarms=busy_view()['alarms'] * 1)
     crowded['axes'][0] |= {'offset': -2.004e-4, 'predicted': -2.004e-4, 'band': 1.23e-5}
-    fake.show(crowded, view('lathe'), view('grinder', silent='no data for 12 s: all nodes have ended'))
+    fake.show(
+        crowded, view('lathe'), view('grinder', silent='no data for 12 s: all nodes have ended')
+    )
     page.look(width, height, theme)
     for tab in TABS:
         page.open(fake.url, 'a_machine_with_a_long_name', tab)
@@ -82,7 +84,9 @@ def test_files_name_no_other_place():
 
 def test_markup_is_never_made_of_text():
     for path in (WEB / 'static').glob('*.js'):
-        found = re.search(r'innerHTML|outerHTML|insertAdjacentHTML|document\.write|eval\(', path.read_text())
+        found = re.search(
+            r'innerHTML|outerHTML|insertAdjacentHTML|document\.write|eval\(', path.read_text()
+        )
         assert not found, path.name
 
 
@@ -128,7 +132,7 @@ def test_colours_are_legible(theme):
 def background(page):
     """Return the brightness of the page's ground, 0 to 255."""
     return page.run(
-        "return Number(getComputedStyle(document.body).backgroundColor.match(/\\d+/)[0])"
+        'return Number(getComputedStyle(document.body).backgroundColor.match(/\\d+/)[0])'
     )
 
 
@@ -170,7 +174,7 @@ def test_everything_has_a_name(page, fake):
         names = page.run(
             "return [...document.querySelectorAll('button, select, input, a, [role=region], "
             "[role=meter], [role=img], [role=tabpanel]')].filter((e) => e.checkVisibility())"
-            ".map((e) => [e.outerHTML.slice(0, 100), e.computedName ?? (e.ariaLabel || "
+            '.map((e) => [e.outerHTML.slice(0, 100), e.computedName ?? (e.ariaLabel || '
             "e.innerText || e.labels?.[0]?.innerText || e.getAttribute('aria-labelledby'))])"
         )
         assert len(names) > 10

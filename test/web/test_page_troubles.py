@@ -73,7 +73,7 @@ def test_a_machine_that_is_silent(page, fake):
     assert cause in seen['noData']
     # It lies over the numbers, and not over the ways to another machine.
     over = page.run(
-        "const at = (selector) => { const box = document.querySelector(selector)"
+        'const at = (selector) => { const box = document.querySelector(selector)'
         '.getBoundingClientRect(); return document.elementFromPoint(box.x + box.width / 2, '
         'box.y + box.height / 2).closest("#no-data, header").id; };'
         "return [at('.axis .offset'), at('#state'), at('#actions'), at('#tab-shop')]"
@@ -116,7 +116,9 @@ def test_a_machine_that_nobody_knows(page, fake):
 
 def test_machines_that_come_and_go(page, fake):
     def names():
-        return page.run("return [...document.querySelectorAll('#machine option')].map((o) => o.text)")
+        return page.run(
+            "return [...document.querySelectorAll('#machine option')].map((o) => o.text)"
+        )
 
     assert not page.one('#machine').is_displayed(), 'one machine needs no choice'
     fake.show(view(), view('lathe'))

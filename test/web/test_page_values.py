@@ -114,7 +114,9 @@ def test_feeds_axes_and_soft_material_are_the_view(page, fake):
     found = {name: text.replace('\u00a0', ' ') for name, text in seen['fields'].items()}
     assert found.pop('range')
     assert found == wanted
-    assert [[cell.replace('\u00a0', ' ') for cell in row] for row in seen['sheets']['Axes now']] == [
+    assert [
+        [cell.replace('\u00a0', ' ') for cell in row] for row in seen['sheets']['Axes now']
+    ] == [
         ['X', '123.456 mm', '+600.0 mm/min', '+1.50 µm', '✓ free'],
         ['Y', '−20.000 mm', '−120.0 mm/min', '−2.25 µm', '✕ at its limit'],
     ]
@@ -139,7 +141,9 @@ def test_temperatures_are_the_view(page, fake):
     page.until(lambda: page.seen()['legends'].items() >= wanted.items(), f'legends {wanted}')
     assert last == '–' != page.seen()['legends']['t11']
     assert page.seen()['legends'].keys() == {*wanted, 't11', 't02 substituted'}
-    headings = page.run("return [...document.querySelectorAll('.chart h3')].map((h) => h.textContent)")
+    headings = page.run(
+        "return [...document.querySelectorAll('.chart h3')].map((h) => h.textContent)"
+    )
     assert headings == ['Cluster of t01', 'Cluster of t05', 'In no cluster']
 
 

@@ -129,5 +129,7 @@ def test_two_stretches_are_one():
     columns, rows = joined(
         (first.names, first.rows(0.0, 1e9, 100)), (second.names, second.rows(0.0, 1e9, 100)), 100
     )
-    assert columns == ('a', 'b', 'c') and rows.time.tolist() == list(range(80))
-    assert np.isnan(rows.mean[50:, 0]).all() and (rows.mean[50:, 2] == 2.0).all()
+    assert columns == ('a', 'b', 'c')
+    assert rows.time.tolist() == list(range(80))
+    assert np.isnan(rows.mean[50:, 0]).all()
+    assert (rows.mean[50:, 2] == 2.0).all()

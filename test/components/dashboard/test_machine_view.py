@@ -144,7 +144,8 @@ def test_values_are_those_of_the_records():
     view = running()
     view.take('displacement', probe(2.0e-7), 0.05)
     shown = document(view)
-    assert shown['machine'] == 'mill' and shown['silent'] == ''
+    assert shown['machine'] == 'mill'
+    assert shown['silent'] == ''
     assert shown['stamp'] == START / SECOND
     assert shown['age'] == pytest.approx(0.1)
     assert shown['state'] == {
@@ -154,10 +155,14 @@ def test_values_are_those_of_the_records():
         'offsets_allowed': True,
     }
     (axis,) = shown['axes']
-    assert axis['offset'] == -2.9e-6 and axis['requested'] == -3e-6
-    assert axis['slope'] == 1e-7 and axis['reference_position'] == 0.2
-    assert axis['limit'] == 5e-5 and axis['share'] == pytest.approx(0.058)
-    assert axis['predicted'] == 3e-6 and axis['band'] == 2e-6
+    assert axis['offset'] == -2.9e-6
+    assert axis['requested'] == -3e-6
+    assert axis['slope'] == 1e-7
+    assert axis['reference_position'] == 0.2
+    assert axis['limit'] == 5e-5
+    assert axis['share'] == pytest.approx(0.058)
+    assert axis['predicted'] == 3e-6
+    assert axis['band'] == 2e-6
     assert axis['limited'] == []
     assert axis['probe'] == {
         'measured': 2.0e-7,
@@ -168,8 +173,11 @@ def test_values_are_those_of_the_records():
     assert shown['sensors']['values'] == {'t1': 20.0, 't2': 21.0}
     assert shown['sensors']['ok'] == 2
     assert [node['lifecycle'] for node in shown['nodes']] == ['active', 'running', 'running']
-    assert shown['alarms'] == [] and shown['recording'] is None
-    assert shown['feeds'] is None and shown['servo'] is None and shown['soft'] is None
+    assert shown['alarms'] == []
+    assert shown['recording'] is None
+    assert shown['feeds'] is None
+    assert shown['servo'] is None
+    assert shown['soft'] is None
 
 
 def probe(value, at=0, compensated=True):
@@ -234,7 +242,8 @@ def test_each_state_has_its_word_and_its_reason(state, word):
     view = running()
     view.take('compensation', compensation(1, state=state), 1.0)
     shown = document(view, 1.0)['state']
-    assert shown['compensation'] == word and shown['why']
+    assert shown['compensation'] == word
+    assert shown['why']
     name = word if state != 99 else 'other'
     view.take_health('compensator', [Health('state', Level.WARN, f'{name}: because of X')], 1.0)
     why = document(view, 1.0)['state']['why']
@@ -245,7 +254,8 @@ def test_without_a_compensator_none_is_shown():
     view = MachineView('mill')
     view.take('machine_state', machine_state(mode=MachineMode.ESTOP), 0.0)
     state = document(view)['state']
-    assert state['compensation'] == 'absent' and state['machine'] == 'e-stop'
+    assert state['compensation'] == 'absent'
+    assert state['machine'] == 'e-stop'
 
 
 def test_what_the_machine_refuses_is_told():
@@ -286,8 +296,10 @@ def test_alarms_have_cause_remedy_and_since():
     view.take('temperatures', temperatures(50), 0.3)
     assert document(view, 0.3)['alarms'][0]['since'] == START / SECOND
     node = next(n for n in document(view, 0.3)['nodes'] if n['name'] == 'thermal_predictor')
-    assert node['rate'] == 2.0 and node['latency'] == pytest.approx(0.0045)
-    assert node['level'] == 'error' and len(node['trouble']) == 2
+    assert node['rate'] == 2.0
+    assert node['latency'] == pytest.approx(0.0045)
+    assert node['level'] == 'error'
+    assert len(node['trouble']) == 2
     view.take_health('thermal_predictor', [], 0.4)
     assert document(view, 0.4)['alarms'] == []
 
@@ -305,11 +317,14 @@ def test_a_node_that_ended_is_an_alarm_and_all_of_them_are_silence():
     view.set_nodes(['compensator'], ['thermal_predictor'])
     shown = document(view)
     (alarm,) = shown['alarms']
-    assert alarm['node'] == 'thermal_predictor' and 'has ended' in alarm['cause']
-    assert alarm['remedy'] and shown['silent'] == ''
+    assert alarm['node'] == 'thermal_predictor'
+    assert 'has ended' in alarm['cause']
+    assert alarm['remedy']
+    assert shown['silent'] == ''
     view.set_nodes([], view.nodes)
     shown = document(view)
-    assert 'have ended' in shown['silent'] and '/mill' in shown['silent']
+    assert 'have ended' in shown['silent']
+    assert '/mill' in shown['silent']
     assert shown['state']['compensation'] == 'absent'
     view.set_nodes(view.nodes, [])
     assert document(view)['silent'] == ''
@@ -369,7 +384,8 @@ def test_hostile_names_and_numbers_do_no_harm():
     shown = document(view)
     text = json.dumps(shown, ensure_ascii=False)
     assert not any(ord(character) < 0x20 or 0x7F <= ord(character) < 0xA0 for character in text)
-    assert '\u202e' not in text and '\ud800' not in text
+    assert '\u202e' not in text
+    assert '\ud800' not in text
     assert '<script>alert(1)</script>' in shown['sensors']['values']  # a name is a name
     rows = view.history['temperatures'].rows(0.0, 1e12, 10)
     assert np.isnan(rows.mean).all()
@@ -482,7 +498,8 @@ def test_feeds_axes_and_soft_material_are_shown_where_they_run():
         0.0,
     )
     shown = document(view)
-    assert shown['feeds']['status'] == 'following' and shown['feeds']['feed'] == 0.51
+    assert shown['feeds']['status'] == 'following'
+    assert shown['feeds']['feed'] == 0.51
     assert shown['feeds']['tolerance'] is None
     (axis,) = shown['servo']['axes']
     assert axis == {
@@ -493,7 +510,8 @@ def test_feeds_axes_and_soft_material_are_shown_where_they_run():
         'saturated': True,
     }
     assert shown['servo']['missed'] == 2
-    assert shown['soft']['offset_max'] == 2e-4 and shown['soft']['flagged'] == 1
+    assert shown['soft']['offset_max'] == 2e-4
+    assert shown['soft']['flagged'] == 1
     following = view.history['axes'].rows(0.0, 1e12, 10)
     assert following.mean[0].tolist() == pytest.approx([0.0999, 1e-4], rel=1e-3)
 
@@ -518,9 +536,13 @@ def test_the_model_tells_where_it_comes_from():
         'thermal_predictor', [Health('prediction', Level.OK, 'predicting', values)], 0.0
     )
     shown = document(view)['model']
-    assert shown['file'] == 'mill.json' and shown['hash'] == '0123456789ab'
-    assert shown['runs'] == ['monday'] and shown['held_out'] == {'Y': 1.6e-6}
-    assert shown['distance'] == 0.4 and shown['in_domain'] and shown['valid']
+    assert shown['file'] == 'mill.json'
+    assert shown['hash'] == '0123456789ab'
+    assert shown['runs'] == ['monday']
+    assert shown['held_out'] == {'Y': 1.6e-6}
+    assert shown['distance'] == 0.4
+    assert shown['in_domain']
+    assert shown['valid']
     view.take('thermal_error', error(1, np.nan, valid=False, reason=1), 1.0)
     assert document(view, 1.0)['model']['why'] == 'no reference'
     assert document(view, 1.0)['axes'][0]['predicted'] is None

@@ -25,7 +25,8 @@ def test_the_rate_is_the_slope_of_the_last_minutes():
 
 
 def test_one_sample_has_no_rate():
-    assert Trend().rate is None and trend_of([1e-6]).rate is None
+    assert Trend().rate is None
+    assert trend_of([1e-6]).rate is None
     assert trend_of([1e-6]).arrow == 'steady'
     assert Trend().stable_in is None
 
@@ -66,4 +67,5 @@ def test_nonsense_is_left_out_and_a_clock_that_goes_back_begins_anew():
     trend.add(SECOND * 1490, 1.0)  # the newest again
     assert trend.rate == before
     trend.add(SECOND * 10, 1e-6)
-    assert trend.rate is None and trend.stable_in is None
+    assert trend.rate is None
+    assert trend.stable_in is None
