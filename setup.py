@@ -32,7 +32,7 @@ docs = ['furo', 'myst-nb', 'sphinx', 'textstat<0.7.5']
 device_files = ['pydantic>=2.7', 'pyyaml']
 modbus = ['pymodbus>=3.10', *device_files]
 opcua = ['asyncua>=1.1.5', 'cryptography', *device_files]
-page = ['cryptography', 'starlette', 'uvicorn', 'websockets']
+page = ['cryptography', 'starlette', 'uvicorn>=0.35', 'websockets']
 executables = ['fuzzycnc', *nodes]
 
 

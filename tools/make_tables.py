@@ -82,9 +82,9 @@ EXTRAS = (
         'node_event',
         NodeEvent.TYPE,
         STREAM,
-        'every node with a component',
+        'every node with a component; dashboard',
         'recorder, replay',
-        'a service, action or transition changed the state',
+        'a service, action or transition changed the state; somebody acted on the live page',
     ),
     Extra(
         'deadline_fired',

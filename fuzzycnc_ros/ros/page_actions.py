@@ -35,7 +35,7 @@ from fuzzycnc_ros.runtime.host import NodeEvent
 
 T = TypeVar('T')
 
-PATIENCE = 3.0
+PATIENCE = 6.0
 """Wall time [s] until a node must be found."""
 ANSWERED = 10.0
 """Wall time [s] until it must have answered."""

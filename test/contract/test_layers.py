@@ -105,7 +105,10 @@ LOADED_ON_USE = {
     'rich',
     'rosbags',
     'sklearn',
+    'starlette',
     'typer',
+    'uvicorn',
+    'websockets',
     'yaml',
 }
 IMPURE = {
@@ -265,7 +268,7 @@ for name in sys.argv[1:]:
     importlib.import_module('fuzzycnc_ros.nodes.' + name)
 on_use = (
     'asyncua', 'jinja2', 'matplotlib', 'mcap', 'pydantic', 'pymodbus', 'rich', 'rosbags',
-    'sklearn', 'typer',
+    'sklearn', 'starlette', 'typer', 'uvicorn', 'websockets',
 )
 print(*[name for name in on_use if name in sys.modules])
 """

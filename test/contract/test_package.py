@@ -64,7 +64,10 @@ KEY_OF_MODULE = {
 DISTRIBUTION_OF_MODULE = {'pydantic_core': 'pydantic', 'sklearn': 'scikit-learn', 'yaml': 'pyyaml'}
 # The documented pip extras `bags`, `modbus` and `opcua`
 WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard', 'pymodbus', 'asyncua', 'pydantic'}
-OPTIONAL = {'pandas'}  # imported by one function of the Python doors alone
+OPTIONAL = {
+    'pandas',  # imported by one function of the Python doors alone
+    *('starlette', 'uvicorn', 'websockets'),  # by the live page, newer than there are keys for
+}
 
 
 @pytest.fixture(scope='module')

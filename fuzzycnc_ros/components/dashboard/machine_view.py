@@ -223,19 +223,23 @@ class MachineView:
         return self._stamp
 
     @property
+    def _told(self) -> dict[str, NodeReport]:
+        return {name: report for name, report in self._nodes.items() if report.told}
+
+    @property
     def nodes(self) -> tuple[str, ...]:
-        """Names of all nodes that are known."""
-        return tuple(self._nodes)
+        """Names of all nodes that have said anything."""
+        return tuple(self._told)
 
     @property
     def living_nodes(self) -> tuple[str, ...]:
         """Names of those that have not ended."""
-        return tuple(name for name, report in self._nodes.items() if not report.ended)
+        return tuple(name for name, report in self._told.items() if not report.ended)
 
     @property
     def complete(self) -> bool:
         """Whether all nodes that live have reported, and there are data."""
-        living = [report for report in self._nodes.values() if not report.ended]
+        living = [report for report in self._told.values() if not report.ended]
         told = all(report.heard_at is not None for report in living)
         return bool(living) and told and self._stamp is not None
 
@@ -260,7 +264,7 @@ class MachineView:
                     *(name, report.ended, report.silent(now), report.lifecycle),
                     *((item.name, item.level) for item in report.items if item.level),
                 )
-                for name, report in self._nodes.items()
+                for name, report in self._told.items()
             ),
         )
 
@@ -288,7 +292,7 @@ class MachineView:
             'spindle': self._spindle(),
             'sensors': self._sensors(),
             'model': self._model_document(),
-            'nodes': [report.document(name, now) for name, report in sorted(self._nodes.items())],
+            'nodes': [report.document(name, now) for name, report in sorted(self._told.items())],
             'alarms': self._alarms(now),
             'recording': self._recording(now),
             'feeds': feeds_document(
@@ -342,20 +346,25 @@ class MachineView:
         self.history['error'].add(record.stamp, row)
 
     def _on_compensation(self, record: Compensation) -> None:
-        limit = self._limit
-        row = {}
-        for axis, offset in zip(record.axis, record.offset.tolist(), strict=False):
-            row[f'{visible(axis)} requested'] = offset
-            if limit is not None:
-                row[f'{visible(axis)} limit'] = limit
-        self.history['compensation'].add(record.stamp, row)
+        self._keep_offsets(record.stamp)
 
     def _on_applied(self, record: CompensationApplied) -> None:
-        row = {}
         for axis, offset in zip(record.axis, record.offset.tolist(), strict=False):
             self._trends.setdefault(axis, Trend()).add(record.stamp, offset)
-            row[f'{visible(axis)} applied'] = offset
-        self.history['compensation'].add(record.stamp, row)
+        self._keep_offsets(record.stamp)
+
+    def _keep_offsets(self, stamp: int) -> None:
+        """Keep what is asked for and what is in force: both hold until they change."""
+        row = {}
+        for topic, what in (('compensation', 'requested'), ('compensation_applied', 'applied')):
+            newest = self._newest.get(topic)
+            if newest is None:
+                continue
+            for axis, offset in zip(newest.axis, newest.offset.tolist(), strict=False):
+                row[f'{visible(axis)} {what}'] = offset
+                if self._limit is not None:
+                    row[f'{visible(axis)} limit'] = self._limit
+        self.history['compensation'].add(stamp, row)
 
     def _on_displacement(self, record: Displacement) -> None:
         error = self._newest.get('thermal_error')
@@ -404,15 +413,16 @@ class MachineView:
 
     def _silence(self, now: float) -> str:
         """Say that there are no data, for how long and why; empty while they come."""
-        ended = sorted(name for name, report in self._nodes.items() if report.ended)
+        told = self._told
+        ended = sorted(name for name, report in told.items() if report.ended)
         alive = [
             name
-            for name, report in self._nodes.items()
+            for name, report in told.items()
             if not report.ended and (report.heard_at is None or now - report.heard_at < SILENT)
         ]
         age = self._age(now)
         since = 'no data yet' if age is None else f'no data for {max(age, 1.0):.0f} s'
-        if self._nodes and not alive:
+        if told and not alive:
             if ended:
                 return (
                     f'{since}: the nodes of /{self.machine} have ended; start them again with '
@@ -437,7 +447,7 @@ class MachineView:
         """Return what nodes that live are troubled by, the worst first."""
         found = [
             (name, item)
-            for name, report in self._nodes.items()
+            for name, report in self._told.items()
             if name not in ended
             for item in report.items
             if item.level > Level.OK
@@ -594,9 +604,8 @@ class MachineView:
         }
 
     def _alarms(self, now: float) -> list[dict[str, Any]]:
-        found = [
-            alarm for name in sorted(self._nodes) for alarm in self._nodes[name].alarms(name, now)
-        ]
+        nodes = sorted(self._told.items())
+        found = [alarm for name, report in nodes for alarm in report.alarms(name, now)]
         found.sort(key=lambda alarm: alarm.level != 'error')
         known = {(alarm.node, alarm.name) for alarm in found}
         self._since = {key: since for key, since in self._since.items() if key in known}

@@ -75,6 +75,11 @@ class NodeReport:
     configuration: NodeConfiguration | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def told(self) -> bool:
+        """Whether it has said anything: others, such as an operator's, only pass by."""
+        return self.heard_at is not None or self.configuration is not None
+
     def silent(self, now: float) -> bool:
         """Whether it reports no more."""
         return self.heard_at is not None and now - self.heard_at > NODE_SILENT
