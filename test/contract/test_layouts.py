@@ -71,7 +71,9 @@ def broken(paths: list[str], separator: str) -> list[str]:
 
 
 def test_fields_are_read_as_they_are_written():
-    assert fields('compensation').items() >= {'state': False, 'offset': True, 'source': True}.items()
+    assert (
+        fields('compensation').items() >= {'state': False, 'offset': True, 'source': True}.items()
+    )
     with pytest.raises(KeyError):
         fields('compensations')
 

@@ -44,7 +44,9 @@ def compare(page, url, machine, tab, check, updates=UPDATES):
 
     def another():
         seen = page.seen()
-        view = page.run('return window.told[arguments[0]]?.[arguments[1]]', machine, seen['sequence'])
+        view = page.run(
+            'return window.told[arguments[0]]?.[arguments[1]]', machine, seen['sequence']
+        )
         if view is not None and seen['sequence'] not in compared:
             check(seen, view)
             compared.add(seen['sequence'])
