@@ -7,6 +7,9 @@ import {make, match, say} from './dom.js';
 import {moment, number, quantity} from './units.js';
 
 const HEIGHT = 260;
+/** Lines from which a plot is higher, and how high. */
+const MANY = 12;
+const HIGH = 460;
 const FONT = '13px system-ui, sans-serif';
 /** A step longer than this many of its neighbours is drawn as a pause. */
 const PAUSE = 3;
@@ -144,7 +147,7 @@ export class Chart {
     const axis = {stroke: paint('muted'), grid: {stroke: paint('grid'), width: 1},
       ticks: {stroke: paint('grid')}, font: FONT};
     this.#plot = new uPlot({
-      width: this.place.clientWidth, height: HEIGHT, series, bands,
+      width: this.place.clientWidth, height: this.#height, series, bands,
       legend: {show: false},
       scales: {x: {time: true}},
       cursor: {
@@ -211,9 +214,13 @@ export class Chart {
     if (min < max) this.#plot?.setScale('x', {min, max});
   }
 
+  get #height() {
+    return this.#lines.length > MANY ? HIGH : HEIGHT;
+  }
+
   #resize() {
     if (!this.#plot) this.#build();
-    else if (this.place.clientWidth) this.#plot.setSize({width: this.place.clientWidth, height: HEIGHT});
+    else if (this.place.clientWidth) this.#plot.setSize({width: this.place.clientWidth, height: this.#height});
   }
 
   #drop() {
