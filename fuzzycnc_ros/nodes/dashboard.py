@@ -97,7 +97,13 @@ class DashboardNode:
         """
         try:
             from fuzzycnc_ros.web.guard import Token, is_loopback
-            from fuzzycnc_ros.web.keys import fingerprint, own_certificate, own_token, read_token
+            from fuzzycnc_ros.web.keys import (
+                check_pair,
+                fingerprint,
+                own_certificate,
+                own_token,
+                read_token,
+            )
             from fuzzycnc_ros.web.recordings import BagFolder
             from fuzzycnc_ros.web.server import PageServer
         except ModuleNotFoundError as error:
@@ -124,6 +130,7 @@ class DashboardNode:
             elif open_to_others:
                 certificate = own_certificate(folder, config.listen)
             if certificate is not None:
+                check_pair(*certificate)
                 say(f'certificate SHA-256 {fingerprint(certificate[0])}')
             self._bags = BagFolder(bags)
             self._token = bool(secret)
@@ -241,11 +248,13 @@ class DashboardNode:
 
     def _show(self) -> None:
         """Give pages the views that are due: after new data, a change, or the interval."""
-        now, interval = time.monotonic(), self._config.interval
+        now, interval, clients = time.monotonic(), self._config.interval, self._server.clients
         for machine, watched in self._watch.machines.items():
             view, shown = watched.view, self._shown.get(machine, _Shown())
             elapsed = now - shown.at
             due = elapsed >= interval - TICK / 2.0
+            if not (due or clients):
+                continue
             if due:
                 watched.read()
             key = view.key(now) if due or machine in self._dirty else shown.key
@@ -255,7 +264,7 @@ class DashboardNode:
                 self._shown[machine] = _Shown(now, key, view.news)
                 view.set_recording(self._actions.recording(machine))
                 document = view.document(now)
-                if self._server.clients:
+                if clients:
                     self._server.show(machine, document)
 
     def _report(self) -> None:

@@ -188,13 +188,13 @@ class MachineWatch:
         nodes: dict[str, set[str]] = {}
         for name, space in self._node.get_node_names_and_namespaces():
             nodes.setdefault(space.strip('/'), set()).add(name)
-        ending = f'/{CONFIGURATIONS}'
-        for topic, types in self._node.get_topic_names_and_types():
-            machine = topic.removesuffix(ending).strip('/')
-            wanted = topic.endswith(ending) and types == [NodeConfiguration.TYPE]
-            fresh = machine and machine not in self.machines and machine in nodes
-            if wanted and fresh and self._only in ('', machine):
-                self._add(machine)
+        strange = {space for space in nodes if space and space not in self.machines}
+        if strange and not self._only:
+            for topic, types in self._node.get_topic_names_and_types():
+                machine, _, name = topic.strip('/').rpartition('/')
+                told = name == CONFIGURATIONS and types == [NodeConfiguration.TYPE]
+                if told and machine in strange:
+                    self._add(machine)
         for machine, watched in self.machines.items():
             watched.look(nodes.get(machine, set()))
 

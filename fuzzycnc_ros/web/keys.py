@@ -98,6 +98,23 @@ def fingerprint(certificate: Path) -> str:
     return ':'.join(digest[place : place + 2] for place in range(0, len(digest), 2))
 
 
+def check_pair(certificate: Path, key: Path) -> None:
+    """Refuse a certificate and a key that do not serve.
+
+    Raises
+    ------
+    KeyFileError
+        If one cannot be read, or they do not belong together.
+    """
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key)
+    except (OSError, ValueError) as error:  # an SSLError is an OSError
+        raise KeyFileError(
+            f'certificate {certificate} and private_key {key}: expected a pair in PEM but '
+            f'found: {error}'
+        ) from error
+
+
 def _write(file: Path, content: bytes) -> None:
     """Write a file that nobody else reads, whole or not at all."""
     temporary = file.with_suffix('.new')

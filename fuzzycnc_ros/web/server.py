@@ -23,8 +23,8 @@ HEADERS_MAX = 16384
 """Largest head of a request [bytes]."""
 WAITING = 128
 """Connections that the system holds until they are taken."""
-STARTED_WITHIN = 10.0
 STOPPED_WITHIN = 5.0
+"""Time [s] in which the server must have ended."""
 
 
 class PageServer:
@@ -62,10 +62,10 @@ class PageServer:
         hosts: Collection[str] = (),
         certificate: tuple[Path, Path] | None = None,
     ) -> None:
+        self._socket = _listening(address, port)
         self._loop = asyncio.new_event_loop()
         self._frames = Frames()
         page = Page(machines, self._frames, recordings, token, address, hosts)
-        self._socket = _listening(address, port)
         scheme = 'http' if certificate is None else 'https'
         shown = f'[{address}]' if ':' in address else address
         self.url = f'{scheme}://{shown}:{self._socket.getsockname()[1]}/'
@@ -99,6 +99,8 @@ class PageServer:
         self._server.should_exit = True
         if self._thread.is_alive():
             self._thread.join(STOPPED_WITHIN)
+        else:
+            self._loop.close()
         self._socket.close()
 
     @property

@@ -136,7 +136,7 @@ def test_a_shift_is_shown_as_it_is_and_acted_at(graph, observer, model_file, ope
     told = observer.records('compensation', Compensation)
     errors = observer.records('thermal_error', ThermalError)
     samples = observer.records('temperatures', Temperatures)
-    events = observer.records('node_event', NodeEvent, Durability.LATCHED)
+    events = observer.records('node_event', NodeEvent)
     nodes = graph.start_shift(model_file, lockstep=False, rate=60.0)
     view = page.view_until(compensates, 'offsets in force')
 
@@ -171,13 +171,13 @@ def test_a_shift_is_shown_as_it_is_and_acted_at(graph, observer, model_file, ope
 
     # A reached limit.
     request = SetParameters.Request(
-        parameters=[Parameter('offset_max', value=1e-8).to_parameter_msg()]
+        parameters=[Parameter('offset_max', value=5e-8).to_parameter_msg()]
     )
     observer.call(SetParameters, '/mill/compensator/set_parameters', request)
     limited = page.view_until(
         lambda view: compensates(view) and 'clamp' in axis_of(view)['limited'], 'a reached limit'
     )
-    assert axis_of(limited)['limit'] == 1e-8
+    assert axis_of(limited)['limit'] == 5e-8
     page.view_until(lambda view: 'size limit' in alarms(view, 'compensator'), 'its alarm')
 
     # What is done is done, and written down.
@@ -191,7 +191,12 @@ def test_a_shift_is_shown_as_it_is_and_acted_at(graph, observer, model_file, ope
     recording = page.view_until(lambda view: view['recording'], 'a recording')['recording']
     assert page.act('record', {'by': 'anna', 'start': True})[0] == 409
     assert page.act('deactivate', {'by': 'anna'})[0] == 200
-    page.view_until(lambda view: view['state']['compensation'] == 'inactive', 'offsets at zero')
+    page.view_until(
+        lambda view: (
+            view['state']['compensation'] == 'inactive' and axis_of(view)['offset'] == 0.0
+        ),
+        'offsets at zero',
+    )
     status, says = page.act('reference', {'by': 'anna'})
     assert status == 200, says
     assert page.act('activate', {'by': 'anna', 'node': 'compensator'})[0] == 200
@@ -340,6 +345,6 @@ def test_what_cannot_be_served_is_refused(refusal, graph, observer, tmp_path):
     port = int(re.findall(r':(\d+)/', running.output)[0])
     assert f'found {port}' in refusal('dashboard', {'port': port})
     assert 'token' in refusal('dashboard', {'port': 0, 'token_file': str(tmp_path / 'none')})
-    assert 'found 0.0' in refusal('dashboard', {'interval': 0.0}).replace('= 0.0', 'found 0.0')
+    assert 'interval' in refusal('dashboard', {'interval': 0.0})
     short = {'certificate': str(tmp_path / 'none.pem'), 'private_key': str(tmp_path / 'key.pem')}
     assert 'none.pem' in refusal('dashboard', {'port': 0, **short})

@@ -12,6 +12,7 @@ from served_page import SECRET
 from fuzzycnc_ros.web.guard import is_loopback
 from fuzzycnc_ros.web.keys import (
     KeyFileError,
+    check_pair,
     fingerprint,
     own_certificate,
     own_token,
@@ -67,6 +68,9 @@ def test_a_certificate_is_made_once_and_serves(serve, tmp_path):
     (tmp_path / 'seen.pem').write_text(seen)
     assert fingerprint(tmp_path / 'seen.pem') == fingerprint(files[0])
     assert len(fingerprint(files[0])) == 95
+    check_pair(*files)
+    with pytest.raises(KeyFileError, match='expected a pair'):
+        check_pair(files[0], files[0])
     with pytest.raises(KeyFileError, match='PEM'):
         fingerprint(files[1].with_name('nothing'))
 
