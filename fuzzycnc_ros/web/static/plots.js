@@ -196,11 +196,18 @@ export class Plots {
       return;
     }
     if (this.range.fixed || view.silent) return;
-    const {values, flagged, whole} = INCREMENTS[this.series](view, this.#stretch);
-    this.#stretch.append(view.stamp, values, flagged);
-    this.#stretch.forget(this.range.at(view.stamp)[0]);
+    const whole = this.#append();
     if (this.#stretch.long || (!whole && performance.now() - this.#fetchedAt > AGAIN * 1000)) this.#load();
     else this.#draw();
+  }
+
+  /** Continue by the newest view; return whether it tells all of the series. */
+  #append() {
+    const {stamp} = this.#view;
+    const {values, flagged, whole} = INCREMENTS[this.series](this.#view, this.#stretch);
+    this.#stretch.append(stamp, values, flagged);
+    this.#stretch.forget(this.range.at(stamp)[0]);
+    return whole;
   }
 
   async #load() {
@@ -211,6 +218,8 @@ export class Plots {
     try {
       if (await this.#stretch.load(...this.range.at(stamp))) {
         say(this.trouble, '');
+        // The past is kept with fewer digits: the newest row is the one of the view.
+        if (!this.range.fixed && !this.#view.silent) this.#append();
         this.#draw();
       }
     } catch (fault) {
