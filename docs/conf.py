@@ -16,7 +16,7 @@ copyright = author
 version = release = fuzzycnc_ros.__version__
 
 extensions = [
-    'myst_parser',
+    'myst_nb',
     'sphinx.ext.autodoc',
     'sphinx.ext.autosectionlabel',
     'sphinx.ext.autosummary',
@@ -24,6 +24,8 @@ extensions = [
 ]
 default_role = 'code'  # names in docstrings stand in single backticks
 myst_heading_anchors = 4
+nb_execution_mode = 'force'
+nb_execution_raise_on_error = True
 autosectionlabel_prefix_document = True
 
 autosummary_generate = True

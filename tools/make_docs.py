@@ -77,6 +77,8 @@ def linked(page: Path, text: str, origin: Path) -> str:
         elif path.name in OUTSIDE and path.parent == ROOT:
             path = SOURCE / OUTSIDE[path.name]
             anchor = anchor if path.stem != 'index' else ''
+        elif path.suffix == '.ipynb':
+            path = SOURCE / path.relative_to(ROOT)
         else:
             return label
         found = os.path.relpath(path, page.parent) + (f'#{anchor}' if anchor else '')
@@ -90,6 +92,10 @@ def copy_pages() -> None:
     """Copy the pages, so that the site's own ones do not lie among them."""
     shutil.rmtree(SOURCE, ignore_errors=True)
     shutil.copytree(ROOT / 'docs', SOURCE)
+    # Notebooks read what lies beside them.
+    shutil.copytree(
+        ROOT / 'examples', SOURCE / 'examples', ignore=shutil.ignore_patterns('README.md')
+    )
     shutil.copy(ROOT / 'CONTRIBUTING.md', SOURCE / 'contributing.md')
     for page in SOURCE.rglob('*.md'):
         origin = ROOT / 'docs' / page.relative_to(SOURCE)
@@ -200,6 +206,8 @@ def main() -> int:
     write_api()
     add_contents('reference/index.md', 'api/index')
     add_contents('index.md', 'contributing')
+    for book in sorted((SOURCE / 'examples').glob('*.ipynb')):
+        add_contents('tutorials/index.md', f'../examples/{book.stem}')
     shutil.rmtree(HTML, ignore_errors=True)
     options = ['-W', '--keep-going', '-q', '-b', 'html', '-d', str(HTML.parent / 'doctrees')]
     failed = build_main([*options, *sys.argv[1:], str(SOURCE), str(HTML)])

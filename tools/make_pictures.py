@@ -54,10 +54,13 @@ DRAWN = """@media (prefers-reduced-motion: no-preference) {
   #p-before path, #p-after path { stroke-dasharray: 1; animation: draw 9s linear infinite; }
   #p-said { animation: say 9s linear infinite; }
 }
-@keyframes draw { 0% { stroke-dashoffset: 1; } 60%, 100% { stroke-dashoffset: 0; } }
-@keyframes say { 0%, 60% { opacity: 0; } 66%, 100% { opacity: 1; } }
+@keyframes draw {
+  0%, 25%, 80%, 100% { stroke-dashoffset: 0; }
+  25.1% { stroke-dashoffset: 1; }
+}
+@keyframes say { 0%, 25% { opacity: 1; } 25.1%, 80% { opacity: 0; } 86%, 100% { opacity: 1; } }
 """
-"""The curves are drawn in five seconds; then it is said what they show, for four."""
+"""The whole picture first, for a glance; then the curves are drawn in five seconds."""
 
 
 def drawing(width: float, height: float) -> tuple[Any, Any]:
@@ -72,6 +75,9 @@ def svg(figure: Any, motion: str = '') -> str:
     width, height = (round(72 * size) for size in figure.get_size_inches())
     head, _, body = to_inline_svg(figure, 'p').partition('>')
     body = re.sub(r'(<g id="p-(?:before|after)">\s*<path )', r'\1pathLength="1" ', body)
+    # Names of clipped areas are hashes of what differs in its last digits from run to run.
+    for number, name in enumerate(dict.fromkeys(re.findall(r'url\(#([^)]+)\)', body)), 1):
+        body = body.replace(name, f'clip-{number}')
     theme = THEME.replace('MOTION', motion)
     return f'{head} width="{width}" height="{height}">\n{theme}{body}\n'
 
@@ -84,7 +90,7 @@ def drift() -> str:
     at = run.channel.index('Y')
     hours = (run.time - run.time[0]) / 3600.0
     before, after = 1e6 * run.measured[:, at], 1e6 * run.residual()[:, at]
-    figure, axes = drawing(8.0, 3.2)
+    figure, axes = drawing(8.0, 2.7)
     for name, colour, values in (('before', BEFORE, before), ('after', AFTER, after)):
         (line,) = axes.plot(hours, values, color=colour, linewidth=2.2)
         line.set_gid(name)

@@ -11,9 +11,9 @@ from fuzzycnc_ros.ros.bring_up import GraphError
 from fuzzycnc_ros.runtime.records import Displacement
 
 _OTHERS = (
-    ('/clock', 'its time is simulated'),
-    ('clock', 'its time is simulated'),
-    ('displacement', 'another node publishes displacement'),
+    ('/clock', 'it is a simulated machine'),
+    ('clock', 'it is a simulated machine'),
+    ('displacement', 'another node does'),
 )
 
 
@@ -34,7 +34,10 @@ def check_unprobed(machine: str, published: Callable[[str], bool]) -> None:
     """
     for topic, what in _OTHERS:
         if published(topic):
-            raise GraphError(f'{machine}: expected a machine that nobody probes, but {what}')
+            raise GraphError(
+                f'{machine}: expected a machine whose displacement nobody else publishes but '
+                f'found that {what}'
+            )
 
 
 def probe_record(

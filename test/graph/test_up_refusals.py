@@ -71,7 +71,8 @@ def test_a_model_that_is_worse_than_none_is_found_before_any_node_starts(
     [
         ('/**:\n  ros__parameters:\n    axes: [Z\n', ['YAML', 'line 3']),
         ('/**:\n  ros__parameters:\n    period:\n', ['No value', 'line 3']),
-        ('/**:\n  parameters:\n    period: 1.0\n', ['ros__parameters', 'line 3']),
+        ('/**:\n  parameters:\n    period: 1.0\n', ['ros__parameters', 'line 1']),
+        ('devices:\n- name: rtd\n', ['line 1', '`devices:`', 'outside of the folder']),
         (
             '/*/compensator:\n  ros__parameters:\n    ofset_max: 1e-6\n',
             ['mill/compensator', 'unknown parameter ofset_max', 'offset_max'],

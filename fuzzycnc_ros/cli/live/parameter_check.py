@@ -10,6 +10,8 @@ from pathlib import Path
 
 import rclpy
 from rclpy.node import Node
+from yaml.nodes import MappingNode
+from yaml.nodes import Node as YamlNode
 
 from fuzzycnc_ros.bags.yaml_file import compose
 from fuzzycnc_ros.cli.console import check_new
@@ -22,9 +24,11 @@ from fuzzycnc_ros.ros.processes import RANGE, prepare_environment
 from fuzzycnc_ros.ros.state_file import StateDirectory, StateFileError
 from fuzzycnc_ros.runtime.host import HostConfig, RecorderConfig
 
+_PARAMETERS = 'ros__parameters'
+
 
 def check_files(files: Sequence[Path]) -> None:
-    """Refuse parameter files that are no YAML, in which ROS finds less to name.
+    """Refuse files that are no YAML or hold no parameters, in which ROS finds less to name.
 
     Raises
     ------
@@ -32,7 +36,21 @@ def check_files(files: Sequence[Path]) -> None:
         If one is none; the message names the line.
     """
     for file in files:
-        compose(file, 'a ROS parameter file')
+        root = compose(file, 'a ROS parameter file')
+        for key, value in root.value if isinstance(root, MappingNode) else ():
+            if not _has_parameters(value):
+                raise ValueError(
+                    f'{file}: line {key.start_mark.line + 1}: expected `/**/NODE:` with '
+                    f'`{_PARAMETERS}:` below it but found `{key.value}:`; keep device files and '
+                    'others outside of the folder of parameter files'
+                )
+
+
+def _has_parameters(node: YamlNode) -> bool:
+    """Whether the parameters of a node are somewhere below this one."""
+    if not isinstance(node, MappingNode):
+        return False
+    return any(key.value == _PARAMETERS or _has_parameters(value) for key, value in node.value)
 
 
 def check_parameters(

@@ -18,6 +18,8 @@ from fuzzycnc_ros.runtime.records import Record
 
 SILENT = 5.0
 """Wall time [s] without a word from a node, which reports every second."""
+FIRST_HEARD = 8.0
+"""Wall time [s] after which a machine of which nothing was heard has no nodes."""
 DISCOVERED = 0.5
 """Wall time [s] after which the nodes of a running machine have been found."""
 _SPIN = 0.1
@@ -91,12 +93,18 @@ class Monitor:
         return heard
 
     def settle(self, machine: str, patience: float) -> None:
-        """Listen until each node of a machine has reported, for no longer than a time [s]."""
+        """Listen until each node of a machine has reported, for no longer than a time [s].
+
+        On a busy computer nodes are found late: the first of them is waited for longer.
+        """
         self.spin_until(DISCOVERED)
-        while self.age < patience:
+        heard = False
+        while self.age < (patience if heard else FIRST_HEARD):
             nodes = {name for where, name in self.present() if where == machine}
-            if nodes and all(self.view(machine, name).heard_at for name in nodes):
+            reported = [self.view(machine, name).heard_at > 0.0 for name in nodes]
+            if reported and all(reported):
                 return
+            heard = heard or any(reported)
             self.spin()
 
     def close(self) -> None:
