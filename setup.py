@@ -66,6 +66,7 @@ setup(
         ('share/' + package_name, ['package.xml']),
         ('share/' + package_name + '/params', sorted(glob('params/*.*'))),
         ('share/' + package_name + '/launch', sorted(glob('launch/*.launch.py'))),
+        ('share/' + package_name + '/layouts', sorted(glob('layouts/*.*'))),
         ('share/' + package_name + '/linuxcnc', sorted(glob('linuxcnc/*.*'))),
         *(wrappers() if 'bdist_wheel' in sys.argv else []),  # colcon puts its own there
     ],

@@ -235,6 +235,7 @@ def test_everything_shared_is_installed(setup_arguments):
     for target, source in {
         *(('share/fuzzycnc_ros/params', path) for path in (ROOT / 'params').glob('*.*')),
         *(('share/fuzzycnc_ros/launch', path) for path in (ROOT / 'launch').glob('*.py')),
+        *(('share/fuzzycnc_ros/layouts', path) for path in (ROOT / 'layouts').glob('*.*')),
         *(('share/fuzzycnc_ros/linuxcnc', path) for path in (ROOT / 'linuxcnc').glob('*.*')),
         ('share/fuzzycnc_ros', ROOT / 'package.xml'),
         ('share/ament_index/resource_index/packages', ROOT / 'resource' / 'fuzzycnc_ros'),

@@ -232,6 +232,8 @@ class FakeDashboard:
         Status and body of the next answers to each action, in order.
     acted : list
         Actions that were asked for: machine, action, body, Authorization header.
+    past : callable
+        What answers when history is asked for.
     asked : list
         Stretches of history that were asked for: machine, series, begin, end.
     """
@@ -278,6 +280,7 @@ class FakeDashboard:
         self.views: dict[str, dict[str, Any]] = {'mill': view()}
         self.writable, self.needs_token, self.interval = True, False, 0.25
         self.mute = self.refusing = False
+        self.past = rows
         self.answers: dict[str, list[tuple[int, dict[str, Any]]]] = {}
         self.acted: list[tuple[str, str, dict[str, Any], str]] = []
         self.asked: list[tuple[str, str, float, float]] = []
@@ -305,7 +308,7 @@ class FakeDashboard:
         if machine not in self.views:
             return _refused(404, f'no machine {machine}')
         newest = self.views[machine]['stamp']
-        found = rows(asked['series'], begin, end, int(asked['points']), newest)
+        found = self.past(asked['series'], begin, end, int(asked['points']), newest)
         return JSONResponse({'machine': machine, 'series': asked['series'], **found})
 
     async def _bags(self, request: Request) -> Response:

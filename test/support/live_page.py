@@ -27,7 +27,7 @@ FLAGS = (
     '--disable-dev-shm-usage',
 )
 TABS = ('operator', 'temperatures', 'error', 'offsets', 'model', 'motion', 'bags', 'shop')
-NARROW_GAP, MINUS = '\u00a0', '\u2212'
+GAP, MINUS = '\u00a0', '\u2212'
 PICTURE = """
 const shown = (element) => element.checkVisibility();
 const fields = {};
@@ -44,13 +44,15 @@ const texts = (selector) => [...document.querySelectorAll(selector)]
   .filter(shown).map((element) => element.innerText);
 const [, sequence] = document.querySelector('#link').title.match(/view (\\d+)/) ?? [null, null];
 return {
-  fields, sheets, sequence: sequence && Number(sequence), link: document.querySelector('#link').dataset.link,
-  state: document.querySelector('#state').dataset.state, age: document.querySelector('#age').textContent,
+  fields, sheets, sequence: sequence && Number(sequence),
+  link: document.querySelector('#link').dataset.link,
+  state: document.querySelector('#state').dataset.state,
+  age: document.querySelector('#age').textContent,
   alarms: [...document.querySelectorAll('#alarms > li')].filter(shown)
     .map((row) => [...row.children].slice(1).map((part) => part.textContent)),
   lost: texts('#lost > li'), noData: texts('#no-data').join(), trouble: texts('.trouble').join(),
   legends: Object.fromEntries([...document.querySelectorAll('.keys button')].filter(shown)
-    .map((key) => [key.querySelector('.name').textContent, key.querySelector('.value').textContent])),
+    .map((key) => ['.name', '.value'].map((part) => key.querySelector(part).textContent))),
   rows: Number(document.querySelector('main > section:not([hidden]) .charts')?.dataset.rows ?? 0),
 };
 """
@@ -153,10 +155,10 @@ def _using(folder: Path) -> list[int]:
 def number(value: float | None, digits: int = 0, unit: str = '', *, signed: bool = False) -> str:
     """Return a number as the page writes it."""
     if value is None:
-        return '–'
+        return '\u2013'
     text = f'{abs(value):.{digits}f}'
     sign = '' if float(text) == 0.0 else MINUS if value < 0.0 else '+' if signed else ''
-    return sign + text + (NARROW_GAP + unit if unit else '')
+    return sign + text + (GAP + unit if unit else '')
 
 
 def micro(value: float | None, digits: int = 1, *, signed: bool = False) -> str:
@@ -167,7 +169,7 @@ def micro(value: float | None, digits: int = 1, *, signed: bool = False) -> str:
 def span(seconds: float | None) -> str:
     """Return a span of time as the page writes it."""
     if seconds is None:
-        return '–'
+        return '\u2013'
     if abs(seconds) < 9.95:
         return number(seconds, 1, 's')
     if seconds < 59.5:
@@ -177,7 +179,7 @@ def span(seconds: float | None) -> str:
         return number(minutes, 0, 'min')
     hours, rest = divmod(minutes, 60)
     if seconds < 86399.5:
-        return number(hours, 0, 'h') + (NARROW_GAP + number(rest, 0, 'min') if rest else '')
+        return number(hours, 0, 'h') + (GAP + number(rest, 0, 'min') if rest else '')
     return number(seconds / 86400.0, 1, 'd')
 
 
@@ -207,7 +209,7 @@ def operator_fields(view: dict[str, Any]) -> dict[str, str]:
         'compensation': state['compensation'],
         'why': state['why'],
         'machine state': state['machine'],
-        'offsets allowed': {True: 'allowed', False: 'refused', None: '–'}[
+        'offsets allowed': {True: 'allowed', False: 'refused', None: '\u2013'}[
             state['offsets_allowed']
         ],
         'stable': stable(None if None in times or not times else max(times)),
@@ -225,17 +227,17 @@ def operator_fields(view: dict[str, Any]) -> dict[str, str]:
         rate, share, band = axis['rate'], axis['share'], axis['band']
         told = number(None if predicted is None else 1e6 * predicted, 1, signed=True)
         if predicted is not None:
-            around = '' if band is None else f'{NARROW_GAP}±{NARROW_GAP}{number(1e6 * band, 1)}'
-            told += f'{around}{NARROW_GAP}µm'
+            around = '' if band is None else f'{GAP}±{GAP}{number(1e6 * band, 1)}'
+            told += f'{around}{GAP}µm'
         found |= {
             f'{name} offset': micro(axis['offset'], signed=True),
             f'{name} move': moves[axis['arrow']],
             f'{name} share': number(None if share is None else 100 * share, 1, '%'),
-            f'{name} limit': '–' if axis['limit'] is None else '±' + micro(axis['limit']),
+            f'{name} limit': '\u2013' if axis['limit'] is None else '±' + micro(axis['limit']),
             f'{name} rate': number(None if rate is None else 6e7 * rate, 2, 'µm/min', signed=True),
             f'{name} predicted': told,
             f'{name} stable': stable(axis['stable_in']),
-            f'{name} limited': axis['limited'] and f'✕ {limits(axis["limited"])}' or '',
+            f'{name} limited': f'✕ {limits(axis["limited"])}' if axis['limited'] else '',
             f'{name} probe': 'none'
             if probe is None
             else f'{micro(probe["measured"], signed=True)} measured, '
@@ -251,7 +253,7 @@ def offset_rows(view: dict[str, Any]) -> list[list[str]]:
             axis['axis'],
             micro(axis['requested'], 2, signed=True),
             micro(axis['offset'], 2, signed=True),
-            '–' if axis['limit'] is None else '±' + micro(axis['limit']),
+            '\u2013' if axis['limit'] is None else '±' + micro(axis['limit']),
             number(None if axis['share'] is None else 100 * axis['share'], 1, '%'),
             number(None if axis['slope'] is None else 1e6 * axis['slope'], 2, 'µm/m', signed=True),
             number(
@@ -272,27 +274,27 @@ def model_fields(view: dict[str, Any]) -> dict[str, str]:
         return {}
     inside = '✓ inside what it was trained on'
     return {
-        'name': model['name'] or '–',
-        'file': model['file'] or '–',
-        'hash': model['hash'] or '–',
+        'name': model['name'] or '\u2013',
+        'file': model['file'] or '\u2013',
+        'hash': model['hash'] or '\u2013',
         'prediction': '✓ valid' if model['valid'] else f'✕ not valid: {model["why"]}',
         'domain': inside if model['in_domain'] else '▲ outside what it was trained on',
         'distance from training': number(model['distance'], 2),
-        'trained on': ', '.join(model['runs']) or '–',
+        'trained on': ', '.join(model['runs']) or '\u2013',
         'error on held-out runs (rms)': ', '.join(
             f'{name} {micro(rms, 2)}' for name, rms in model['held_out'].items()
         )
-        or '–',
+        or '\u2013',
     }
 
 
 def node_rows(view: dict[str, Any]) -> list[list[str]]:
     """Return the rows of the table of nodes."""
-    levels = {'ok': '✓ ok', 'warn': '▲ warning', 'error': '✕ error', 'stale': '× silent'}
+    levels = {'ok': '✓ ok', 'warn': '▲ warning', 'error': '✕ error', 'stale': '\u00d7 silent'}
     return [
         [
             node['name'],
-            node['lifecycle'] or '–',
+            node['lifecycle'] or '\u2013',
             levels[node['level']],
             number(node['rate'], 2, '1/s'),
             number(None if node['latency'] is None else 1e3 * node['latency'], 1, 'ms'),

@@ -13,7 +13,7 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
-HANG = 20.0
+HANG = 240.0
 """Wall time [s] after which what is waited for will not come: no bound on how long it may take."""
 POLL = 0.01
 

@@ -55,7 +55,7 @@ def test_an_act_is_confirmed_and_sent(page, fake, act, document, effect, body):
 
 
 def test_what_is_in_force_and_what_is_wanted_is_named(page, fake):
-    assert 'Y −1.2 µm, Z +23.5 µm' in begin(page, 'deactivate')
+    assert 'Y \u22121.2 µm, Z +23.5 µm' in begin(page, 'deactivate')
 
 
 def test_a_name_is_needed_once(page, fake):
@@ -119,7 +119,7 @@ def test_a_probe(page, fake):
     page.one('dialog button[type="submit"]').click()
     assert page.say() == 'Y: expected a number in µm but found "three".'
     y.clear()
-    y.send_keys('−3,25')  # as the page writes it, or as Germans do
+    y.send_keys('\u22123,25')  # as the page writes it, or as Germans do
     deviation.send_keys('0')
     page.one('dialog button[type="submit"]').click()
     page.until(lambda: 'expected a positive number' in page.say(), 'a refusal')

@@ -34,6 +34,85 @@ def test_live_rows_are_appended_and_old_ones_dropped(plots, fake):
     assert plots.seen()['fields']['range'].endswith('1\u00a0h')
 
 
+DRAWN = """
+const [chart, colour] = arguments;
+const plot = document.querySelectorAll('.chart')[chart];
+const over = plot.querySelector('.u-over');
+const canvas = plot.querySelector('canvas');
+const probe = document.body.appendChild(document.createElement('i'));
+probe.style.color = `var(--${colour})`;
+const wanted = getComputedStyle(probe).color.match(/\\d+/g).map(Number);
+probe.remove();
+const {offsetLeft: left, offsetTop: top, clientWidth: width, clientHeight: height} = over;
+const {data} = canvas.getContext('2d').getImageData(left, top, width, height);
+const parts = new Array(20).fill(false);
+for (let at = 0; at < data.length; at += 4) {
+  const near = wanted.every((value, part) => Math.abs(value - data[at + part]) < 12);
+  if (near) parts[Math.min(19, Math.floor((at / 4 % width) / width * 20))] = true;
+}
+return parts.map((part) => (part ? '#' : '.')).join('');
+"""
+"""In which twentieths of a plot there is a line of a colour."""
+
+
+def past(columns, times):
+    """Return a past of columns, whose values are told at some of the times."""
+
+    def answer(series, begin, end, points, newest):
+        told = {
+            name: [-2e-6 if known(at) else None for at in range(len(times))]
+            for name, known in columns.items()
+        }
+        columns_ = {name: dict.fromkeys(('min', 'mean', 'max'), v) for name, v in told.items()}
+        return {'time': [newest + time for time in times], 'columns': columns_, 'flags': {}}
+
+    return answer
+
+
+def drawn(page, fake, columns, times, tab='offsets', colour='line-1'):
+    """Return where a line is drawn of a past."""
+    fake.past = past(columns, times)
+    fake.show(view(axes=[]))
+    page.open(fake.url, tab=tab)
+    page.until(lambda: page.seen()['rows'] >= len(times), 'the past')
+    return page.run(DRAWN, 0, colour)
+
+
+HOUR = range(-3600, 1)
+
+
+def test_rows_of_other_topics_are_no_gaps(page, fake):
+    columns = {
+        'Y applied': lambda at: at % 2 == 0,
+        'Y requested': lambda at: at % 2 == 1,
+        'Y limit': lambda at: at % 2 == 1,
+    }
+    times = HOUR[::60]
+    assert drawn(page, fake, columns, times) == '#' * 20
+    assert '.' not in page.run(DRAWN, 0, 'error'), 'dashes of the limit'
+
+
+def test_a_pause_is_no_line(page, fake):
+    columns = {'Y applied': lambda at: True, 'Y requested': lambda at: True}
+    times = [time for time in HOUR[::60] if not -2700 < time < -900]
+    assert drawn(page, fake, columns, times) == '#' * 5 + '.' * 10 + '#' * 5
+    # What was told meanwhile on another topic does not close the gap.
+    columns['Y applied'] = lambda at: not -2700 < HOUR[::60][at] < -900
+    assert drawn(page, fake, columns, HOUR[::60]) == '#' * 5 + '.' * 10 + '#' * 5
+
+
+def test_a_past_that_is_coarser_is_no_pause(page, fake):
+    columns = {'Y applied': lambda at: True, 'Y requested': lambda at: True}
+    times = [*HOUR[:-900:60], *HOUR[-900:]]
+    assert drawn(page, fake, columns, times) == '#' * 20
+
+
+def test_a_prediction_that_was_invalid_is_a_gap(page, fake):
+    columns = dict.fromkeys(('Y predicted', 'Y band'), lambda at: not 20 < at < 40)
+    found = drawn(page, fake, columns, HOUR[::60], tab='error')
+    assert found == '#' * 7 + '.' * 6 + '#' * 7
+
+
 def test_a_stretch_that_is_drawn_with_the_mouse_is_fetched(plots, fake):
     over = plots.driver.find_elements('css selector', '.u-over')[0]
     width = over.size['width']

@@ -14,11 +14,13 @@ TOO_WIDE = """
 const wide = [];
 for (const element of document.querySelectorAll('body *')) {
   const box = element.getBoundingClientRect();
-  if (!box.width || !element.checkVisibility() || element.closest('.visually-hidden, thead')) continue;
-  if (box.right > innerWidth + 1 && !element.closest('.sheet, .plot')) wide.push(element.outerHTML.slice(0, 120));
+  const told = element.outerHTML.slice(0, 120);
+  if (!box.width || !element.checkVisibility()) continue;
+  if (element.closest('.visually-hidden, thead')) continue;
+  if (box.right > innerWidth + 1 && !element.closest('.sheet, .plot')) wide.push(told);
   const own = [...element.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
   if (own && element.scrollWidth > element.clientWidth + 2 && element.clientWidth
-      && getComputedStyle(element).display !== 'inline') wide.push(`cut: ${element.outerHTML.slice(0, 120)}`);
+      && getComputedStyle(element).display !== 'inline') wide.push(`cut: ${told}`);
 }
 return [document.documentElement.scrollWidth - innerWidth, wide];
 """

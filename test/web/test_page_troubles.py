@@ -28,7 +28,7 @@ def test_a_sensor_that_is_pulled(page, fake):
     }
     document['alarms'] = [alarm('warn', name='sensor', cause='t05 gives no reading')]
     seen = first_seen(page, fake, document, 1000)
-    assert seen['lost'] == ['× t05: no reading', '▨ t01: t02 stands in']
+    assert seen['lost'] == ['\u00d7 t05: no reading', '▨ t01: t02 stands in']
     assert seen['alarms'][0][1] == 't05 gives no reading'
 
 
@@ -133,7 +133,7 @@ def test_data_grow_old_while_nothing_arrives(page, fake):
     first_seen(page, fake, document, 1000)
     assert page.seen()['age'] == '1\u00a0min'
     first_seen(page, fake, view(age=None, stamp=None), 2000)
-    page.until(lambda: page.seen()['age'] == '–', 'no age')
+    page.until(lambda: page.seen()['age'] == '\u2013', 'no age')
     first_seen(page, fake, view(age=3.0, stamp=STAMP), 3000)
     fake.mute = True
     page.until(lambda: float(page.seen()['age'].split('\u00a0')[0]) > 4.0, 'an age that grows')

@@ -118,7 +118,7 @@ def test_feeds_axes_and_soft_material_are_the_view(page, fake):
         [cell.replace('\u00a0', ' ') for cell in row] for row in seen['sheets']['Axes now']
     ] == [
         ['X', '123.456 mm', '+600.0 mm/min', '+1.50 µm', '✓ free'],
-        ['Y', '−20.000 mm', '−120.0 mm/min', '−2.25 µm', '✕ at its limit'],
+        ['Y', '\u221220.000 mm', '\u2212120.0 mm/min', '\u22122.25 µm', '✕ at its limit'],
     ]
     text = page.run('return document.body.innerText')
     assert 'does not run' not in text
@@ -139,7 +139,7 @@ def test_temperatures_are_the_view(page, fake):
     }
     last = wanted.pop('t11')  # of which the newest is shown that was known
     page.until(lambda: page.seen()['legends'].items() >= wanted.items(), f'legends {wanted}')
-    assert last == '–' != page.seen()['legends']['t11']
+    assert last == '\u2013' != page.seen()['legends']['t11']
     assert page.seen()['legends'].keys() == {*wanted, 't11', 't02 substituted'}
     headings = page.run(
         "return [...document.querySelectorAll('.chart h3')].map((h) => h.textContent)"
@@ -171,13 +171,13 @@ def test_one_row_a_machine(page, fake):
 
     def all_told():
         rows.update({row[0]: row[2:] for row in page.seen()['sheets']['Machines of this server']})
-        return rows.keys() == {'mill', 'lathe', 'grinder'} and rows['lathe'][0] != '–'
+        return rows.keys() == {'mill', 'lathe', 'grinder'} and rows['lathe'][0] != '\u2013'
 
     page.until(all_told, 'three rows')
     assert [text.replace('\u00a0', ' ') for text in rows['lathe']] == [
         '● active', 'running', '100.0 %', '1 h 15 min', '2', '✕ limit, ▲ sensors'
     ]  # fmt: skip
-    assert rows['grinder'] == ['–'] * 6
+    assert rows['grinder'] == ['\u2013'] * 6
     assert 'NO DATA' not in page.seen()['noData']
     text = page.one('tr[data-key="grinder"]').text
     assert '✕ NO DATA: no data for 12 s: all nodes have ended' in text

@@ -106,7 +106,7 @@ function ask(context, title, effect, action, body, options = {}) {
   question.open((by) => request(context.machine, action, {...body, by}));
 }
 
-function inForce({axes}) {
+function offsetsNow({axes}) {
   const parts = axes.map(({axis, offset}) => `${axis} ${micrometres(offset, {signed: true})}`);
   return parts.join(', ') || 'none';
 }
@@ -117,7 +117,7 @@ function setReference(context) {
   const question = new Question(`Set the thermal reference of ${machine}`,
     `The present temperatures of ${machine} become its thermal zero: from then on the predicted `
     + `error counts from here. Do this at a machine in thermal equilibrium. Offsets in force: `
-    + `${inForce(view)}.`, {confirm: 'Set reference', askToken: needsToken});
+    + `${offsetsNow(view)}.`, {confirm: 'Set reference', askToken: needsToken});
   question.open(async (by) => {
     const answer = await request(machine, 'reference', {by, force: false});
     if (answer.needs !== 'force') return answer;
@@ -142,7 +142,7 @@ function deactivate(context) {
   const {machine, view} = context;
   ask(context, `Deactivate the compensation of ${machine}`,
     `The offsets of ${machine} ramp to zero, they do not step. Its thermal error is no longer `
-    + `compensated. In force now: ${inForce(view)}.`,
+    + `compensated. In force now: ${offsetsNow(view)}.`,
     'deactivate', {node: 'compensator'}, {confirm: 'Deactivate'});
 }
 

@@ -7,9 +7,12 @@ import {make, match, say} from './dom.js';
 import {moment, number, quantity} from './units.js';
 
 const HEIGHT = 260;
+/** Lines from which a plot is higher, and how high. */
+const MANY = 12;
+const HIGH = 460;
 const FONT = '13px system-ui, sans-serif';
-/** A pause longer than this many usual steps is drawn as a pause. */
-const PAUSE = 5;
+/** A step longer than this many of its neighbours is drawn as a pause. */
+const PAUSE = 3;
 /** How times are written along the axis: from which step on, as what, and with which date. */
 const DATE = '{YYYY}-{MM}-{DD}';
 const TIMES = [[86400, DATE], [60, '{HH}:{mm}', `\n${DATE}`], [1, '{HH}:{mm}:{ss}', `\n${DATE}`]]
@@ -30,18 +33,43 @@ function paint(name, opacity = 1) {
   return `rgba(${red}, ${green}, ${blue}, ${opacity})`;
 }
 
-/** Return the rows with an empty one in each pause, so that no line is drawn across it. */
+/** Return between which neighbours of these times there is a pause, by the later one's place. */
+function pauses(times) {
+  const step = (at) => (at > 0 && at < times.length ? times[at] - times[at - 1] : 0);
+  const found = [];
+  for (let at = 1; at < times.length; at += 1) {
+    // The past is coarser than the present: only neighbours tell what is usual.
+    const usual = Math.max(step(at - 1), step(at + 1));
+    if (usual > 0 && step(at) > PAUSE * usual) found.push(at);
+  }
+  return found;
+}
+
+/**
+ * Return time and lists with a null where there is a pause, so that no line is drawn across it.
+ *
+ * In lists, undefined is what a row does not tell and a line passes over; null is a gap.
+ */
 function withPauses(time, lists) {
-  const steps = time.slice(1).map((value, at) => value - time[at]).sort((a, b) => a - b);
-  const usual = steps[Math.floor(steps.length / 2)] ?? 0;
+  const gaps = lists.map((list) => {
+    const known = time.map((value, at) => at).filter((at) => Number.isFinite(list[at]));
+    return pauses(known.map((at) => time[at])).map((at) => [known[at - 1], known[at]]);
+  });
+  const extra = new Set(gaps.flat().filter(([from, to]) => to === from + 1).map(([, to]) => to));
   const found = [[], ...lists.map(() => [])];
   time.forEach((value, at) => {
-    if (at && value - time[at - 1] > PAUSE * usual) {
+    if (extra.has(at)) {
       found[0].push((value + time[at - 1]) / 2);
-      lists.forEach((list, column) => found[column + 1].push(null));
+      lists.forEach((list, column) => {
+        const gap = gaps[column].some(([from, to]) => from < at && at <= to);
+        found[column + 1].push(gap ? null : undefined);
+      });
     }
     found[0].push(value);
-    lists.forEach((list, column) => found[column + 1].push(list[at]));
+    lists.forEach((list, column) => {
+      const gap = gaps[column].some(([from, to]) => from < at && at < to);
+      found[column + 1].push(gap ? null : list[at]);
+    });
   });
   return found;
 }
@@ -119,11 +147,13 @@ export class Chart {
     const axis = {stroke: paint('muted'), grid: {stroke: paint('grid'), width: 1},
       ticks: {stroke: paint('grid')}, font: FONT};
     this.#plot = new uPlot({
-      width: this.place.clientWidth, height: HEIGHT, series, bands,
+      width: this.place.clientWidth, height: this.#height, series, bands,
       legend: {show: false},
       scales: {x: {time: true}},
       cursor: {
-        sync: {key: cursors.key}, drag: {x: true, y: false, setScale: false},
+        // Cursors go along; what is drawn with the mouse concerns the plot under it alone.
+        sync: {key: cursors.key, filters: {pub: (type) => /^mouse(move|leave)$/.test(type)}},
+        drag: {x: true, y: false, setScale: false},
         focus: {prox: 24}, bind: {dblclick: () => () => this.zoom(null)},
       },
       focus: {alpha: 0.3},
@@ -184,9 +214,13 @@ export class Chart {
     if (min < max) this.#plot?.setScale('x', {min, max});
   }
 
+  get #height() {
+    return this.#lines.length > MANY ? HIGH : HEIGHT;
+  }
+
   #resize() {
     if (!this.#plot) this.#build();
-    else if (this.place.clientWidth) this.#plot.setSize({width: this.place.clientWidth, height: HEIGHT});
+    else if (this.place.clientWidth) this.#plot.setSize({width: this.place.clientWidth, height: this.#height});
   }
 
   #drop() {

@@ -13,8 +13,9 @@ const COLOURS = ['line-1', 'line-2', 'line-3', 'line-4', 'line-5', 'line-6', 'li
 const AGAIN = 5;
 const MICRO = 1e6;
 
+/** Return values times a factor; what a row does not tell is undefined, which is no gap. */
 function scaled(values, factor) {
-  return values.map((value) => (value === null ? null : value * factor));
+  return values.map((value) => (value === null || value === undefined ? undefined : value * factor));
 }
 
 /** Return a line of a column, with its least and largest values where rows were merged. */
@@ -66,15 +67,9 @@ function error(stretch) {
     const [band] = line(stretch, `${name} band`, look);
     if (band) {
       const around = (sign) => predicted.values.map((value, at) => (
-        value === null || band.values[at] === null ? null : value + sign * band.values[at]));
+        value === undefined || band.values[at] === undefined ? undefined
+          : value + sign * band.values[at]));
       Object.assign(predicted, {low: around(-1), high: around(1)});
-    }
-    // A probe has a row of its own, which is no gap in the prediction: undefined is passed over.
-    const probed = stretch.columns.get(`${name} probed`)?.mean ?? [];
-    for (const list of [predicted.values, predicted.low, predicted.high]) {
-      list?.forEach((value, at) => {
-        if (value === null && (probed[at] ?? null) !== null) list[at] = undefined;
-      });
     }
     return {
       title: `Predicted error of ${name}`, unit: 'µm',
@@ -127,9 +122,10 @@ const INCREMENTS = {
   }),
   error: (view, stretch) => {
     const values = {};
-    for (const {axis, predicted, band} of view.axes) {
+    for (const {axis, predicted, band, probe} of view.axes) {
       values[`${axis} predicted`] = predicted;
       values[`${axis} band`] = band;
+      if (probe?.age === 0) values[`${axis} probed`] = probe.measured;
     }
     // A probe brings residual and CUSUM too, and channels need not be called as axes are.
     const told = owners(stretch, 'predicted').every((name) => `${name} predicted` in values);
@@ -200,11 +196,18 @@ export class Plots {
       return;
     }
     if (this.range.fixed || view.silent) return;
-    const {values, flagged, whole} = INCREMENTS[this.series](view, this.#stretch);
-    this.#stretch.append(view.stamp, values, flagged);
-    this.#stretch.forget(this.range.at(view.stamp)[0]);
+    const whole = this.#append();
     if (this.#stretch.long || (!whole && performance.now() - this.#fetchedAt > AGAIN * 1000)) this.#load();
     else this.#draw();
+  }
+
+  /** Continue by the newest view; return whether it tells all of the series. */
+  #append() {
+    const {stamp} = this.#view;
+    const {values, flagged, whole} = INCREMENTS[this.series](this.#view, this.#stretch);
+    this.#stretch.append(stamp, values, flagged);
+    this.#stretch.forget(this.range.at(stamp)[0]);
+    return whole;
   }
 
   async #load() {
@@ -215,6 +218,8 @@ export class Plots {
     try {
       if (await this.#stretch.load(...this.range.at(stamp))) {
         say(this.trouble, '');
+        // The past is kept with fewer digits: the newest row is the one of the view.
+        if (!this.range.fixed && !this.#view.silent) this.#append();
         this.#draw();
       }
     } catch (fault) {
