@@ -122,7 +122,7 @@ export class Chart {
       this.#plot?.setData(this.#data, false);
       this.#scale();
     }
-    this.#tell(null);
+    this.#tell(this.#plot?.cursor.idx ?? null);
   }
 
   #build() {
