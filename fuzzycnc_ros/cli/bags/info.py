@@ -83,6 +83,7 @@ def _count(reader: 'BagReader', tell: Tell) -> Counter[str]:
 
 def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
     """Print what is in a bag and return it as a document."""
+    from fuzzycnc_ros.bags.metadata import is_latched
     from fuzzycnc_ros.studies.page.table import Column, Table
 
     duration = 1e-9 * (reader.stop - reader.start)
@@ -102,7 +103,7 @@ def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
             str(read[topic]),
             str(item.message_count),
             item.type,
-            'latched' if _latched(item.profiles) else 'stream',
+            'latched' if is_latched(item.profiles) else 'stream',
         )
         for topic, item in sorted(reader.connections.items())
     )
@@ -133,12 +134,6 @@ def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
         'holes_while_recording': holed,
         'problems': reader.problems,
     }
-
-
-def _latched(profiles: list[dict[str, Any]]) -> bool:
-    return bool(profiles) and all(
-        item.get('durability') in ('transient_local', 1) for item in profiles
-    )
 
 
 def _repair_document(report: 'RepairReport') -> dict[str, Any]:
