@@ -135,6 +135,11 @@ class BagReader:
         for file in self._files:
             file.close()
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The storage files in the order in which they are read."""
+        return tuple(file.path for file in self._files)
+
     def filled(self) -> str:
         """Return the topics that hold messages as text, each with how many."""
         found = ((topic, c.message_count) for topic, c in self.connections.items())

@@ -604,6 +604,7 @@ class RecordingThread:
                     if self._writer.is_full(log_time):
                         self._attach_report(self._facts())
                         self._writer.split(log_time)
+                        self._parts = len(self._writer.closed_parts) + 1
                         self._hand_on()
                     self._writer.write(topic, log_time, publish_time, payload, sequence, publisher)
                     self._unseen += len(payload)
@@ -631,7 +632,10 @@ class RecordingThread:
         self._unseen = 0
         if not self._free_min:
             return True
-        free = self._free(self._writer.path)
+        try:
+            free = self._free(self._writer.path)
+        except OSError:
+            return not self._paused  # nothing is known of it: writing will tell
         if self._paused and free >= AGAIN * self._free_min:
             self._paused = ''
             text = f'{_megabytes(free)} are free: the recording to {self._writer.path} goes on'
@@ -681,7 +685,6 @@ class RecordingThread:
     def _hand_on(self) -> None:
         """Have the part that was closed last shipped."""
         closed = self._writer.closed_parts
-        self._parts = len(closed) + 1
         if self._shipper is not None and closed:
             self._shipper.submit(closed[-1].path)
 

@@ -25,7 +25,7 @@ LEDGER = 'shipped.json'
 FIRST_DELAY, LAST_DELAY = 1.0, 300.0
 """Time [s] before the first attempt anew, and the longest; each is twice the one before."""
 
-PATIENCE = 10.0
+PATIENCE = 5.0
 """Time [s] that the end of a recording waits for what is on its way."""
 
 _BLOCK = 1024 * 1024
@@ -131,8 +131,9 @@ class Shipper:
                 entry = self._ship(path)
             except Exception as error:  # a library of any kind may fail in any way
                 self._fail(path, error, delay)
-                with self._changed:
-                    self._changed.wait_for(lambda: self._given_up, delay)
+                with self._changed:  # the end of the recording is worth an attempt at once
+                    was = self._closing
+                    self._changed.wait_for(lambda: self._given_up or self._closing != was, delay)
                 delay = min(2.0 * delay, LAST_DELAY)
                 continue
             delay = self._delay
@@ -198,8 +199,8 @@ def file_system(url: str) -> tuple[Any, str]:
     parts = urlsplit(url)
     if parts.query or parts.password or (parts.username and parts.scheme in ('s3', 'gs')):
         raise BagError(  # and is not repeated: it would stand in a log
-            'ship: expected a URL without a password, key or query but found one; credentials come '
-            "from the environment or from the files of the place's own tools"
+            'ship: expected a URL without a password, key or query but found one; '
+            "credentials come from the environment or from the files of the place's own tools"
         )
     try:
         core = load('fsspec.core')

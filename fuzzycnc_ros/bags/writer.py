@@ -450,7 +450,8 @@ class BagWriter:
         """
         self._check_open()
         self._close_part()
-        self._begin(self._part.number + 1)
+        with self._guard():
+            self._begin(self._part.number + 1)
         part = self._part
         with self._guard():
             for announced in self._topics.values():
@@ -688,6 +689,8 @@ class Sink:
 
     def keep_whole_records(self) -> None:
         """Cut off a record that was written in part."""
+        if self._file.closed:
+            return
         with suppress(OSError):  # the cut is a courtesy: repair reads past a torn record as well
             self._file.truncate(self._whole)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
-from fuzzycnc_ros.cli.bags.recording_loss import holes, lost_messages
+from fuzzycnc_ros.cli.bags.recording_loss import gaps, holes, lost_messages
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     Tell,
@@ -90,6 +90,9 @@ def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
     say(f'{reader.path}: {read.total()} messages in {duration:.3f} s')
     say(f'log time {1e-9 * reader.start:.3f} s to {1e-9 * reader.stop:.3f} s')
     say(f'message set {reader.message_set}')
+    beginning = _beginning(reader)
+    if beginning:
+        say(beginning)
     columns = (
         Column('Topic', numeric=False),
         Column('messages'),
@@ -113,10 +116,13 @@ def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
     for name, item in attachments.items():
         say(f'attachment {name}: {len(item.data)} bytes, {item.media_type}')
     lost, holed = lost_messages(attachments), holes(attachments)
+    unwritten = gaps(attachments)
     for topic, count in lost.items():
         say(f'lost while recording: {count} messages of {topic}')
     for topic, text in holed.items():
         say(f'holes while recording: {topic} has {text}')
+    for text in unwritten:
+        say(f'not written while recording: {text}')
     for problem in reader.problems:
         say(f'problem: {problem}')
     return {
@@ -132,8 +138,27 @@ def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
         'attachments': {name: len(item.data) for name, item in attachments.items()},
         'lost_while_recording': lost,
         'holes_while_recording': holed,
+        'not_written_while_recording': unwritten,
+        'parts': len(reader.files),
+        'missing_parts': reader.missing_parts,
         'problems': reader.problems,
     }
+
+
+def _beginning(reader: 'BagReader') -> str:
+    """Return in words what of the recording's beginning is not there; empty if it all is."""
+    from fuzzycnc_ros.bags.metadata import DELETED_MESSAGES_KEY, DELETED_UNTIL_KEY
+
+    parts = reader.missing_parts
+    if not parts:
+        return ''
+    deleted = reader.metadata.custom if reader.metadata else {}
+    if DELETED_UNTIL_KEY not in deleted:
+        return f'the beginning is missing: {parts} parts of the recording come before'
+    return (
+        f'the beginning is missing: {parts} parts, {deleted.get(DELETED_MESSAGES_KEY)} messages up '
+        f'to {1e-9 * int(deleted[DELETED_UNTIL_KEY]):.3f} s, were deleted to stay within the budget'
+    )
 
 
 def _repair_document(report: 'RepairReport') -> dict[str, Any]:

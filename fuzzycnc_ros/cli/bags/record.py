@@ -6,12 +6,20 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from fuzzycnc_ros.cli.bags.keeping import (
+    Budget,
+    FreeMin,
+    Ship,
+    SplitDuration,
+    SplitSize,
+    keeping_parameters,
+)
 from fuzzycnc_ros.cli.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.console import (
     JsonFile,
@@ -47,6 +55,11 @@ def record(
     duration: Annotated[
         OptionalNumber, given('Stop after so many seconds; else Ctrl-C stops.')
     ] = None,
+    split_size: SplitSize = None,
+    split_duration: SplitDuration = None,
+    budget: Budget = None,
+    free_min: FreeMin = None,
+    ship: Ship = None,
     json_file: JsonFile = None,
 ) -> None:
     """Record the topics of a live machine, undecoded, until Ctrl-C.
@@ -58,14 +71,20 @@ def record(
 
         fuzzycnc record --machine mill_1 --out monday
         fuzzycnc record --out axes --topics '/(joint_states|tf)$' --duration 60
+
+    For years: a part each hour, the newest 50 GB here, all of them on another disk:
+
+        fuzzycnc record --out mill --split-duration 3600 --budget 50000 --ship /mnt/archive
     """
     check_at_least('--duration', duration, 0.0)
     machine = machine_name(machine) if machine.strip('/') else ''
+    keeping = keeping_parameters(split_size, split_duration, budget, free_min, ship)
     check_new(out)
     check_folder(json_file)
     check_ros('recording')
     prepare_environment()
-    code = _run_recorder(_arguments(out, machine, topics, lockstep), out, duration)
+    parameters = {'output': str(out), 'topics': topics, 'lockstep': lockstep, **keeping}
+    code = _run_recorder(_arguments(machine, parameters), out, duration)
     if code == 0 and json_file is not None:
         write_json(json_file, _figures(out))
     if code == 0:
@@ -77,8 +96,7 @@ def record(
         raise typer.Exit(code)
 
 
-def _arguments(out: Path, machine: str, topics: str, lockstep: bool) -> list[str]:
-    parameters = {'output': str(out), 'topics': topics, 'lockstep': lockstep}
+def _arguments(machine: str, parameters: Mapping[str, Any]) -> list[str]:
     arguments = ['--ros-args', '-r', f'__ns:=/{machine}']
     for name, value in parameters.items():
         # JSON is YAML: a bag named 2024 stays a text.
