@@ -131,9 +131,7 @@ class Shipper:
                 entry = self._ship(path)
             except Exception as error:  # a library of any kind may fail in any way
                 self._fail(path, error, delay)
-                with self._changed:  # the end of the recording is worth an attempt at once
-                    was = self._closing
-                    self._changed.wait_for(lambda: self._given_up or self._closing != was, delay)
+                self._rest(delay)
                 delay = min(2.0 * delay, LAST_DELAY)
                 continue
             delay = self._delay
@@ -144,6 +142,12 @@ class Shipper:
                     self._ledger.append(entry)
             with suppress(OSError):  # the disk is full; the next entry brings this one along
                 write_text(self._bag / LEDGER, json.dumps(self._ledger, indent=2) + '\n')
+
+    def _rest(self, delay: float) -> None:
+        """Wait [s]; the end of the recording is worth an attempt at once."""
+        with self._changed:
+            before = self._closing
+            self._changed.wait_for(lambda: self._given_up or self._closing != before, delay)
 
     def _ship(self, path: Path) -> dict[str, Any] | None:
         """Ship a file and return its entry in the ledger; None if it is not there any more."""

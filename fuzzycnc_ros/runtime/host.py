@@ -151,8 +151,8 @@ class RecorderConfig(ExecutorConfig):
     budget: int = param(
         0,
         'B',
-        'Size of the bag beyond which its oldest parts are deleted, with ship only those that have '
-        'arrived; 0 for never',
+        'Size of the bag beyond which its oldest parts are deleted, with ship only those that '
+        'have arrived; 0 for never',
         low=0,
         high=2**50,
     )

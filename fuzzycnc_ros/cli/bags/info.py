@@ -155,9 +155,10 @@ def _beginning(reader: 'BagReader') -> str:
     deleted = reader.metadata.custom if reader.metadata else {}
     if DELETED_UNTIL_KEY not in deleted:
         return f'the beginning is missing: {parts} parts of the recording come before'
+    until = 1e-9 * int(deleted[DELETED_UNTIL_KEY])
     return (
-        f'the beginning is missing: {parts} parts, {deleted.get(DELETED_MESSAGES_KEY)} messages up '
-        f'to {1e-9 * int(deleted[DELETED_UNTIL_KEY]):.3f} s, were deleted to stay within the budget'
+        f'the beginning is missing: {parts} parts, {deleted.get(DELETED_MESSAGES_KEY)} messages '
+        f'up to {until:.3f} s, were deleted to stay within the budget'
     )
 
 
