@@ -181,8 +181,13 @@ class BagReader:
         BagFormatError
             If one is damaged.
         """
-        found = (read() for contents in self._contents for read in contents.attachments)
-        return {attachment.name: attachment for attachment in found}
+        found = {}
+        for part, contents in enumerate(self._contents):
+            self._use(part)
+            for read in contents.attachments:
+                attachment = read()
+                found[attachment.name] = attachment
+        return found
 
     def messages(
         self,

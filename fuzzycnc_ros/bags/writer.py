@@ -730,7 +730,8 @@ class _SpilledIndex:
 
     def close(self) -> None:
         """Give the space back."""
-        self._file.close()
+        with suppress(OSError):  # a disk that is full takes no rest, which nobody reads any more
+            self._file.close()
 
 
 def _spill_index(writer: Any, folder: Path) -> _SpilledIndex | None:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import sys
 import threading
+from typing import ClassVar
 
 import fsspec
 import pytest
@@ -28,11 +29,11 @@ class Failing(MemoryFileSystem):
     """A place that fails in ways that a test sets."""
 
     protocol = 'failing'
-    store = {}
-    pseudo_dirs = ['']
-    plan = []
+    store: ClassVar = {}
+    pseudo_dirs: ClassVar = ['']
+    plan: ClassVar = []
     """What the next uploads do: an error, or what arrives in place of the file."""
-    uploads = []
+    uploads: ClassVar = []
     gate = threading.Event()
 
     def put_file(self, lpath, rpath, **options):
