@@ -406,7 +406,7 @@ def wait(over):
 
 def idle():
     progress = thread.progress()
-    return not progress.pending or progress.paused or progress.error
+    return not progress.pending_bytes or progress.paused or progress.error
 
 while not (thread.progress().paused or thread.failed):
     beat()
@@ -415,7 +415,7 @@ for _ in range(40):
     beat()
 if free_min:
     (disk / 'ballast').unlink()
-    wait(lambda: not thread.progress().pending and not thread.progress().paused)
+    wait(lambda: not thread.progress().pending_bytes and not thread.progress().paused)
     for _ in range(20):
         beat()
         wait(idle)
