@@ -21,12 +21,18 @@ from fuzzycnc_ros.bags.errors import BagError, BagWriteError
 from fuzzycnc_ros.bags.holes import HoleCounter, not_explained
 from fuzzycnc_ros.bags.metadata import Qos
 from fuzzycnc_ros.bags.recorder import Progress, RecordingThread
-from fuzzycnc_ros.bags.shipping import Shipper, file_system
+from fuzzycnc_ros.bags.shipping import Shipper
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros import run
-from fuzzycnc_ros.ros.bag_node import BagNode, bag_refused, closed_on_failure, pattern
+from fuzzycnc_ros.ros.bag_node import (
+    BagNode,
+    bag_refused,
+    check_keeping,
+    closed_on_failure,
+    pattern,
+)
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.run import tell_error
@@ -67,11 +73,7 @@ class RecorderNode(BagNode[RecorderConfig]):
         config = self._config
         if not config.output:
             raise ParameterError('parameter output: expected the directory of a new bag')
-        if config.budget and not (config.split_size or config.split_duration):
-            raise ParameterError(
-                'parameter budget: expected split_size or split_duration, too: only parts that '
-                'are closed can be deleted'
-            )
+        check_keeping(config)
         own = f'^({re.escape(node.get_namespace().rstrip("/"))}/|/clock$|/diagnostics$)'
         self._include = pattern('topics', config.topics or own)
         self._exclude = pattern('exclude', config.exclude)
@@ -82,8 +84,6 @@ class RecorderNode(BagNode[RecorderConfig]):
         self._models: set[str] = set()
         self._holes: dict[str, HoleCounter] = {}
         with bag_refused():
-            if config.ship:
-                file_system(config.ship)  # which may be refused, before there is a bag
             writer = BagWriter(
                 config.output,
                 split_size=config.split_size,
