@@ -17,8 +17,8 @@ from fuzzycnc_ros.bags.yaml_file import compose
 from fuzzycnc_ros.cli.console import check_new
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.ros.bag_node import check_keeping
 from fuzzycnc_ros.ros.arguments import understood
+from fuzzycnc_ros.ros.bag_node import check_keeping
 from fuzzycnc_ros.ros.bring_up import GraphError, NodeSpec
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
 from fuzzycnc_ros.ros.processes import RANGE, prepare_environment
