@@ -33,6 +33,7 @@ from fuzzycnc_ros.bags.metadata import (
     Qos,
     TopicInfo,
 )
+from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.bags.typestore import (
     message_definition,
     serialize,
@@ -619,9 +620,8 @@ class BagWriter:
     def _fail(self, error: OSError) -> BagWriteError:
         self._part.sink.keep_whole_records()
         self._failure = (
-            f'{self.file}: cannot be written any further: {error.strerror or error}; what was '
-            'recorded before stays readable after `fuzzycnc info --repair`; free some space and '
-            'start a new bag'
+            f'{os_sentence(error, self.file)}; what was recorded before stays readable after '
+            '`fuzzycnc info --repair`; then start a new bag'
         )
         return BagWriteError(self._failure)
 
@@ -642,7 +642,7 @@ def _make_folder(path: Path) -> Path:
             f'{path}: expected a new directory but it exists; choose another name or remove it'
         ) from error
     except OSError as error:
-        raise BagWriteError(f'{path}: cannot be made: {error.strerror}') from error
+        raise BagWriteError(os_sentence(error, path)) from error
     return path
 
 

@@ -173,10 +173,10 @@ def test_disk_that_is_full_at_a_split(tmp_path, monkeypatch):
         raise OSError(28, 'No space left on device')
 
     monkeypatch.setattr('fuzzycnc_ros.bags.metadata.write_text', refuse)
-    with pytest.raises(BagWriteError, match='No space left'):
+    with pytest.raises(BagWriteError, match='the disk is full'):
         writer.split(10**9)
     monkeypatch.undo()
-    with pytest.raises(BagWriteError, match='No space left'):
+    with pytest.raises(BagWriteError, match='the disk is full'):
         writer.write('/numbers', 10**9, 10**9, payload(1))
     writer.close()
     assert repair(tmp_path / 'bag').topics['/numbers'].kept == 1
@@ -464,7 +464,7 @@ def test_recording_pauses_before_a_real_disk_is_full(tmp_path, ballast):
 def test_disk_that_is_full_all_the_same_is_no_success(tmp_path, ballast):
     done = on_a_small_disk(tmp_path, ballast, 0, 20_000)
     assert done.returncode == 1
-    assert 'No space left on device' in done.stderr
+    assert 'the disk is full' in done.stderr
     sent, written, lost = map(int, done.stdout.split())
     assert written + lost == sent
     found = payloads(repair(tmp_path / 'bag', tmp_path / 'repaired').path)

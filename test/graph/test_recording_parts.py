@@ -36,7 +36,7 @@ def test_run_in_parts(fuzzycnc, tmp_path):
     bag, archive = tmp_path / 'bag', tmp_path / 'archive'
     running = fuzzycnc(
         *('up', '--simulate', 'T2', '--lockstep', '--nodes', NODES, '--record', bag),
-        *('--split-duration', 3600, '--ship', archive, '--json', tmp_path / 'outcome.json'),
+        *('--split-duration', '1h', '--ship', archive, '--json', tmp_path / 'outcome.json'),
     )
     assert running.wait() == 0, running.output
     parts = storage_files(bag)
@@ -72,7 +72,7 @@ def test_disk_without_room(graph, observer, tmp_path):
 
 
 def test_budget_without_parts_is_refused(fuzzycnc, tmp_path):
-    running = fuzzycnc('record', '--out', tmp_path / 'bag', '--budget', 100)
+    running = fuzzycnc('record', '--out', tmp_path / 'bag', '--budget', '100MB')
     assert running.wait() != 0
     assert 'expected --split-size or --split-duration, too' in running.output
     assert not (tmp_path / 'bag').exists()

@@ -2,30 +2,50 @@
 # SPDX-License-Identifier: Apache-2.0
 """Options of the commands that record: when a bag is split, and what becomes of its parts."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Annotated, Any
 
 from fuzzycnc_ros.cli.console import check_at_least
 from fuzzycnc_ros.cli.options import OptionalNumber, OptionalText, given
+from fuzzycnc_ros.cli.quantities import TIMES, number_in
 
-MEGABYTE = 1_000_000
+SIZES: Mapping[str, float] = MappingProxyType(
+    {'B': 1.0, 'kB': 1e3, 'MB': 1e6, 'GB': 1e9, 'TB': 1e12}
+)
+"""What a size of 1 is, by unit [bytes]."""
 
 SplitSize = Annotated[
-    OptionalNumber, given('Begin a new part of the bag after so many MB.', metavar='MB')
+    OptionalNumber,
+    given(
+        'Begin a new part of the bag after this size, such as 500MB.',
+        metavar='SIZE',
+        read=number_in(SIZES, 'a size'),
+    ),
 ]
 SplitDuration = Annotated[
-    OptionalNumber, given('Begin a new part of the bag after so many seconds.', metavar='S')
+    OptionalNumber,
+    given(
+        'Begin a new part of the bag after this time, in s unless it has a unit, such as 1h.',
+        metavar='TIME',
+        read=number_in(TIMES, 'a time'),
+    ),
 ]
 Budget = Annotated[
     OptionalNumber,
     given(
-        'Delete the oldest parts beyond so many MB; with --ship those that arrived.', metavar='MB'
+        'Delete the oldest parts beyond this size of the bag, such as 50GB; with --ship only '
+        'those that have arrived.',
+        metavar='SIZE',
+        read=number_in(SIZES, 'a size'),
     ),
 ]
 FreeMin = Annotated[
     OptionalNumber,
     given(
-        'Pause while the disk has less than so many MB free; 200 if left out, 0 for never.',
-        metavar='MB',
+        'Pause while the disk has less free; 200MB if left out, 0 for never.',
+        metavar='SIZE',
+        read=number_in(SIZES, 'a size'),
     ),
 ]
 Ship = Annotated[
@@ -66,10 +86,10 @@ def keeping_parameters(
             'can be deleted'
         )
     found: dict[str, Any] = {
-        'split_size': None if split_size is None else round(split_size * MEGABYTE),
+        'split_size': None if split_size is None else round(split_size),
         'split_duration': split_duration,
-        'budget': None if budget is None else round(budget * MEGABYTE),
-        'free_min': None if free_min is None else round(free_min * MEGABYTE),
+        'budget': None if budget is None else round(budget),
+        'free_min': None if free_min is None else round(free_min),
         'ship': ship,
     }
     return {name: value for name, value in found.items() if value is not None}
