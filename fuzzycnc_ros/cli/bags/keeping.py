@@ -2,18 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Options of the commands that record: when a bag is split, and what becomes of its parts."""
 
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Annotated, Any
 
 from fuzzycnc_ros.cli.console import check_at_least
 from fuzzycnc_ros.cli.options import OptionalNumber, OptionalText, given
-from fuzzycnc_ros.cli.quantities import TIMES, number_in
-
-SIZES: Mapping[str, float] = MappingProxyType(
-    {'B': 1.0, 'kB': 1e3, 'MB': 1e6, 'GB': 1e9, 'TB': 1e12}
-)
-"""What a size of 1 is, by unit [bytes]."""
+from fuzzycnc_ros.cli.quantities import SIZES, TIMES, number_in
 
 SplitSize = Annotated[
     OptionalNumber,
