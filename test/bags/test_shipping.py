@@ -135,11 +135,12 @@ def test_what_arrived_as_something_else_is_sent_again(tmp_path, failing):
 
 
 def test_what_is_there_already_is_not_overwritten(tmp_path, failing):
-    fsspec.filesystem('failing').pipe_file('/shop/bag/bag_0.mcap', b'of last year')
+    system, root = fsspec.url_to_fs('failing://shop/bag/bag_0.mcap')
+    system.pipe_file(root, b'of last year')
     thread = record(tmp_path / 'bag', 'failing://shop')
     until(lambda: 'is there with another content' in thread.progress().waiting)
     thread.close()
-    assert fsspec.filesystem('failing').cat_file('/shop/bag/bag_0.mcap') == b'of last year'
+    assert system.cat_file(root) == b'of last year'
     assert not (tmp_path / 'bag' / LEDGER).exists()
     (notice,) = thread.notices()
     assert notice.urgent
