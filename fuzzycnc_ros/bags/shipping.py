@@ -39,7 +39,7 @@ class Shipper:
     Parameters
     ----------
     url : str
-        Where to, as fsspec writes it: a folder, `file:///mnt/archive`, `s3://bucket/mill`.  Each
+        Where to, as fsspec writes it: a folder, or for example `s3://bucket/mill`.  Each
         bag has a folder of its own name there.
     bag : Path
         Directory of the bag, where the ledger is kept.
@@ -222,7 +222,7 @@ def file_system(url: str) -> tuple[Any, str]:
         ) from error
     except ValueError as error:
         raise BagError(
-            f'ship: expected a folder, file://, s3:// or another kind that fsspec knows but found '
+            f'ship: expected a folder, s3:// or another kind that fsspec knows but found '
             f'{without_secrets(str(error))}'
         ) from error
     return system, str(root)
