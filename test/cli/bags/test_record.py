@@ -16,7 +16,8 @@ from fuzzycnc_ros.cli.bags import record as module
 
 
 def test_arguments_keep_names_that_look_like_numbers(tmp_path):
-    arguments = module._arguments(tmp_path / '2024', 'mill_1', '/(a|b)$', True)
+    parameters = {'output': str(tmp_path / '2024'), 'topics': '/(a|b)$', 'lockstep': True}
+    arguments = module._arguments('mill_1', parameters)
     assert arguments[:3] == ['--ros-args', '-r', '__ns:=/mill_1']
     assert f'output:="{tmp_path / "2024"}"' in arguments
     assert 'topics:="/(a|b)$"' in arguments
