@@ -33,6 +33,7 @@ device_files = ['pydantic>=2.7', 'pyyaml']
 modbus = ['pymodbus>=3.10', *device_files]
 opcua = ['asyncua>=1.1.5', 'cryptography', *device_files]
 page = ['cryptography', 'starlette', 'uvicorn>=0.35', 'websockets']
+ship = ['fsspec']
 executables = ['fuzzycnc', *nodes]
 
 
@@ -83,8 +84,9 @@ setup(
         'opcua': opcua,
         'page': page,
         'report': report,
+        'ship': ship,
         'tables': tables,
-        'all': command_line + report + ml + tables + modbus + opcua + page,
+        'all': command_line + report + ml + tables + modbus + opcua + page + ship,
         'test': [
             *command_line,
             *report,
@@ -93,6 +95,7 @@ setup(
             *modbus,
             *opcua,
             *page,
+            *ship,
             'httpx',
             'hypothesis',
             'pytest',

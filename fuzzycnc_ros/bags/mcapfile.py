@@ -43,6 +43,9 @@ _ATTACHMENT, _STATISTICS, _METADATA = 9, 11, 12
 _MESSAGE_HEAD = struct.Struct('<HIQQ')
 """Channel, sequence number, log time and publish time of a message."""
 
+REPEATED = 'fuzzycnc_repeated'
+"""Entry of a channel that holds what the part before holds, too."""
+
 CHUNK_MAX = 64 * 1024 * 1024
 """Largest uncompressed chunk that is read [bytes]; rosbag2 closes them below 1 MB, or when they
 hold one message."""
@@ -122,11 +125,12 @@ class McapFile:
         self.statistics: dict[int, int] | None = None
         self._weighed: set[int] = set()  # offsets of chunks that count below
         self._records = self._inflated = 0
+        self._rests = False
         self._file = path.open('rb')
         try:
             self._scan()
         except BaseException:
-            self._file.close()
+            self.close()
             raise
 
     def __enter__(self) -> 'McapFile':
@@ -140,6 +144,12 @@ class McapFile:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+        self._rests = False
+
+    def rest(self) -> None:
+        """Give the file back to the system; the next read opens it again."""
+        self._file.close()
+        self._rests = True
 
     @property
     def channels(self) -> list[Channel]:
@@ -249,6 +259,7 @@ class McapFile:
             qos=found.metadata.get('offered_qos_profiles', ''),
             type_hash=found.metadata.get('topic_type_hash', ''),
             message_encoding=found.message_encoding,
+            repeated=found.metadata.get(REPEATED) == 'true',
         )
 
     def _check_summary(self, body: int) -> None:
@@ -267,6 +278,8 @@ class McapFile:
             self.problems.append(f'{self.path}: the checksum of the index is wrong')
 
     def _bytes(self, offset: int, length: int) -> bytes:
+        if self._rests:
+            self._file, self._rests = self.path.open('rb'), False
         self._file.seek(offset)
         return self._file.read(length)
 
@@ -310,8 +323,16 @@ class McapFile:
             channels=self.channels,
             blocks=[Block(c.start, c.stop, c.size, partial(self.read, c)) for c in self.chunks],
             promised=None if counts is None else self.topic_counts(counts),
+            repeated=self.repeated_counts(counts or {}),
             metadata=self.metadata,
             attachments=self.attachments,
+        )
+
+    def repeated_counts(self, counts: Mapping[int, int]) -> Counter[str]:
+        """Return, of counts of channels, what this part repeats as counts of topics."""
+        channels = self._channels
+        return self.topic_counts(
+            {k: n for k, n in counts.items() if k in channels and channels[k].repeated}
         )
 
     def _indexed(self) -> Counter[int] | None:

@@ -17,15 +17,23 @@ METADATA_FILE = 'metadata.yaml'
 VERSION = 9
 """Version of `metadata.yaml` that rosbag2 of Jazzy writes and the newest that is read here."""
 
-METADATA_MAX = 4 * 1024 * 1024
+METADATA_MAX = 8 * 1024 * 1024
 """Largest `metadata.yaml` that is read [bytes]."""
 
+METADATA_RECORD = 'fuzzycnc'
+"""Name of the MCAP metadata record that holds the message-set version and the part's number."""
+PART = 'part'
+"""Its entry with the number of a part; absent in the first."""
+
 MESSAGE_SET_KEY = 'fuzzycnc_message_set'
+DELETED_PARTS_KEY, DELETED_MESSAGES_KEY = 'fuzzycnc_deleted_parts', 'fuzzycnc_deleted_messages'
+DELETED_UNTIL_KEY = 'fuzzycnc_deleted_until'
+"""What of the beginning was deleted to stay within a budget; the last in ns of log time."""
 STATE_KEY = 'fuzzycnc_state'
 STATE_RECORDING, STATE_CLOSED = 'recording', 'closed'
 
 _DEPTH_MAX = 32  # rosbag2 nests 7 levels
-_NODES_MAX = 100_000  # rosbag2 writes about 30 for a topic
+_NODES_MAX = 400_000  # rosbag2 writes about 30 for a topic, and 14 for a part of the bag
 _NEVER = {'sec': 9223372036, 'nsec': 854775807}  # rmw's infinite duration
 _EMPTY_START = 2**63 - 1  # what rosbag2 writes as the start of a bag without messages
 
@@ -109,6 +117,13 @@ class TopicInfo:
     definition: str = ''
 
 
+def is_latched(profiles: Sequence[Mapping[str, Any]]) -> bool:
+    """Return whether all publishers of a topic keep their last message for late readers."""
+    return bool(profiles) and all(
+        item.get('durability') in ('transient_local', 1) for item in profiles
+    )
+
+
 def qos_text(profiles: Sequence[Mapping[str, Any]]) -> str:
     """Return QoS profiles as the YAML text that an MCAP channel carries."""
     if not profiles:
@@ -135,6 +150,26 @@ def parse_qos(value: object) -> Profiles:
     return [dict(item) for item in value]
 
 
+@dataclass(frozen=True)
+class Part:
+    """A storage file of a bag.
+
+    Parameters
+    ----------
+    path : str
+        Its path, relative to the bag.
+    start, stop : int
+        Log time of its first and last message [ns]; both 0 without messages.
+    message_count : int
+        Number of its messages.
+    """
+
+    path: str
+    start: int = 0
+    stop: int = 0
+    message_count: int = 0
+
+
 @dataclass
 class Metadata:
     """Content of a `metadata.yaml`.
@@ -143,8 +178,8 @@ class Metadata:
     ----------
     storage : str
         `mcap` or `sqlite3`.
-    files : list of str
-        Relative paths of the storage files, in recording order.
+    parts : list of Part
+        The storage files, in recording order.
     start, stop : int
         Log time of the first and last message [ns]; both 0 without messages.
     topics : list of TopicInfo
@@ -158,7 +193,7 @@ class Metadata:
     """
 
     storage: str
-    files: list[str]
+    parts: list[Part]
     start: int = 0
     stop: int = 0
     topics: list[TopicInfo] = field(default_factory=list)
@@ -180,13 +215,10 @@ class Metadata:
         return str(_dump(self._information()))
 
     def _information(self) -> dict[str, Any]:
-        start = {'nanoseconds_since_epoch': self.start if self.message_count else _EMPTY_START}
-        duration = {'nanoseconds': self.stop - self.start}
         return {
             'version': VERSION,
             'storage_identifier': self.storage,
-            'duration': duration,
-            'starting_time': start,
+            **_span(self.start, self.stop, self.message_count),
             'message_count': self.message_count,
             'topics_with_message_count': [
                 {
@@ -203,15 +235,14 @@ class Metadata:
             ],
             'compression_format': '',
             'compression_mode': '',
-            'relative_file_paths': self.files,
+            'relative_file_paths': [part.path for part in self.parts],
             'files': [
                 {
-                    'path': file,
-                    'starting_time': dict(start),
-                    'duration': dict(duration),
-                    'message_count': self.message_count,
+                    'path': part.path,
+                    **_span(part.start, part.stop, part.message_count),
+                    'message_count': part.message_count,
                 }
-                for file in self.files
+                for part in self.parts
             ],
             'custom_data': self.custom,
             'ros_distro': 'jazzy',
@@ -220,6 +251,14 @@ class Metadata:
     def write(self, folder: Path) -> None:
         """Write `metadata.yaml` into a folder, whole or not at all."""
         write_text(folder / METADATA_FILE, self.text())
+
+
+def _span(start: int, stop: int, count: int) -> dict[str, dict[str, int]]:
+    """Return when something lasted, in the words of rosbag2."""
+    return {
+        'duration': {'nanoseconds': stop - start},
+        'starting_time': {'nanoseconds_since_epoch': start if count else _EMPTY_START},
+    }
 
 
 def read_metadata(folder: Path) -> Metadata | None:
@@ -276,7 +315,7 @@ def _metadata(content: dict[str, Any]) -> Metadata:
     custom = content.get('custom_data') or {}
     return Metadata(
         storage=str(content['storage_identifier']),
-        files=[str(name) for name in content['relative_file_paths']],
+        parts=_parts(content),
         start=start,
         stop=start + int(content['duration']['nanoseconds']) if count else 0,
         topics=topics,
@@ -284,6 +323,19 @@ def _metadata(content: dict[str, Any]) -> Metadata:
         compression='' if mode == 'none' else mode,
         version=version,
     )
+
+
+def _parts(content: dict[str, Any]) -> list[Part]:
+    """Return the storage files; versions before 5 say of each nothing but where it is."""
+    said = {str(entry['path']): entry for entry in content.get('files') or ()}
+    parts = []
+    for name in map(str, content['relative_file_paths']):
+        entry = said.get(name, {'message_count': 0})
+        count = int(entry['message_count'])
+        start = int(entry['starting_time']['nanoseconds_since_epoch']) if count else 0
+        stop = start + int(entry['duration']['nanoseconds']) if count else 0
+        parts.append(Part(name, start, stop, count))
+    return parts
 
 
 def _load(text: str) -> Any:
@@ -338,7 +390,7 @@ def bag_files(folder: Path, metadata: Metadata) -> list[Path]:
         If one is missing, or lies outside of the bag's directory.
     """
     files = []
-    for name in metadata.files:
+    for name in (part.path for part in metadata.parts):
         relative = Path(name)
         if relative.is_absolute() or '..' in relative.parts:
             raise BagFormatError(

@@ -19,6 +19,8 @@ from fuzzycnc_ros.bags.errors import (
 from fuzzycnc_ros.bags.mcapfile import McapFile
 from fuzzycnc_ros.bags.metadata import (
     MESSAGE_SET_KEY,
+    METADATA_RECORD,
+    PART,
     STATE_KEY,
     STATE_RECORDING,
     Metadata,
@@ -35,6 +37,9 @@ from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
 
 _QOS_MAX = 1000
 """Most different QoS texts that are read; a topic that has another counts as of unknown QoS."""
+
+_OPEN_MAX = 64
+"""Most storage files that are open at once; a bag of a year has more than a process may open."""
 
 _LISTED = 30
 """Topics that a message lists."""
@@ -82,6 +87,8 @@ class BagReader:
         Named records inside the file, text to text.
     message_set : int
         Message-set version, the current one if the bag does not say.
+    missing_parts : int
+        Parts of the recording before the first one that is there: deleted, or not looked at.
     problems : list of str
         What is wrong with the bag, one line each.
 
@@ -108,6 +115,7 @@ class BagReader:
         self.problems: list[str] = []
         self._strict = strict
         self._files: list[McapFile | SqliteFile] = []
+        self._used: dict[int, None] = {}  # parts that were read, the last one at the end
         try:
             self._open(upgraders)
         except BaseException:
@@ -126,6 +134,11 @@ class BagReader:
         """Close the files of the bag."""
         for file in self._files:
             file.close()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The storage files in the order in which they are read."""
+        return tuple(file.path for file in self._files)
 
     def filled(self) -> str:
         """Return the topics that hold messages as text, each with how many."""
@@ -168,8 +181,13 @@ class BagReader:
         BagFormatError
             If one is damaged.
         """
-        found = (read() for contents in self._contents for read in contents.attachments)
-        return {attachment.name: attachment for attachment in found}
+        found = {}
+        for part, contents in enumerate(self._contents):
+            self._use(part)
+            for read in contents.attachments:
+                attachment = read()
+                found[attachment.name] = attachment
+        return found
 
     def messages(
         self,
@@ -235,6 +253,9 @@ class BagReader:
         self._counted = all(contents.promised is not None for contents in self._contents)
         topics = self.metadata.topics if self.metadata else []
         self._stated = Counter({topic.name: topic.message_count for topic in topics})
+        first = self._contents[0].metadata.get(METADATA_RECORD, {}) if self._contents else {}
+        part = first.get(PART, '0')
+        self.missing_parts = int(part) if part.isdecimal() else 0
         self.records = {k: v for c in self._contents for k, v in c.metadata.items()}
         self.message_set = self._message_set()
         if self.message_set > MESSAGE_SET:
@@ -298,14 +319,19 @@ class BagReader:
                 f'({file.tear.reason}): {cause}; run `fuzzycnc info --repair` to keep what can '
                 'be read and to see what was lost'
             )
-        return file.contents()
+        contents = file.contents()
+        if len(self._files) > _OPEN_MAX and isinstance(file, McapFile):
+            file.rest()
+        return contents
 
     def _connect(self) -> dict[str, TopicInfo]:
         """Return the topics by name, from the channels of all files."""
         found: dict[str, TopicInfo] = {}
         promised: Counter[str] = Counter()
-        for contents in self._contents:
+        for place, contents in enumerate(self._contents):
             promised.update(contents.promised or {})
+            if place:
+                promised.subtract(contents.repeated)
         known_qos: dict[str, Profiles] = {}
         offered: dict[str, dict[str, None]] = {}  # the texts of each topic, each once
         for channel in (c for contents in self._contents for c in contents.channels):
@@ -347,8 +373,11 @@ class BagReader:
             return
         if not self._counted:
             return  # what is read decides
+        there: Counter[str] = Counter()
+        for contents in self._contents:
+            there.update(contents.promised or {})
         for topic in self._stated.keys() | self.connections.keys():
-            found = self.connections[topic].message_count if topic in self.connections else 0
+            found = there[topic]
             if self._stated[topic] != found:
                 self._report(
                     BagCountError(
@@ -370,40 +399,63 @@ class BagReader:
 
         No more of them is in memory than overlaps in time.
         """
-        every = enumerate(block for contents in self._contents for block in contents.blocks)
+        every = (
+            (part, block)
+            for part, contents in enumerate(self._contents)
+            for block in contents.blocks
+        )
         blocks = [
-            (place, block)
-            for place, block in every
+            (place, part, block)
+            for place, (part, block) in enumerate(every)
             if (start is None or block.stop >= start) and (stop is None or block.start < stop)
         ]
-        group: list[tuple[int, Block]] = []
+        group: list[tuple[int, int, Block]] = []
         group_stop = 0
-        for place, block in sorted(blocks, key=lambda entry: entry[1].start):
+        for entry in sorted(blocks, key=lambda entry: entry[2].start):
+            block = entry[2]
             if group and block.start > group_stop:
                 yield from self._merged(group)
                 group = []
             group_stop = max(group_stop, block.stop) if group else block.stop
-            group.append((place, block))
+            group.append(entry)
         yield from self._merged(group)
 
-    def _merged(self, group: list[tuple[int, Block]]) -> list[RawMessage]:
+    def _merged(self, group: list[tuple[int, int, Block]]) -> list[RawMessage]:
         """Return the messages of blocks that overlap in time, sorted together."""
         expected = (
             f'{self.path}: expected chunks one after the other in time but {len(group)} of them, '
             'more than'
         )
-        if sum(block.size for _, block in group) > _OVERLAP_MAX:
+        if sum(block.size for _, _, block in group) > _OVERLAP_MAX:
             raise BagFormatError(f'{expected} {_OVERLAP_MAX} bytes, overlap')
         messages: list[RawMessage] = []
-        for _, block in sorted(group, key=lambda entry: entry[0]):  # as they lie in the files
+        for _, part, block in sorted(
+            group, key=lambda entry: entry[0]
+        ):  # as they lie in the files
+            self._use(part)
             try:
-                messages += block.read()
+                found = block.read()
             except BagFormatError as error:
                 self._report(error)
+                continue
+            # What a part repeats was read in the part before.
+            messages += [m for m in found if not m.channel.repeated] if part else found
             if len(messages) > _MESSAGES_MAX:
                 raise BagFormatError(f'{expected} {_MESSAGES_MAX} messages, overlap')
         messages.sort(key=lambda message: message.log_time)  # stable: ties stay in file order
         return messages
+
+    def _use(self, part: int) -> None:
+        """Let the file that was read longest ago rest, if many are open."""
+        if len(self._files) <= _OPEN_MAX:
+            return
+        self._used.pop(part, None)
+        self._used[part] = None
+        if len(self._used) > _OPEN_MAX // 2:
+            oldest = self._files[next(iter(self._used))]
+            del self._used[next(iter(self._used))]
+            if isinstance(oldest, McapFile):
+                oldest.rest()
 
     def _check_yielded(self, wanted: set[str], yielded: Counter[str]) -> None:
         if not self._counted and self.metadata is None:

@@ -3,18 +3,24 @@
 """Recording undecoded messages: cheap callbacks, a thread that writes, every loss counted."""
 
 import json
+import os
 import threading
 from collections import deque
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from fuzzycnc_ros.bags.errors import BagError, BagTypeError
 from fuzzycnc_ros.bags.metadata import Profiles, Qos
-from fuzzycnc_ros.bags.writer import BagWriter, not_announced
+from fuzzycnc_ros.bags.shipping import Shipper
+from fuzzycnc_ros.bags.writer import BagWriter, ClosedPart, not_announced
 
 PENDING_MAX = 256 * 1024 * 1024
 """Most bytes that wait for the disk; what comes on top is dropped and counted."""
+
+DISK_FULL, TOO_SLOW = 'the disk was full', 'the disk was too slow'
+"""Why messages that came were not written."""
 
 REPORT_NAME = 'recording.json'
 """Attachment that states what was received, written and lost on each topic."""
@@ -28,6 +34,13 @@ UNSUPPORTED = 2**64 - 1
 SILENT = 3
 """Publishers that are gone are those that were silent while each other spoke so often."""
 
+AGAIN = 1.1
+"""Share of the space to be kept free at which writing goes on; at 1 it would come and go."""
+
+_LOOK = 1024 * 1024  # bytes written between looks at the disk
+_GAPS_MAX = 1000
+_NOTICES_MAX = 100
+_MEGABYTE = 1e6
 _WAKE = 0.1  # s between looks at the clock when nothing arrives
 _BATCH = 256  # messages between looks at the queue
 
@@ -69,12 +82,24 @@ class Progress:
         Their size [bytes].
     error : str
         Why nothing more is written; empty while all is well.
+    paused : str
+        Why nothing is written for now, and what helps; empty while messages are written.
+    parts : int
+        Parts of the bag that are there, the open one included.
+    deleted : str
+        Which parts were deleted to stay within the budget; empty if none.
+    waiting : str
+        Why the bag is larger than its budget, or parts are not shipped yet; empty if all is well.
     """
 
     topics: dict[str, TopicProgress] = field(default_factory=dict)
     pending: int = 0
     pending_bytes: int = 0
     error: str = ''
+    paused: str = ''
+    parts: int = 1
+    deleted: str = ''
+    waiting: str = ''
 
     @property
     def received(self) -> int:
@@ -92,12 +117,38 @@ class Progress:
         return sum(topic.missing + topic.dropped for topic in self.topics.values())
 
 
+class Notice(NamedTuple):
+    """Something that people are told when it happens.
+
+    Parameters
+    ----------
+    urgent : bool
+        Whether somebody has to do something.
+    text : str
+        What it is.
+    """
+
+    urgent: bool
+    text: str
+
+
 class _Item(NamedTuple):
     topic: str
     payload: bytes
     log_time: int
     publish_time: int
     sequence: int
+    publisher: Hashable
+
+
+@dataclass
+class _Gap:
+    """Messages in a row that came but were not written; log times in ns."""
+
+    start: int
+    stop: int
+    cause: str
+    messages: int = 0
 
 
 class SequenceCounter:
@@ -155,8 +206,8 @@ class SequenceCounter:
         self._count = 0  # numbers taken
         self._spoke: dict[Hashable, int] = {}  # count at the newest number of each
 
-    def update(self, number: int | None, publisher: Hashable = None) -> None:
-        """Take the sequence number of one message.
+    def update(self, number: int | None, publisher: Hashable = None) -> Hashable:
+        """Take the sequence number of one message; return the publisher that it is put down to.
 
         Parameters
         ----------
@@ -166,7 +217,7 @@ class SequenceCounter:
             Who sent it, where that is known.
         """
         if number is None or number == UNSUPPORTED:
-            return
+            return publisher
         key = publisher if publisher is not None else self._closest(number)
         last = self._last.pop(key, None)
         if last is None:
@@ -178,6 +229,7 @@ class SequenceCounter:
         self._last[key] = number
         self._count += 1
         self._spoke[key] = self._count
+        return key
 
     def _closest(self, number: int) -> Hashable:
         """Return the anonymous publisher that a number continues, or a new one."""
@@ -235,12 +287,25 @@ class RecordingThread:
         Most bytes that wait for the disk.
     on_error : callable, optional
         Called once, in the thread, with the error that ended the writing.
+    free_min : int
+        Space on the disk below which nothing is written [bytes]; 0 to write as long as it goes.
+    budget : int
+        Size beyond which the oldest parts are deleted [bytes]; 0 for never.
+    shipper : Shipper, optional
+        Takes the closed parts elsewhere; they are deleted after that only.  The thread owns it.
+    facts : callable, optional
+        What else each part is to say of the recording so far; called in the thread.
+    free : callable
+        Returns the free space of the disk that a path lies on [bytes].
 
     Notes
     -----
     `put` is meant for the callbacks of an executor: it appends to a queue and returns.  A
     message that does not fit in `pending_max` is dropped and counted, never queued: memory
     stays bounded, and what was lost is written into the bag.
+
+    While the disk has too little space messages wait in that queue.  A pause that it spans costs
+    nothing; after a longer one the bag says from when to when messages are missing.
     """
 
     def __init__(
@@ -249,8 +314,27 @@ class RecordingThread:
         *,
         pending_max: int = PENDING_MAX,
         on_error: Callable[[BagError], None] | None = None,
+        free_min: int = 0,
+        budget: int = 0,
+        shipper: Shipper | None = None,
+        facts: Callable[[], Mapping[str, Any]] = dict,
+        free: Callable[[Path], int] | None = None,
     ) -> None:
         self._writer = writer
+        self._free_min = free_min
+        self._budget = budget
+        self._shipper = shipper
+        self._facts = facts
+        self._free = free or free_space
+        self._unseen = 0  # bytes written since the last look at the disk
+        self._paused = ''
+        self._gaps: list[_Gap] = []
+        self._gap: _Gap | None = None
+        self._gap_told = True
+        self._deleted = ''
+        self._over = ''
+        self._parts = 1
+        self._notices: deque[Notice] = deque(maxlen=_NOTICES_MAX)
         self._pending_max = pending_max
         self._on_error = on_error
         self._queue: deque[_Item] = deque()
@@ -346,13 +430,16 @@ class RecordingThread:
             if counts is None:
                 raise not_announced(topic, self._counts)
             counts.received += 1
-            counts.sequence.update(sequence, publisher)
+            sender = counts.sequence.update(sequence, publisher)
             full = self._pending_bytes + len(payload) > self._pending_max
             if full or self._error or self._stopping:
                 counts.dropped += 1
+                self._miss(log_time)
                 return False
+            if self._gap is not None:
+                self._gap.stop, self._gap, self._gap_told = log_time, None, False
             sent = log_time if publish_time is None else publish_time
-            self._queue.append(_Item(topic, payload, log_time, sent, sequence or 0))
+            self._queue.append(_Item(topic, payload, log_time, sent, sequence or 0, sender))
             self._pending_bytes += len(payload)
             if len(self._queue) == 1:
                 self._ready.notify()
@@ -367,7 +454,7 @@ class RecordingThread:
             If the bag cannot be written.
         """
         with self._writing:
-            self._writer.attach(name, content, media_type)
+            self._writer.attach(name, content, media_type, repeat=True)
 
     def progress(self) -> Progress:
         """Return how far the recording has come."""
@@ -377,7 +464,18 @@ class RecordingThread:
                 pending=len(self._queue),
                 pending_bytes=self._pending_bytes,
                 error=str(self._error or ''),
+                paused=self._paused,
+                parts=self._parts,
+                deleted=self._deleted,
+                waiting=self._over or (self._shipper.trouble if self._shipper else ''),
             )
+
+    def notices(self) -> list[Notice]:
+        """Return what happened since the last call."""
+        found = []
+        while self._notices:
+            found.append(self._notices.popleft())
+        return found
 
     @property
     def failed(self) -> bool:
@@ -420,40 +518,76 @@ class RecordingThread:
         progress = self.progress()
         if not self._closed:
             self._closed = True
-            with self._writing:
-                if self._error is None:
-                    self._writer.attach(
-                        REPORT_NAME, self._report(progress, facts or {}), 'application/json'
-                    )
-                self._writer.close()
+            try:
+                with self._writing:
+                    if self._error is None:
+                        self._attach_report(facts or {})
+                    self._writer.close()
+                    self._hand_on()
+            finally:
+                if self._shipper is not None:
+                    self._notices.extend(Notice(True, text) for text in self._shipper.close())
         self.check()
         return progress
 
-    def _report(self, progress: Progress, facts: Mapping[str, Any]) -> str:
+    def _attach_report(self, facts: Mapping[str, Any]) -> None:
+        progress = self.progress()
+        with self._lock:
+            gaps = [
+                {
+                    'from_s': gap.start / 1e9,
+                    'to_s': gap.stop / 1e9,
+                    'messages': gap.messages,
+                    'cause': gap.cause,
+                }
+                for gap in self._gaps
+            ]
+            self._gap_told = True
         content = {
             **facts,
             'topics': {name: vars(topic) for name, topic in progress.topics.items()},
             'unknown_types': self._unknown_types,
+            'gaps': gaps,
         }
-        return json.dumps(content, indent=2, sort_keys=True)
+        text = json.dumps(content, indent=2, sort_keys=True)
+        self._writer.attach(REPORT_NAME, text, 'application/json')
+
+    def _miss(self, log_time: int) -> None:
+        """Note that a message is not written."""
+        if self._gap is None:
+            cause = DISK_FULL if self._paused or self._error else TOO_SLOW
+            self._gap = _Gap(log_time, log_time, cause)
+            if len(self._gaps) < _GAPS_MAX:
+                self._gaps.append(self._gap)
+        self._gap.messages += 1
+        self._gap.stop = max(self._gap.stop, log_time)
 
     def _run(self) -> None:
         while True:
             with self._lock:
-                if not self._queue and not self._stopping:
+                if (self._paused or not self._queue) and not self._stopping:
                     self._ready.wait(_WAKE)
-                batch = [self._queue.popleft() for _ in range(min(_BATCH, len(self._queue)))]
-                finished = self._stopping and not batch
-            if finished:
-                return
-            written, error = self._write(batch)
+                stopping = self._stopping
+            error = self._keep_house()
+            if error is None and self._paused and not stopping:
+                continue
+            with self._lock:
+                size = 0 if self._paused else min(_BATCH, len(self._queue))
+                batch = [self._queue.popleft() for _ in range(size)]
+                if error is None and stopping and not batch:
+                    self._drop_queue()  # empty, unless the disk has no room
+                    return
+            written = 0
+            if error is None:
+                written, error = self._write(batch)
             with self._lock:
                 for item in batch[:written]:
                     self._counts[item.topic].written += 1
-                for item in batch:
                     self._pending_bytes -= len(item.payload)
+                self._queue.extendleft(reversed(batch[written:]))
                 if error is not None:
-                    self._give_up(error, batch[written:])
+                    self._error = error
+                    self._drop_queue()
             if error is not None:
                 if self._on_error is not None:
                     self._on_error(error)
@@ -464,18 +598,110 @@ class RecordingThread:
         written = 0
         with self._writing:
             try:
-                for topic, payload, log_time, publish_time, sequence in batch:
-                    self._writer.write(topic, log_time, publish_time, payload, sequence)
+                for topic, payload, log_time, publish_time, sequence, publisher in batch:
+                    if self._unseen >= _LOOK and not self._has_room():
+                        break
+                    if self._writer.is_full(log_time):
+                        self._attach_report(self._facts())
+                        self._writer.split(log_time)
+                        self._parts = len(self._writer.closed_parts) + 1
+                        self._hand_on()
+                    self._writer.write(topic, log_time, publish_time, payload, sequence, publisher)
+                    self._unseen += len(payload)
                     written += 1
                 self._writer.flush_if_due()
             except BagError as error:
                 return written, error
         return written, None
 
-    def _give_up(self, error: BagError, unwritten: list[_Item]) -> None:
+    def _keep_house(self) -> BagError | None:
+        """Look at the disk and at the budget; return why no more can be written."""
+        with self._writing:
+            try:
+                if self._has_room() and not self._gap_told:
+                    self._attach_report(self._facts())
+                if self._budget:
+                    self._keep_budget()
+                self._writer.flush_if_due()
+            except BagError as error:
+                return error
+        return None
+
+    def _has_room(self) -> bool:
+        """Pause where the disk has too little space, and go on where it has enough again."""
+        self._unseen = 0
+        if not self._free_min:
+            return True
+        try:
+            free = self._free(self._writer.path)
+        except OSError:
+            return not self._paused  # nothing is known of it: writing will tell
+        if self._paused and free >= AGAIN * self._free_min:
+            self._paused = ''
+            text = f'{_megabytes(free)} are free: the recording to {self._writer.path} goes on'
+            self._notices.append(Notice(False, text))
+        elif not self._paused and free < self._free_min:
+            self._writer.flush()  # what came so far is safe
+            self._paused = (
+                f'the recording to {self._writer.path} waits: {_megabytes(free)} of its disk are '
+                f'free, less than free_min, {_megabytes(self._free_min)}; make room, it then goes '
+                f'on by itself; {_megabytes(self._pending_max)} of messages are kept in memory, '
+                'what comes after them is lost'
+            )
+            self._notices.append(Notice(True, self._paused))
+        return not self._paused
+
+    def _keep_budget(self) -> None:
+        """Delete the oldest parts while the bag is larger than its budget."""
+        over = ''
+        while self._writer.size > self._budget and self._writer.closed_parts:
+            oldest = self._writer.closed_parts[0]
+            if self._shipper is not None and not self._shipper.has(oldest.path.name):
+                over = (
+                    f'{self._writer.path} has {_megabytes(self._writer.size)}, more than its '
+                    f'budget, {_megabytes(self._budget)}: {oldest.path.name} is not shipped yet'
+                    f', and stays until it is; {self._shipper.trouble or "it is on its way"}'
+                )
+                break
+            self._delete(oldest)
+        if over and not self._over:
+            self._notices.append(Notice(True, over))
+        self._over = over
+
+    def _delete(self, oldest: ClosedPart) -> None:
+        try:
+            self._writer.delete_oldest()
+        except OSError as error:
+            text = f'{oldest.path}: cannot be deleted: {error.strerror}; delete it yourself'
+            self._notices.append(Notice(True, text))
+        self._parts = len(self._writer.closed_parts) + 1
+        self._deleted = (
+            f'{oldest.number + 1} parts, all before {oldest.stop / 1e9:.3f} s, to stay within '
+            f'{_megabytes(self._budget)}'
+        )
+        text = f'deleted {oldest.path.name}, to stay within {_megabytes(self._budget)}'
+        self._notices.append(Notice(False, text))
+
+    def _hand_on(self) -> None:
+        """Have the part that was closed last shipped."""
+        closed = self._writer.closed_parts
+        if self._shipper is not None and closed:
+            self._shipper.submit(closed[-1].path)
+
+    def _drop_queue(self) -> None:
         """Count everything that waits as dropped."""
-        self._error = error
-        for item in [*unwritten, *self._queue]:
+        for item in self._queue:
             self._counts[item.topic].dropped += 1
+            self._miss(item.log_time)
         self._queue.clear()
         self._pending_bytes = 0
+
+
+def free_space(path: Path) -> int:
+    """Return the free space of the disk that a path lies on [bytes]."""
+    status = os.statvfs(path)
+    return status.f_bavail * status.f_frsize
+
+
+def _megabytes(size: float) -> str:
+    return f'{size / _MEGABYTE:.4g} MB'

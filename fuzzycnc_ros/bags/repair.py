@@ -11,6 +11,10 @@ from pathlib import Path
 from fuzzycnc_ros.bags.errors import BagFormatError, BagTopicError
 from fuzzycnc_ros.bags.mcapfile import McapFile
 from fuzzycnc_ros.bags.metadata import (
+    METADATA_RECORD,
+    PART,
+    STATE_KEY,
+    STATE_RECORDING,
     Metadata,
     bag_files,
     parse_qos,
@@ -18,7 +22,7 @@ from fuzzycnc_ros.bags.metadata import (
     storage_files,
 )
 from fuzzycnc_ros.bags.storage import Channel, RawMessage
-from fuzzycnc_ros.bags.writer import METADATA_RECORD, BagWriter
+from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
 
 
@@ -123,8 +127,8 @@ def repair(
     try:
         copy = _Copy(target, _facts(files), source, damage)
         with copy.writer:
-            for file in files:
-                copy.take(file)
+            for place, file in enumerate(files):
+                copy.take(file, first=place == 0)
         return copy.report(metadata)
     finally:
         for file in files:
@@ -145,6 +149,7 @@ class _Copy:
         self._last: dict[str, int] = {}
         self._known: dict[Channel, bool] = {}
         self._torn = False
+        self._repeats = True
         self._promised: Counter[str] | None = Counter()
         self.writer = BagWriter(
             target,
@@ -153,8 +158,9 @@ class _Copy:
             message_set=int(version) if version.isdecimal() else MESSAGE_SET,
         )
 
-    def take(self, file: McapFile) -> None:
-        """Copy everything that can be read of a file."""
+    def take(self, file: McapFile, *, first: bool) -> None:
+        """Copy all that can be read of a file; what it repeats only where it is the first."""
+        self._repeats = first
         for chunk in file.chunks:
             try:
                 self._write(file.read(chunk))
@@ -181,6 +187,8 @@ class _Copy:
                 self.writer.attach(found.name, found.data, found.media_type, found.log_time)
         self._damage.extend(file.problems)
         stated = None if file.statistics is None else file.topic_counts(file.statistics)
+        if stated is not None and not first:
+            stated.subtract(file.repeated_counts(file.statistics or {}))
         if stated is None or self._promised is None:
             self._promised = None
         else:
@@ -189,7 +197,9 @@ class _Copy:
     def report(self, metadata: Metadata | None) -> RepairReport:
         """Return what was kept and lost."""
         promised = self._promised
-        if promised is None and metadata is not None and metadata.message_count:
+        # Of a recording that goes on metadata.yaml promises nothing.
+        closed = metadata and metadata.custom.get(STATE_KEY) != STATE_RECORDING
+        if promised is None and metadata is not None and closed and metadata.message_count:
             promised = Counter({t.name: t.message_count for t in metadata.topics})
         topics = {
             name: RepairedTopic(
@@ -227,7 +237,7 @@ class _Copy:
 
     def _write(self, messages: list[RawMessage]) -> None:
         for log_time, publish_time, sequence, channel, payload in messages:
-            if self._announce(channel):
+            if self._announce(channel) and (self._repeats or not channel.repeated):
                 self.writer.write(channel.topic, log_time, publish_time, payload, sequence)
                 self._last[channel.topic] = max(self._last.get(channel.topic, 0), log_time)
 
@@ -279,4 +289,7 @@ def _open(paths: list[Path], damage: list[str]) -> list[McapFile]:
 
 def _facts(files: list[McapFile]) -> dict[str, str]:
     """Return what the recorder noted in the files themselves, message-set version included."""
-    return {k: v for file in files for k, v in file.metadata.get(METADATA_RECORD, {}).items()}
+    found = {k: v for file in files for k, v in file.metadata.get(METADATA_RECORD, {}).items()}
+    first = files[0].metadata.get(METADATA_RECORD, {}).get(PART)
+    found.pop(PART, None)
+    return {**found, **({} if first is None else {PART: first})}

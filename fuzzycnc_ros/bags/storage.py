@@ -31,6 +31,9 @@ class Channel:
         REP 2011 hash as stored, empty if there is none.
     message_encoding : str
         How the messages are serialised.
+    repeated : bool
+        Whether its messages stand in the part of the bag before as well: what is latched, said
+        again so that the part can be read alone.
     """
 
     topic: str
@@ -40,6 +43,7 @@ class Channel:
     qos: str = ''
     type_hash: str = ''
     message_encoding: str = 'cdr'
+    repeated: bool = False
 
 
 class RawMessage(NamedTuple):
@@ -99,6 +103,8 @@ class Contents:
         All messages, in file order.
     promised : dict of str to int, optional
         Messages on each topic as the file's own index states; None if it has none.
+    repeated : dict of str to int
+        How many of them are repeated.
     metadata : dict
         Named records of text to text.
     attachments : list of callable
@@ -108,6 +114,7 @@ class Contents:
     channels: list[Channel] = field(default_factory=list)
     blocks: list[Block] = field(default_factory=list)
     promised: dict[str, int] | None = None
+    repeated: dict[str, int] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: list[Callable[[], Attachment]] = field(default_factory=list)
 

@@ -1,16 +1,18 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Writing a rosbag2 directory with one MCAP file, such that a killed writer loses little."""
+"""Writing a rosbag2 directory of MCAP files, such that a killed writer loses little."""
 
 import os
 import pickle
 import re
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fuzzycnc_ros.bags import metadata as rosbag2
 from fuzzycnc_ros.bags.errors import (
@@ -21,7 +23,16 @@ from fuzzycnc_ros.bags.errors import (
     MissingLibraryError,
 )
 from fuzzycnc_ros.bags.libraries import load
-from fuzzycnc_ros.bags.metadata import Metadata, Profiles, Qos, TopicInfo
+from fuzzycnc_ros.bags.mcapfile import REPEATED
+from fuzzycnc_ros.bags.metadata import (
+    METADATA_RECORD,
+    PART,
+    Metadata,
+    Part,
+    Profiles,
+    Qos,
+    TopicInfo,
+)
 from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.bags.typestore import (
     message_definition,
@@ -37,16 +48,135 @@ CHUNK_SIZE = 16384
 FLUSH_INTERVAL = 0.5
 """Longest time a message waits in an open chunk [s]; half of the second that may be lost."""
 
-METADATA_RECORD = 'fuzzycnc'
-"""Name of the MCAP metadata record that holds the message-set version."""
+LATCHED_MAX = 256
+"""Most publishers of a topic whose latched messages are repeated in each part."""
 
 _TOPIC = re.compile(r'[!-~]{1,512}')
 _TIME_MAX = 2**63 - 1
 _INDEX = '_Writer__chunk_indices'  # the mcap library's own name of its index
 
 
+@dataclass(frozen=True)
+class _Announced:
+    """What it takes to announce a topic in another part."""
+
+    info: TopicInfo
+    definition: str
+    encoding: str
+    latched: bool
+
+
+class _Latched(NamedTuple):
+    publish_time: int
+    sequence: int
+    payload: bytes
+
+
+@dataclass(frozen=True)
+class ClosedPart:
+    """A part of the bag that is whole and will not change.
+
+    Parameters
+    ----------
+    path : Path
+        Its file.
+    number : int
+        Its place in the recording, from 0.
+    size : int
+        Its size [bytes].
+    counts : Counter
+        Its messages by topic, those that it repeats included.
+    own : int
+        Its messages without those.
+    start, stop : int
+        Log time of its first and last message [ns].
+    """
+
+    path: Path
+    number: int
+    size: int
+    counts: Counter[str]
+    own: int
+    start: int
+    stop: int
+
+
+class _OpenPart:
+    """The part that is being written."""
+
+    def __init__(self, module: Any, path: Path, number: int, chunk_size: int, method: str) -> None:
+        self.number = number
+        self.sink = Sink(path)
+        self.mcap = module.Writer(
+            self.sink, chunk_size=chunk_size, compression=module.CompressionType[method.upper()]
+        )
+        self.index: _SpilledIndex | None = None
+        self.channels: dict[tuple[str, bool], int] = {}
+        self.schemas: dict[str, int] = {}
+        self.counts: Counter[str] = Counter()
+        self.own = 0
+        self.begun = 0  # size before its own messages
+        self.start = self.stop = 0
+
+    @property
+    def path(self) -> Path:
+        """Its file."""
+        return self.sink.path
+
+    def channel(self, announced: _Announced, *, repeated: bool = False) -> int:
+        """Return the channel of a topic, announced where it is new."""
+        info = announced.info
+        found = self.channels.get((info.name, repeated))
+        if found is not None:
+            return found
+        schema = self.schemas.get(info.type)
+        if schema is None:
+            schema = self.mcap.register_schema(
+                name=info.type, encoding=announced.encoding, data=announced.definition.encode()
+            )
+            self.schemas[info.type] = schema
+        channel = self.mcap.register_channel(
+            topic=info.name,
+            message_encoding='cdr',
+            schema_id=schema,
+            metadata={
+                'offered_qos_profiles': rosbag2.qos_text(info.profiles),
+                'topic_type_hash': info.type_hash,
+                **({REPEATED: 'true'} if repeated else {}),
+            },
+        )
+        self.channels[info.name, repeated] = int(channel)
+        return int(channel)
+
+    def add(self, topic: str, channel: int, log_time: int, latched: _Latched) -> None:
+        """Append a message."""
+        self.mcap.add_message(
+            channel_id=channel,
+            log_time=log_time,
+            data=latched.payload,
+            publish_time=latched.publish_time,
+            sequence=latched.sequence & 0xFFFFFFFF,
+        )
+        filled = bool(self.counts)
+        self.start = min(self.start, log_time) if filled else log_time
+        self.stop = max(self.stop, log_time) if filled else log_time
+        self.counts[topic] += 1
+
+    def closed(self) -> ClosedPart:
+        """Return what is known of it once it is closed."""
+        return ClosedPart(
+            self.sink.path,
+            self.number,
+            self.sink.tell(),
+            self.counts,
+            self.own,
+            self.start,
+            self.stop,
+        )
+
+
 class BagWriter:
-    """A new bag: `<path>/<name>_0.mcap` and `<path>/metadata.yaml`, as `ros2 bag` reads them.
+    """A new bag: `<path>/<name>_0.mcap` and so on, `<path>/metadata.yaml`, as of `ros2 bag`.
 
     Parameters
     ----------
@@ -65,6 +195,10 @@ class BagWriter:
         Version of the messages that will be written; only a copy of an old bag has another.
     clock : callable
         Monotonic time [s].
+    split_size : int
+        Bytes after which a part is full; 0 for never.
+    split_duration : float
+        Log time after which a part is full [s]; 0 for never.
 
     Raises
     ------
@@ -80,6 +214,11 @@ class BagWriter:
     The mcap library buffers what it writes, and closes a chunk by its size alone; so it writes
     into a file without buffer here, and open chunks are closed by time as well.
     Messages are written in the order of the calls.  The object is not made for several threads.
+
+    Who writes asks `is_full` and calls `split`.  A new part begins with the newest latched message
+    of each publisher and the attachments that are to be repeated, so that it can be read alone.
+    Such messages have channels of their own, by which readers of the whole bag pass them over, and
+    the log time at which the part begins, so that the parts do not overlap.
     """
 
     def __init__(
@@ -92,6 +231,8 @@ class BagWriter:
         custom: Mapping[str, str] | None = None,
         message_set: int = MESSAGE_SET,
         clock: Callable[[], float] = time.monotonic,
+        split_size: int = 0,
+        split_duration: float = 0.0,
     ) -> None:
         if compression not in ('zstd', 'none'):
             raise ValueError(f'compression: expected zstd or none but found {compression!r}')
@@ -106,36 +247,40 @@ class BagWriter:
             load('zstandard')
         load('yaml')
         self._clock = clock
+        self._chunk_size = chunk_size
+        self._compression = compression
         self._flush_interval = flush_interval
         self._custom = dict(custom or {})
         self._message_set = message_set
-        self._topics: dict[str, tuple[int, TopicInfo]] = {}
-        self._schemas: dict[str, int] = {}
+        self._split_size = split_size
+        self._split_duration = round(split_duration * 1e9)
+        self._splits = bool(split_size or split_duration)
+        self._topics: dict[str, _Announced] = {}
+        self._latched: dict[str, dict[Hashable, _Latched]] = {}
+        self._attached: dict[str, tuple[str, bytes, int]] = {}
+        self._closed: list[ClosedPart] = []
+        self._closed_size = 0
         self._count = 0
-        self._start = 0
-        self._stop = 0
         self._waiting_since: float | None = None
         self._failure = ''
         try:
             with uninterrupted():
-                self._begin(chunk_size, compression)
+                _make_folder(self.path)
+                self._begin(0)
         except KeyboardInterrupt:
             self.close()  # nobody else could: an empty bag is whole
             raise
 
-    def _begin(self, chunk_size: int, compression: str) -> None:
-        """Make the folder and its files."""
-        self._sink = Sink(_make_folder(self.path) / f'{self.path.absolute().name}_0.mcap')
-        self._writer = self._module.Writer(
-            self._sink,
-            chunk_size=chunk_size,
-            compression=self._module.CompressionType[compression.upper()],
-        )
+    def _begin(self, number: int) -> None:
+        """Begin a part."""
+        file = self.path / f'{self.path.absolute().name}_{number}.mcap'
+        self._part = _OpenPart(self._module, file, number, self._chunk_size, self._compression)
+        facts = {'message_set': str(self._message_set), **self._custom}
         with self._guard():
-            self._index = _spill_index(self._writer, self.path)
-            self._writer.start(profile='ros2', library='fuzzycnc_ros')
-            self._writer.add_metadata(
-                METADATA_RECORD, {'message_set': str(self._message_set), **self._custom}
+            self._part.index = _spill_index(self._part.mcap, self.path)
+            self._part.mcap.start(profile='ros2', library='fuzzycnc_ros')
+            self._part.mcap.add_metadata(
+                METADATA_RECORD, {**facts, **({PART: str(number)} if number else {})}
             )
             self._metadata(rosbag2.STATE_RECORDING).write(self.path)
 
@@ -149,18 +294,28 @@ class BagWriter:
 
     @property
     def file(self) -> Path:
-        """The MCAP file."""
-        return self._sink.path
+        """The MCAP file that is being written."""
+        return self._part.sink.path
 
     @property
     def topics(self) -> dict[str, TopicInfo]:
         """All topics with the messages written so far."""
-        return {name: info for name, (_, info) in self._topics.items()}
+        return {name: announced.info for name, announced in self._topics.items()}
 
     @property
     def message_count(self) -> int:
         """Number of messages written so far."""
         return self._count
+
+    @property
+    def closed_parts(self) -> tuple[ClosedPart, ...]:
+        """The parts that are whole and still there, oldest first."""
+        return tuple(self._closed)
+
+    @property
+    def size(self) -> int:
+        """Size of all parts that are there [bytes]."""
+        return self._closed_size + (0 if self._part.sink.closed else self._part.sink.tell())
 
     def add_topic(
         self,
@@ -197,7 +352,7 @@ class BagWriter:
         """
         self._check_open()
         if name in self._topics:
-            known = self._topics[name][1].type
+            known = self._topics[name].info.type
             if known != type_name:
                 raise BagTopicError(f'{name}: expected type {known} but found {type_name}')
             return
@@ -207,26 +362,20 @@ class BagWriter:
             definition, hash_text = message_definition(type_name), type_hash(type_name)
         profiles = [(qos or rosbag2.STREAM).profile()] if not isinstance(qos, list) else qos
         info = TopicInfo(name, type_name, profiles, hash_text or '')
+        latched = rosbag2.is_latched(profiles)
+        announced = _Announced(info, definition, encoding, latched)
         with self._guard():
-            schema = self._schemas.get(type_name)
-            if schema is None:
-                schema = self._writer.register_schema(
-                    name=type_name, encoding=encoding, data=definition.encode()
-                )
-                self._schemas[type_name] = schema
-            channel = self._writer.register_channel(
-                topic=name,
-                message_encoding='cdr',
-                schema_id=schema,
-                metadata={
-                    'offered_qos_profiles': rosbag2.qos_text(profiles),
-                    'topic_type_hash': info.type_hash,
-                },
-            )
-        self._topics[name] = (channel, info)
+            self._part.channel(announced)
+        self._topics[name] = announced
 
     def write(
-        self, topic: str, log_time: int, publish_time: int, payload: bytes, sequence: int = 0
+        self,
+        topic: str,
+        log_time: int,
+        publish_time: int,
+        payload: bytes,
+        sequence: int = 0,
+        publisher: Hashable = None,
     ) -> None:
         """Append one undecoded message.
 
@@ -240,6 +389,8 @@ class BagWriter:
             The message in CDR.
         sequence : int
             Its publication sequence number, 0 if unknown.
+        publisher : hashable, optional
+            Who sent it: of a latched topic the newest message of each is repeated in each part.
 
         Raises
         ------
@@ -251,26 +402,26 @@ class BagWriter:
             If the bag was closed or cannot be written.
         """
         self._check_open()
-        entry = self._topics.get(topic)
-        if entry is None:
+        announced = self._topics.get(topic)
+        if announced is None:
             raise not_announced(topic, self._topics)
         if not (0 <= log_time <= _TIME_MAX and 0 <= publish_time <= _TIME_MAX):
             raise BagError(
                 f'{topic}: expected times within 0 and 2^63 - 1 ns '
                 f'but found {log_time} and {publish_time}'
             )
-        channel, info = entry
+        part = self._part
+        message = _Latched(publish_time, sequence, payload)
         with self._guard():
-            self._writer.add_message(
-                channel_id=channel,
-                log_time=log_time,
-                data=payload,
-                publish_time=publish_time,
-                sequence=sequence & 0xFFFFFFFF,
-            )
-        self._start = min(self._start, log_time) if self._count else log_time
-        self._stop = max(self._stop, log_time)
-        info.message_count += 1
+            part.add(topic, part.channels[topic, False], log_time, message)
+        if self._splits and announced.latched:
+            kept = self._latched.setdefault(topic, {})
+            kept.pop(publisher, None)  # the order is that of the messages
+            kept[publisher] = message
+            if len(kept) > LATCHED_MAX:
+                del kept[next(iter(kept))]
+        announced.info.message_count += 1
+        part.own += 1
         self._count += 1
         if self._flush_interval is not None:
             if self._waiting_since is None:
@@ -280,6 +431,66 @@ class BagWriter:
     def write_message(self, topic: str, message: Any, log_time: int) -> None:
         """Append one message made by `typestore.message_type`, as if sent when received."""
         self.write(topic, log_time, log_time, serialize(message))
+
+    def is_full(self, log_time: int) -> bool:
+        """Return whether a message of some log time [ns] belongs into another part."""
+        part = self._part
+        if not part.own:
+            return False
+        if self._split_size and part.sink.tell() - part.begun >= self._split_size:
+            return True
+        return bool(self._split_duration) and log_time - part.start >= self._split_duration
+
+    def split(self, log_time: int) -> None:
+        """Close the part and begin the next one at some log time [ns].
+
+        Raises
+        ------
+        BagWriteError
+            If the bag was closed or cannot be written.
+        """
+        self._check_open()
+        self._close_part()
+        with self._guard():
+            self._begin(self._part.number + 1)
+        part = self._part
+        with self._guard():
+            for announced in self._topics.values():
+                part.channel(announced)
+            for topic, kept in self._latched.items():
+                channel = part.channel(self._topics[topic], repeated=True)
+                for message in kept.values():
+                    part.add(topic, channel, log_time, message)
+            part.mcap.flush()
+            for name, (media_type, data, attached) in self._attached.items():
+                part.mcap.add_attachment(attached, attached, name, media_type, data)
+        self._waiting_since = None
+        part.begun = part.sink.tell()
+
+    def delete_oldest(self) -> ClosedPart | None:
+        """Delete the oldest part that is closed and return it; None if there is none.
+
+        Raises
+        ------
+        BagWriteError
+            If the bag cannot be written.
+        OSError
+            If the file cannot be deleted; it is no part of the bag any more, which goes on.
+        """
+        self._check_open()
+        if not self._closed:
+            return None
+        oldest = self._closed.pop(0)
+        self._closed_size -= oldest.size
+        facts = self._custom
+        messages = int(facts.get(rosbag2.DELETED_MESSAGES_KEY, '0')) + oldest.own
+        facts[rosbag2.DELETED_PARTS_KEY] = str(oldest.number + 1)
+        facts[rosbag2.DELETED_MESSAGES_KEY] = str(messages)
+        facts[rosbag2.DELETED_UNTIL_KEY] = str(oldest.stop)
+        with self._guard():
+            self._metadata(rosbag2.STATE_RECORDING).write(self.path)
+        oldest.path.unlink(missing_ok=True)  # last: metadata.yaml never names what is not there
+        return oldest
 
     def flush_if_due(self) -> None:
         """Close the open chunk if a message has waited in it for `flush_interval`."""
@@ -292,11 +503,17 @@ class BagWriter:
         """Close the open chunk, so that all messages so far survive a kill of this process."""
         self._check_open()
         with self._guard():
-            self._writer.flush()
+            self._part.mcap.flush()
         self._waiting_since = None
 
     def attach(
-        self, name: str, content: str | bytes, media_type: str = 'text/plain', log_time: int = 0
+        self,
+        name: str,
+        content: str | bytes,
+        media_type: str = 'text/plain',
+        log_time: int = 0,
+        *,
+        repeat: bool = False,
     ) -> None:
         """Add an attachment, for example a model file.
 
@@ -310,11 +527,15 @@ class BagWriter:
             Media type.
         log_time : int
             When it was attached [ns], 0 if that does not matter.
+        repeat : bool
+            Whether the parts that follow have it too.
         """
         self._check_open()
         data = content.encode() if isinstance(content, str) else content
         with self._guard():
-            self._writer.add_attachment(log_time, log_time, name, media_type, data)
+            self._part.mcap.add_attachment(log_time, log_time, name, media_type, data)
+        if repeat and self._splits:
+            self._attached[name] = (media_type, data, log_time)
 
     def close(self) -> None:
         """Finish the file and its `metadata.yaml`; closing twice does nothing.
@@ -324,34 +545,57 @@ class BagWriter:
         BagWriteError
             If the end of the file cannot be written.
         """
-        if self._sink.closed:
+        if self._part.sink.closed:
             return
         try:
             with uninterrupted():
                 self._close()
         finally:
-            if self._index is not None:
-                self._index.close()
+            if self._part.index is not None:
+                self._part.index.close()
 
     def _close(self) -> None:
         if self._failure:  # already reported when it happened
-            self._sink.close()
+            self._part.sink.close()
             return
+        self._close_part()
         with self._guard():
-            final = self._metadata(rosbag2.STATE_CLOSED)
-            # `ros2 bag reindex` restores metadata.yaml from this record.
-            self._writer.add_metadata('rosbag2', {'serialized_metadata': final.inner_text()})
-            self._writer.finish()
-            self._sink.close()
-            final.write(self.path)
+            self._metadata(rosbag2.STATE_CLOSED).write(self.path)
 
-    def _metadata(self, state: str) -> Metadata:
+    def _close_part(self) -> None:
+        part = self._part
+        with self._guard():
+            final = self._metadata(rosbag2.STATE_CLOSED, [part])
+            # `ros2 bag reindex` restores metadata.yaml from this record.
+            part.mcap.add_metadata('rosbag2', {'serialized_metadata': final.inner_text()})
+            part.mcap.finish()
+            part.sink.close()
+        if part.index is not None:
+            part.index.close()
+        self._closed.append(part.closed())
+        self._closed_size += self._closed[-1].size
+
+    def _metadata(
+        self, state: str, parts: Sequence[_OpenPart | ClosedPart] | None = None
+    ) -> Metadata:
+        """Return what `metadata.yaml` says, of all parts or of some."""
+        if parts is None:
+            parts = [*self._closed, *(() if self._part.sink.closed else (self._part,))]
+        filled = [part for part in parts if part.counts]
+        counts: Counter[str] = Counter()
+        for part in filled:
+            counts.update(part.counts)
         return Metadata(
             storage='mcap',
-            files=[self.file.name],
-            start=self._start,
-            stop=self._stop,
-            topics=[info for _, info in self._topics.values()],
+            parts=[
+                Part(part.path.name, part.start, part.stop, part.counts.total()) for part in parts
+            ],
+            start=min((part.start for part in filled), default=0),
+            stop=max((part.stop for part in filled), default=0),
+            topics=[
+                replace(announced.info, message_count=counts[name])
+                for name, announced in self._topics.items()
+            ],
             custom={
                 rosbag2.MESSAGE_SET_KEY: str(self._message_set),
                 rosbag2.STATE_KEY: state,
@@ -362,7 +606,7 @@ class BagWriter:
     def _check_open(self) -> None:
         if self._failure:
             raise BagWriteError(self._failure)
-        if self._sink.closed:
+        if self._part.sink.closed:
             raise BagWriteError(f'{self.path}: expected an open bag but it was closed')
 
     @contextmanager
@@ -374,7 +618,7 @@ class BagWriter:
             raise self._fail(error) from error
 
     def _fail(self, error: OSError) -> BagWriteError:
-        self._sink.keep_whole_records()
+        self._part.sink.keep_whole_records()
         self._failure = (
             f'{os_sentence(error, self.file)}; what was recorded before stays readable after '
             '`fuzzycnc info --repair`; then start a new bag'
@@ -445,6 +689,8 @@ class Sink:
 
     def keep_whole_records(self) -> None:
         """Cut off a record that was written in part."""
+        if self._file.closed:
+            return
         with suppress(OSError):  # the cut is a courtesy: repair reads past a torn record as well
             self._file.truncate(self._whole)
 
@@ -484,7 +730,8 @@ class _SpilledIndex:
 
     def close(self) -> None:
         """Give the space back."""
-        self._file.close()
+        with suppress(OSError):  # a disk that is full takes no rest, which nobody reads any more
+            self._file.close()
 
 
 def _spill_index(writer: Any, folder: Path) -> _SpilledIndex | None:

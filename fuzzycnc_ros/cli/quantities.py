@@ -36,6 +36,11 @@ TIMES: Mapping[str, float] = MappingProxyType(
 )
 """What a time is where a plain number means seconds [s]."""
 
+SIZES: Mapping[str, float] = MappingProxyType(
+    {'B': 1.0, 'kB': 1e3, 'MB': 1e6, 'GB': 1e9, 'TB': 1e12}
+)
+"""What a size of 1 is, by unit [bytes]."""
+
 FORCES: Mapping[str, float] = MappingProxyType({'N': 1.0, 'kN': 1e3})
 """What a force of 1 is, by unit [N]."""
 
@@ -202,7 +207,7 @@ def _listed(units: Mapping[str, float]) -> str:
 
 _UNITS = frozenset(
     name.lower()
-    for units in (*(units for _, units in DECLARED.values()), FORCES, _OTHER_NAMES)
+    for units in (*(units for _, units in DECLARED.values()), FORCES, SIZES, _OTHER_NAMES)
     for name in units
 )
 _NUMBER = re.compile(r'(?:-{0,2}[\w.-]+=)?[-+]?[\d.]+(?:e[-+]?\d+)?(?:x[\d.]+)?', re.IGNORECASE)

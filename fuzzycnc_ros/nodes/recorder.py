@@ -21,11 +21,18 @@ from fuzzycnc_ros.bags.errors import BagError, BagWriteError
 from fuzzycnc_ros.bags.holes import HoleCounter, not_explained
 from fuzzycnc_ros.bags.metadata import Qos
 from fuzzycnc_ros.bags.recorder import Progress, RecordingThread
+from fuzzycnc_ros.bags.shipping import Shipper
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros import run
-from fuzzycnc_ros.ros.bag_node import BagNode, bag_refused, closed_on_failure, pattern
+from fuzzycnc_ros.ros.bag_node import (
+    BagNode,
+    bag_refused,
+    check_keeping,
+    closed_on_failure,
+    pattern,
+)
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.run import tell_error
@@ -66,17 +73,29 @@ class RecorderNode(BagNode[RecorderConfig]):
         config = self._config
         if not config.output:
             raise ParameterError('parameter output: expected the directory of a new bag')
+        check_keeping(config)
         own = f'^({re.escape(node.get_namespace().rstrip("/"))}/|/clock$|/diagnostics$)'
         self._include = pattern('topics', config.topics or own)
         self._exclude = pattern('exclude', config.exclude)
         self._subscriptions: dict[str, Any] = {}
         self._skipped: dict[str, str] = {}
-        self._early: list[tuple[str, bytes, int]] = []
+        self._early: list[tuple[str, bytes, int, str | None]] = []
         self._newest = 0
         self._models: set[str] = set()
         self._holes: dict[str, HoleCounter] = {}
         with bag_refused():
-            self._thread = RecordingThread(BagWriter(config.output))
+            writer = BagWriter(
+                config.output,
+                split_size=config.split_size,
+                split_duration=config.split_duration,
+            )
+            self._thread = RecordingThread(
+                writer,
+                free_min=config.free_min,
+                budget=config.budget,
+                shipper=Shipper(config.ship, Path(config.output)) if config.ship else None,
+                facts=lambda: {'holes': self._found_holes()},
+            )
         with closed_on_failure(self._thread):
             self._connect(config)
 
@@ -118,12 +137,15 @@ class RecorderNode(BagNode[RecorderConfig]):
             holes = self._found_holes()
             progress = self._thread.close({'holes': holes})
         except BagError as error:
+            self._tell_notices()
             tell_error(error)
             self.exit_code = 1
         else:
+            self._tell_notices()
             print(
                 f'{visible(self._config.output)}: {progress.written} messages on '
                 f'{len(progress.topics)} topics, {progress.lost} lost'
+                + (f'; deleted: {progress.deleted}' if progress.deleted else '')
                 + ''.join(f', {hole["count"]} holes in {topic}' for topic, hole in holes.items()),
                 flush=True,
             )
@@ -179,9 +201,13 @@ class RecorderNode(BagNode[RecorderConfig]):
             self._holes[topic] = HoleCounter()
 
         def on_message(payload: bytes, info: Any) -> None:
-            self._take(topic, payload, info, stamped)
-            if configuration:
-                self._attach_model(payload)
+            if not configuration:
+                self._take(topic, payload, info, stamped)
+                return
+            message = deserialize_message(payload, message_class(NodeConfiguration.TYPE))
+            # All nodes share this topic: each has a newest configuration.
+            self._take(topic, payload, info, stamped, message.node)
+            self._attach_model(message)
 
         self._subscriptions[topic] = create_subscription(
             self.node, types[0], topic, on_message, profile, raw=True
@@ -191,7 +217,9 @@ class RecorderNode(BagNode[RecorderConfig]):
         self._skipped[topic] = reason
         self.node.get_logger().warning(f'{topic} is not recorded: {reason}')
 
-    def _take(self, topic: str, payload: bytes, info: Any, stamped: bool) -> None:
+    def _take(
+        self, topic: str, payload: bytes, info: Any, stamped: bool, sender: str | None = None
+    ) -> None:
         sequence = info['publication_sequence_number']
         if not self._config.lockstep:
             self._newest = int(self.node.get_clock().now().nanoseconds)
@@ -201,10 +229,10 @@ class RecorderNode(BagNode[RecorderConfig]):
             self._holes[topic].update(_leading_stamp(payload))
         if self._newest == 0:
             # Before the first tick, or the first /clock, there is no time to log by.
-            self._early.append((topic, payload, sequence))
+            self._early.append((topic, payload, sequence, sender))
         else:
             self._release(self._newest)
-            self._thread.put(topic, payload, self._newest, self._newest, sequence)
+            self._thread.put(topic, payload, self._newest, self._newest, sequence, sender)
         if self.turns is not None:
             self.turns.received(topic, sequence)
 
@@ -214,7 +242,7 @@ class RecorderNode(BagNode[RecorderConfig]):
         In lock-step there are none.  Where machine time itself jumps nothing is lost.
         """
         found = {}
-        for topic, counter in self._holes.items():
+        for topic, counter in tuple(self._holes.items()):  # they come in another thread
             state = self._holes.get(f'{topic.rpartition("/")[0]}/{_STATE}')
             jumps = [] if state is None or state is counter else state.holes
             holes = not_explained(counter.holes, jumps)
@@ -228,13 +256,12 @@ class RecorderNode(BagNode[RecorderConfig]):
         return found
 
     def _release(self, stamp: int) -> None:
-        for topic, payload, sequence in self._early:
-            self._thread.put(topic, payload, stamp, stamp, sequence)
+        for topic, payload, sequence, sender in self._early:
+            self._thread.put(topic, payload, stamp, stamp, sequence, sender)
         self._early.clear()
 
-    def _attach_model(self, payload: bytes) -> None:
+    def _attach_model(self, message: Any) -> None:
         """Keep each model that a node runs with beside the messages."""
-        message = deserialize_message(payload, message_class(NodeConfiguration.TYPE))
         if not message.model or message.model_hash in self._models:
             return
         self._models.add(message.model_hash)
@@ -263,19 +290,36 @@ class RecorderNode(BagNode[RecorderConfig]):
     def _report(self) -> None:
         progress = self._thread.progress()
         self._publish_progress(progress, self._newest or self.node.get_clock().now().nanoseconds)
+        self._tell_notices()
         values = {
             'bag': Path(self._config.output).name,
             'received': str(progress.received),
             'written': str(progress.written),
             'lost': str(progress.lost),
+            'parts': str(progress.parts),
         }
         level = Level.WARN if progress.lost else Level.OK
         text = f'{progress.written} messages on {len(progress.topics)} topics'
         if progress.lost:
             text += f', {progress.lost} lost'
         health = [Health('bag', level, text, values)]
+        if progress.paused:
+            health.append(Health('disk', Level.ERROR, progress.paused))
+        if progress.waiting:
+            health.append(Health('ship', Level.WARN, progress.waiting))
+        if progress.deleted:
+            health.append(Health('budget', Level.OK, f'deleted: {progress.deleted}'))
         health += [Health(topic, Level.WARN, text) for topic, text in self._skipped.items()]
         self._publish_health(health)
+
+    def _tell_notices(self) -> None:
+        """Log what happened to the bag."""
+        logger = self.node.get_logger()
+        for urgent, text in self._thread.notices():
+            if urgent:
+                logger.error(text)
+            else:
+                logger.info(text)
 
 
 def _leading_stamp(payload: bytes) -> int:

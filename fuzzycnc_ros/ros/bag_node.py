@@ -11,10 +11,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from fuzzycnc_ros.bags.errors import BagError
+from fuzzycnc_ros.bags.shipping import file_system
 from fuzzycnc_ros.ros.health import diagnostic_array
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
 from fuzzycnc_ros.runtime.component import Health
-from fuzzycnc_ros.runtime.host import ExecutorConfig
+from fuzzycnc_ros.runtime.host import ExecutorConfig, RecorderConfig
 
 C = TypeVar('C', bound=ExecutorConfig)
 
@@ -75,6 +76,24 @@ def bag_refused() -> Iterator[None]:
         yield
     except BagError as error:
         raise ParameterError(str(error)) from error
+
+
+def check_keeping(config: RecorderConfig) -> None:
+    """Refuse what a recorder cannot do with the parts of its bag, before there is one.
+
+    Raises
+    ------
+    ParameterError
+        If there is a budget but nothing splits the bag, or nothing can be shipped to `ship`.
+    """
+    if config.budget and not (config.split_size or config.split_duration):
+        raise ParameterError(
+            'parameter budget: expected split_size or split_duration, too: only parts that are '
+            'closed can be deleted'
+        )
+    if config.ship:
+        with bag_refused():
+            file_system(config.ship)
 
 
 @contextmanager

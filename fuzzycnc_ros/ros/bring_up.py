@@ -67,6 +67,7 @@ def node_specs(
     state_directory: Path | None = None,
     feedrate: bool = False,
     machine_parameters: dict[str, Any] | None = None,
+    recorder_parameters: Mapping[str, Any] | None = None,
 ) -> list[NodeSpec]:
     """Return the nodes of a graph in the order of their turns, the simulated machine last.
 
@@ -92,6 +93,8 @@ def node_specs(
         Whether the feedrate scheduler takes part.
     machine_parameters : dict, optional
         Further parameters of the simulated machine.
+    recorder_parameters : mapping, optional
+        Further parameters of the recorder.
 
     Raises
     ------
@@ -129,7 +132,9 @@ def node_specs(
         specs.append(NodeSpec(name, parameters))
     served = [spec.name for spec in specs]
     if record is not None:
-        specs.append(NodeSpec('recorder', dict(common, output=str(record))))
+        specs.append(
+            NodeSpec('recorder', dict(common, output=str(record), **(recorder_parameters or {})))
+        )
     elif 'recorder' in wanted:
         raise GraphError('nodes: recorder needs a bag to write; name it with --record')
     if BODY in wanted:

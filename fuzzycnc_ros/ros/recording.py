@@ -4,11 +4,14 @@
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 
 def recorder_command(
-    out: Path, machine: str, *, topics: str = '', lockstep: bool = False
+    out: Path, machine: str, parameters: Mapping[str, Any] = MappingProxyType({})
 ) -> list[str]:
     """Return the command of a recorder.
 
@@ -18,15 +21,12 @@ def recorder_command(
         Directory of the new bag.
     machine : str
         Namespace of its topics; empty for none.
-    topics : str
-        Regular expression of the topics; empty for all of the machine.
-    lockstep : bool
-        Whether it takes turns.
+    parameters : mapping
+        Further parameters of the node.
     """
-    parameters = {'output': str(out), 'topics': topics, 'lockstep': lockstep}
     command = [sys.executable, '-m', 'fuzzycnc_ros.nodes.recorder']
     command += ['--ros-args', '-r', f'__ns:=/{machine}']
-    for name, value in parameters.items():
+    for name, value in {'output': str(out), **parameters}.items():
         # JSON is YAML: a bag named 2024 stays a text.
         command += ['-p', f'{name}:={json.dumps(value)}']
     return command

@@ -142,6 +142,34 @@ class RecorderConfig(ExecutorConfig):
     lockstep: bool = param(
         False, '-', 'Take turns in a lock-step run, and log by message stamp instead of wall time'
     )
+    split_size: int = param(
+        0, 'B', 'Size after which a part of the bag is full; 0 for never', low=0, high=2**50
+    )
+    split_duration: float = param(
+        0.0, 's', 'Log time after which a part of the bag is full; 0 for never', low=0.0, high=1e9
+    )
+    budget: int = param(
+        0,
+        'B',
+        'Size of the bag beyond which its oldest parts are deleted, with ship only those that '
+        'have arrived; 0 for never',
+        low=0,
+        high=2**50,
+    )
+    free_min: int = param(
+        200_000_000,
+        'B',
+        'Free space on the disk below which nothing is written until there is more; 0 to write '
+        'as long as it goes',
+        low=0,
+        high=2**50,
+    )
+    ship: str = param(
+        '',
+        '-',
+        'Folder or URL of fsspec, such as s3://bucket/mill, that closed parts are copied to; no '
+        'password in it',
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

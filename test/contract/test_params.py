@@ -17,6 +17,7 @@ NODES = TABLES['nodes']()
 RECORDS = sorted({r for node in NODES for r in node.records}, key=lambda r: r.__name__)
 PARAMETERS = [(record, item) for record in RECORDS for item in fields(record)]
 SI_UNITS = {
+    'B',
     '-',
     'm',
     'm/s',

@@ -76,7 +76,7 @@ def test_recorder_whose_disk_is_full_at_the_end(domain, root, tmp_path):
         _, said = process.communicate(timeout=HANG)
     assert process.returncode == 1, said
     assert said.startswith('error: ')
-    assert 'cannot be written any further' in said
+    assert 'the file would be larger than allowed' in said
 
 
 def test_full_disk_ends_a_recording(command, observer, graph, tmp_path):
@@ -87,7 +87,7 @@ def test_full_disk_ends_a_recording(command, observer, graph, tmp_path):
     fill_disk(recorder_of(running), ROOM)
     assert running.wait() == 1, running.output
     (line,) = errors(running)
-    assert 'cannot be written any further: File too large' in line
+    assert 'the file would be larger than allowed' in line
 
 
 def test_full_disk_is_no_success_of_a_supervised_run(command, observer, tmp_path):
@@ -98,7 +98,7 @@ def test_full_disk_is_no_success_of_a_supervised_run(command, observer, tmp_path
     wait_for(lambda: 'mill/recorder ended with code 1' in running.output, 'the disk is full')
     assert running.interrupt(signal.SIGTERM) == 1, running.output
     (line,) = errors(running)
-    assert 'cannot be written any further: File too large' in line
+    assert 'the file would be larger than allowed' in line
     outcome = json.loads((tmp_path / 'outcome.json').read_text())
     assert outcome['exit_code'] == 1
     assert [f'error: {text}' for text in outcome['lacking']] == [line]

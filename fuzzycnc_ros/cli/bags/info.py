@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
-from fuzzycnc_ros.cli.bags.recording_loss import holes, lost_messages
+from fuzzycnc_ros.cli.bags.recording_loss import gaps, holes, lost_messages
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     Tell,
@@ -87,12 +87,16 @@ def _count(reader: 'BagReader', tell: Tell) -> Counter[str]:
 
 def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
     """Print what is in a bag and return it as a document."""
+    from fuzzycnc_ros.bags.metadata import is_latched
     from fuzzycnc_ros.studies.page.table import Column, Table
 
     duration = 1e-9 * (reader.stop - reader.start)
     say(f'{reader.path}: {read.total()} messages in {duration:.3f} s')
     say(f'log time {1e-9 * reader.start:.3f} s to {1e-9 * reader.stop:.3f} s')
     say(f'message set {reader.message_set}')
+    beginning = _beginning(reader)
+    if beginning:
+        say(beginning)
     columns = (
         Column('Topic', numeric=False),
         Column('messages'),
@@ -106,7 +110,7 @@ def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
             str(read[topic]),
             str(item.message_count),
             item.type.removeprefix(OWN_TYPES),
-            'latched' if _latched(item.profiles) else 'stream',
+            'latched' if is_latched(item.profiles) else 'stream',
         )
         for topic, item in sorted(reader.connections.items())
     )
@@ -116,10 +120,13 @@ def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
     for name, item in attachments.items():
         say(f'attachment {name}: {len(item.data):,} bytes, {item.media_type}')
     lost, holed = lost_messages(attachments), holes(attachments)
+    unwritten = gaps(attachments)
     for topic, count in lost.items():
         say(f'lost while recording: {count} messages of {topic}')
     for topic, text in holed.items():
         say(f'holes while recording: {topic} has {text}')
+    for text in unwritten:
+        say(f'not written while recording: {text}')
     for problem in reader.problems:
         say(f'problem: {problem}')
     return {
@@ -135,13 +142,27 @@ def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
         'attachments': {name: len(item.data) for name, item in attachments.items()},
         'lost_while_recording': lost,
         'holes_while_recording': holed,
+        'not_written_while_recording': unwritten,
+        'parts': len(reader.files),
+        'missing_parts': reader.missing_parts,
         'problems': reader.problems,
     }
 
 
-def _latched(profiles: list[dict[str, Any]]) -> bool:
-    return bool(profiles) and all(
-        item.get('durability') in ('transient_local', 1) for item in profiles
+def _beginning(reader: 'BagReader') -> str:
+    """Return in words what of the recording's beginning is not there; empty if it all is."""
+    from fuzzycnc_ros.bags.metadata import DELETED_MESSAGES_KEY, DELETED_UNTIL_KEY
+
+    parts = reader.missing_parts
+    if not parts:
+        return ''
+    deleted = reader.metadata.custom if reader.metadata else {}
+    if DELETED_UNTIL_KEY not in deleted:
+        return f'the beginning is missing: {parts} parts of the recording come before'
+    until = 1e-9 * int(deleted[DELETED_UNTIL_KEY])
+    return (
+        f'the beginning is missing: {parts} parts, {deleted.get(DELETED_MESSAGES_KEY)} messages '
+        f'up to {until:.3f} s, were deleted to stay within the budget'
     )
 
 

@@ -11,6 +11,14 @@ from typing import Annotated, Any
 
 import typer
 
+from fuzzycnc_ros.cli.bags.keeping import (
+    Budget,
+    FreeMin,
+    Ship,
+    SplitDuration,
+    SplitSize,
+    keeping_parameters,
+)
 from fuzzycnc_ros.cli.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.console import (
     JsonFile,
@@ -57,6 +65,11 @@ def record(
             read=number_in(TIMES, 'a time'),
         ),
     ] = None,
+    split_size: SplitSize = None,
+    split_duration: SplitDuration = None,
+    budget: Budget = None,
+    free_min: FreeMin = None,
+    ship: Ship = None,
     json_file: JsonFile = None,
 ) -> None:
     """Record the topics of a live machine, undecoded, until Ctrl-C.
@@ -68,16 +81,20 @@ def record(
 
         fuzzycnc record --machine mill_1 --out monday
         fuzzycnc record --out axes --topics '/(joint_states|tf)$' --duration 60s
+
+    For years: a part each hour, the newest 50 GB here, all of them on another disk:
+
+        fuzzycnc record --out mill --split-duration 1h --budget 50GB --ship /mnt/archive
     """
     check_at_least('--duration', duration, 0.0)
     machine = machine_name(machine) if machine.strip('/') else ''
+    keeping = keeping_parameters(split_size, split_duration, budget, free_min, ship)
     check_new(out)
     check_folder(json_file)
     check_ros('recording')
     prepare_environment()
-    code = _run_recorder(
-        recorder_command(out, machine, topics=topics, lockstep=lockstep), out, duration
-    )
+    parameters = {'topics': topics, 'lockstep': lockstep, **keeping}
+    code = _run_recorder(recorder_command(out, machine, parameters), out, duration)
     if code == 0 and json_file is not None:
         write_json(json_file, _figures(out))
     if code == 0:

@@ -47,6 +47,24 @@ def holes(attachments: 'Mapping[str, Attachment]') -> dict[str, str]:
         raise _odd(error) from error
 
 
+def gaps(attachments: 'Mapping[str, Attachment]') -> list[str]:
+    """Return in words when messages came that were not written, and why.
+
+    Raises
+    ------
+    ValueError
+        If the attachment is not what a recorder writes.
+    """
+    try:
+        return [
+            f'{int(gap["messages"])} messages from {gap["from_s"]:.9g} to {gap["to_s"]:.9g} s, '
+            f'since {gap["cause"]}'
+            for gap in _said(attachments, 'gaps')
+        ]
+    except (LookupError, TypeError, ValueError) as error:
+        raise _odd(error) from error
+
+
 def hole_text(count: int, longest: float, at: float) -> str:
     """Return in words how many holes there are, and the longest [s]."""
     number = '1 hole' if count == 1 else f'{count} holes, the longest'
@@ -61,26 +79,34 @@ def loss(bag: Path) -> str:
     BagError
         If the bag cannot be read.
     """
+    from fuzzycnc_ros.bags.metadata import storage_files
     from fuzzycnc_ros.bags.reader import BagReader
 
-    with BagReader(bag) as reader:
+    # The newest part speaks for those before it, which may be a year's.
+    newest = storage_files(bag)[-1:]
+    with BagReader(*newest or [bag]) as reader:
         attachments = reader.attachments()
     lost = lost_messages(attachments)
     parts = [f'{count} messages of {topic} are lost' for topic, count in lost.items()]
     parts += [f'{topic} has {text}' for topic, text in holes(attachments).items()]
     if not parts:
         return ''
+    unwritten = gaps(attachments)
+    if unwritten:
+        return f'{bag}: {"; ".join(parts)}: not written were {"; ".join(unwritten)}'
     return f'{bag}: {"; ".join(parts)}: the computer was too busy, or a node was away'
 
 
-def _said(attachments: 'Mapping[str, Attachment]', part: str) -> Mapping[str, Any]:
+def _said(attachments: 'Mapping[str, Attachment]', part: str) -> Any:
     from fuzzycnc_ros.bags.recorder import REPORT_NAME
 
     if REPORT_NAME not in attachments:
         return {}
     try:
-        # Recordings of earlier versions say nothing of holes.
+        # Recordings of earlier versions say nothing of holes and gaps.
         said = json.loads(attachments[REPORT_NAME].data)
+        if part == 'gaps':
+            return list(said.get(part, []))
         return dict(said['topics'] if part == 'topics' else said.get(part, {}))
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         raise _odd(error) from error

@@ -18,6 +18,7 @@ from fuzzycnc_ros.cli.console import check_new
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.arguments import understood
+from fuzzycnc_ros.ros.bag_node import check_keeping
 from fuzzycnc_ros.ros.bring_up import GraphError, NodeSpec
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
 from fuzzycnc_ros.ros.processes import RANGE, prepare_environment
@@ -112,6 +113,7 @@ def _check(name: str, arguments: list[str], context: rclpy.Context) -> None:
     try:
         if name == 'recorder':
             (recorder,) = declare(node, RecorderConfig)
+            check_keeping(recorder)
             check_new(Path(recorder.output))
             return
         host, config = declare(node, HostConfig, COMPONENTS[name].CONFIG)

@@ -10,6 +10,14 @@ from typing import Annotated, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.bags.keeping import (
+    Budget,
+    FreeMin,
+    Ship,
+    SplitDuration,
+    SplitSize,
+    keeping_parameters,
+)
 from fuzzycnc_ros.cli.completion import node_names, some_of
 from fuzzycnc_ros.cli.console import check_folder, check_ros, words, write_json
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
@@ -69,6 +77,11 @@ def up(
             '<bag>_<machine>.'
         ),
     ] = None,
+    split_size: SplitSize = None,
+    split_duration: SplitDuration = None,
+    budget: Budget = None,
+    free_min: FreeMin = None,
+    ship: Ship = None,
     params: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(help='Folder with parameter files <node>.yaml.'),
@@ -158,6 +171,12 @@ def up(
     chosen = words([nodes]) or THERMAL
     if lockstep and not duties and MACHINE not in chosen:
         raise GraphError('--lockstep needs a simulated machine; add --simulate T2')
+    keeping = keeping_parameters(split_size, split_duration, budget, free_min, ship)
+    if keeping and record is None:
+        raise GraphError(
+            'expected --record, too: --split-size, --split-duration, --budget, --free-min and '
+            '--ship say how its bag is kept'
+        )
     machines = tuple(dict.fromkeys(machine_name(name) for name in words([machine])))
     if not machines:
         raise GraphError('--machine: expected a name but found none')
@@ -198,6 +217,7 @@ def up(
                 state_directory=state_directory or graph.folder / 'state',
                 feedrate=feedrate,
                 machine_parameters={'rate': rate} if duties else None,
+                recorder_parameters=keeping,
             )
             plans.append([tuple(specs)] if compose else [(spec,) for spec in specs])
         check_parameters(graphs, plans)

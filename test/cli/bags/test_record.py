@@ -12,12 +12,13 @@ from processes import HANG, start, wait_for
 
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.cli import console
-from fuzzycnc_ros.cli.bags import record as module
+from fuzzycnc_ros.ros.recording import recorder_command
 
 
 def test_arguments_keep_names_that_look_like_numbers(tmp_path):
-    arguments = module._arguments(tmp_path / '2024', 'mill_1', '/(a|b)$', True)
-    assert arguments[:3] == ['--ros-args', '-r', '__ns:=/mill_1']
+    parameters = {'topics': '/(a|b)$', 'lockstep': True}
+    arguments = recorder_command(tmp_path / '2024', 'mill_1', parameters)
+    assert arguments[3:6] == ['--ros-args', '-r', '__ns:=/mill_1']
     assert f'output:="{tmp_path / "2024"}"' in arguments
     assert 'topics:="/(a|b)$"' in arguments
     assert 'lockstep:=true' in arguments

@@ -1,0 +1,88 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder node and its commands with parts, a budget, a disk without room and shipping."""
+
+import json
+import sys
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+
+from fuzzycnc_ros.bags.canonical import topic_hashes
+from fuzzycnc_ros.bags.metadata import storage_files
+from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.bags.replay import replay
+
+pytestmark = pytest.mark.ros
+
+NODES = 'temperature_acquisition'
+
+
+@pytest.fixture
+def fuzzycnc(graph, tmp_path):
+    """Start a command in the domain of the test: `fuzzycnc('record', '--out', bag)`."""
+
+    def begin(*words):
+        folder = tmp_path / words[0]
+        folder.mkdir()
+        line = [sys.executable, '-m', 'fuzzycnc_ros.cli.main', *map(str, words)]
+        return graph.launch(words[0], line, folder)
+
+    return begin
+
+
+def test_run_in_parts(fuzzycnc, tmp_path):
+    """A lock-step run, an hour of machine time in each part, shipped; replayed as one bag."""
+    bag, archive = tmp_path / 'bag', tmp_path / 'archive'
+    running = fuzzycnc(
+        *('up', '--simulate', 'T2', '--lockstep', '--nodes', NODES, '--record', bag),
+        *('--split-duration', '1h', '--ship', archive, '--json', tmp_path / 'outcome.json'),
+    )
+    assert running.wait() == 0, running.output
+    parts = storage_files(bag)
+    assert len(parts) > 2
+    assert json.loads((tmp_path / 'outcome.json').read_text())['lacking'] == []
+    shipped = json.loads((bag / 'shipped.json').read_text())
+    assert [entry['part'] for entry in shipped] == [part.name for part in parts]
+    assert topic_hashes(archive / 'bag') == topic_hashes(bag)
+    assert replay(bag).identical
+    for part in parts:  # each begins with the node's configuration
+        with BagReader(part) as reader:
+            first = next(iter(reader.messages(['/mill/node_configuration'])))
+            assert first.message.node == NODES
+
+
+def test_disk_without_room(graph, observer, tmp_path):
+    """No disk has so much room: nothing is written, which is an alarm and no success."""
+    alarms = []
+    observer.node.create_subscription(DiagnosticArray, '/diagnostics', alarms.append, 10)
+    bag = tmp_path / 'bag'
+    recorder = graph.start('recorder', {'output': str(bag), 'free_min': 2**50})
+
+    def alarmed():
+        found = [status for message in alarms for status in message.status]
+        return [s.message for s in found if s.level == b'\x02' and 'waits' in s.message]
+
+    observer.until(alarmed, 'the alarm')
+    assert 'make room, it then goes on by itself' in alarmed()[0]
+    graph.stop()
+    assert 'less than free_min' in recorder.output
+    with BagReader(bag) as reader:
+        assert reader.message_count == 0
+
+
+def test_budget_without_parts_is_refused(fuzzycnc, tmp_path):
+    running = fuzzycnc('record', '--out', tmp_path / 'bag', '--budget', '100MB')
+    assert running.wait() != 0
+    assert 'expected --split-size or --split-duration, too' in running.output
+    assert not (tmp_path / 'bag').exists()
+
+
+def test_secret_in_the_place_is_refused(graph, tmp_path):
+    recorder = graph.start(
+        'recorder', {'output': str(tmp_path / 'bag'), 'ship': 'sftp://mill:s3same@host/a'}
+    )
+    assert recorder.wait() != 0
+    assert 'expected a URL without a password' in recorder.output
+    assert 's3same' not in recorder.output
+    assert not (tmp_path / 'bag').exists()
