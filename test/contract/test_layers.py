@@ -104,6 +104,7 @@ LOADED_ON_USE = {
     'pymodbus',
     'rich',
     'rosbags',
+    'serial',
     'sklearn',
     'typer',
     'yaml',
@@ -265,7 +266,7 @@ for name in sys.argv[1:]:
     importlib.import_module('fuzzycnc_ros.nodes.' + name)
 on_use = (
     'asyncua', 'jinja2', 'matplotlib', 'mcap', 'pydantic', 'pymodbus', 'rich', 'rosbags',
-    'sklearn', 'typer',
+    'serial', 'sklearn', 'typer',
 )
 print(*[name for name in on_use if name in sys.modules])
 """

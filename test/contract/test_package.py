@@ -56,12 +56,18 @@ KEY_OF_MODULE = {
     'numpy': 'python3-numpy',
     'rich': 'python3-rich',
     'scipy': 'python3-scipy',
+    'serial': 'python3-serial',
     'sklearn': 'python3-sklearn',
     'threadpoolctl': 'python3-sklearn',  # which depends on it
     'typer': 'python3-typer',
     'yaml': 'python3-yaml',
 }
-DISTRIBUTION_OF_MODULE = {'pydantic_core': 'pydantic', 'sklearn': 'scikit-learn', 'yaml': 'pyyaml'}
+DISTRIBUTION_OF_MODULE = {
+    'pydantic_core': 'pydantic',
+    'serial': 'pyserial',
+    'sklearn': 'scikit-learn',
+    'yaml': 'pyyaml',
+}
 # The documented pip extras `bags`, `modbus` and `opcua`
 WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard', 'pymodbus', 'asyncua', 'pydantic'}
 OPTIONAL = {'pandas'}  # imported by one function of the Python doors alone
