@@ -58,9 +58,10 @@ class Cable:
     ----------
     fault : str
         `` none; `unplugged` the adapter is pulled out and its file gone; `held` it is plugged in
-        anew and another program has its port; `silent` nothing comes back; `garbled` answers come as with another baud rate or parity; `noise` bytes come all
-        the time; `late` an answer comes with the next request only; `master` another master asks
-        too, and everybody hears it and its answers.
+        anew and another program has its port; `silent` nothing comes back; `garbled` answers come
+        as with another baud rate or parity; `noise` bytes come all the time; `late` an answer
+        comes with the next request only; `master` another master asks too, and everybody hears it
+        and its answers.
     """
 
     def __init__(self, port: Path, words: dict[int, int], units: tuple[int, ...] = (1,)) -> None:
