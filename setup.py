@@ -12,6 +12,7 @@ nodes = [
     'deformation_compensator',
     'feedrate_scheduler',
     'linuxcnc_bridge',
+    'mqtt_publisher',
     'opcua_bridge',
     'player',
     'recorder',
@@ -30,6 +31,7 @@ tables = ['pandas']
 docs = ['furo', 'myst-nb', 'sphinx', 'textstat<0.7.5']
 device_files = ['pydantic>=2.7', 'pyyaml']
 modbus = ['pymodbus>=3.10', 'pyserial', *device_files]
+mqtt = ['paho-mqtt>=2.1', *device_files]
 opcua = ['asyncua>=1.1.5', 'cryptography', *device_files]
 page = ['jinja2', 'starlette', 'uvicorn', 'websockets']
 executables = ['fuzzycnc', *nodes]
@@ -77,17 +79,19 @@ setup(
         'docs': docs,
         'ml': ml,
         'modbus': modbus,
+        'mqtt': mqtt,
         'opcua': opcua,
         'page': page,
         'report': report,
         'tables': tables,
-        'all': command_line + report + ml + tables + modbus + opcua + page,
+        'all': command_line + report + ml + tables + modbus + mqtt + opcua + page,
         'test': [
             *command_line,
             *report,
             *ml,
             *tables,
             *modbus,
+            *mqtt,
             *opcua,
             *page,
             'httpx',

@@ -9,11 +9,13 @@ Names are relative to the machine, `~/` to the node, or absolute.
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from fuzzycnc_ros.components.report.machine_report import SOURCES
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.runtime.component import Component
 
 RECORDER, PLAYER, OPERATOR = 'recorder', 'player', 'operator'
-TOOLS = (RECORDER, PLAYER, OPERATOR)
+MQTT = 'mqtt_publisher'
+TOOLS = (RECORDER, PLAYER, OPERATOR, MQTT)
 """Nodes without a component; `operator` is that of `fuzzycnc operate`."""
 PRETENDERS = ('simulated_machine', 'simulated_body', PLAYER)
 """What plays a machine: of no use beside a real one, and trusted with its topics."""
@@ -105,6 +107,12 @@ def access_of(node: str) -> Access:
             reply=PARAMETERS,
             request=_offered(),
             call=tuple(name for names in ACTIONS.values() for name in names),
+        )
+    if node == MQTT:
+        return Access(
+            publish=('/diagnostics', *own),
+            subscribe=(*SOURCES, '/clock', '/diagnostics'),
+            reply=PARAMETERS,
         )
     raise ValueError(
         f'expected a node among {", ".join((*COMPONENTS, *TOOLS))} but found {node!r}'

@@ -209,3 +209,12 @@ class PlayerConfig(ExecutorConfig):
         low=0.05,
         high=60.0,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MqttPublisherConfig(ExecutorConfig):
+    """Parameters of `mqtt_publisher`."""
+
+    broker_file: str = param(
+        '', '-', 'File that says where the broker is and how the way to it is secured; required'
+    )

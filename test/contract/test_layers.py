@@ -100,6 +100,7 @@ LOADED_ON_USE = {
     'jinja2',
     'matplotlib',
     'mcap',
+    'paho',
     'pandas',
     'pymodbus',
     'rich',
@@ -265,7 +266,7 @@ import importlib, sys
 for name in sys.argv[1:]:
     importlib.import_module('fuzzycnc_ros.nodes.' + name)
 on_use = (
-    'asyncua', 'jinja2', 'matplotlib', 'mcap', 'pydantic', 'pymodbus', 'rich', 'rosbags',
+    'asyncua', 'jinja2', 'matplotlib', 'mcap', 'paho', 'pydantic', 'pymodbus', 'rich', 'rosbags',
     'serial', 'sklearn', 'typer',
 )
 print(*[name for name in on_use if name in sys.modules])

@@ -38,6 +38,7 @@ ROSDEP_KEYS = {
     'std_msgs',
     'std_srvs',
     'python3-cryptography',
+    'python3-serial',
     'python3-hypothesis',
     'python3-jinja2',
     'python3-matplotlib',
@@ -64,12 +65,13 @@ KEY_OF_MODULE = {
 }
 DISTRIBUTION_OF_MODULE = {
     'pydantic_core': 'pydantic',
+    'paho': 'paho-mqtt',
     'serial': 'pyserial',
     'sklearn': 'scikit-learn',
     'yaml': 'pyyaml',
 }
 # The documented pip extras `bags`, `modbus` and `opcua`
-WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard', 'pymodbus', 'asyncua', 'pydantic'}
+WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard', 'pymodbus', 'asyncua', 'pydantic', 'paho'}
 OPTIONAL = {'pandas'}  # imported by one function of the Python doors alone
 
 

@@ -16,11 +16,11 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.runtime.host import HostConfig, PlayerConfig, RecorderConfig
+from fuzzycnc_ros.runtime.host import HostConfig, MqttPublisherConfig, PlayerConfig, RecorderConfig
 
 pytestmark = pytest.mark.ros
 
-NODES = [*COMPONENTS, 'recorder', 'player']
+NODES = [*COMPONENTS, 'recorder', 'player', 'mqtt_publisher']
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -29,6 +29,7 @@ def schema(node: str) -> list[Any]:
     records: dict[str, list[type[Config]]] = {
         'recorder': [RecorderConfig],
         'player': [PlayerConfig],
+        'mqtt_publisher': [MqttPublisherConfig],
     }
     kinds = records.get(node) or [HostConfig, COMPONENTS[node].CONFIG]
     return [item for kind in kinds for item in fields(kind)]
@@ -41,6 +42,9 @@ def needed(tmp_path: Path) -> Callable[[str], dict[str, Any]]:
     def find(node: str) -> dict[str, Any]:
         if node == 'recorder':
             return {'output': str(tmp_path / 'recorded')}
+        if node == 'mqtt_publisher':
+            (tmp_path / 'broker.yaml').write_text('host: 127.0.0.1\nport: 9\n')
+            return {'broker_file': str(tmp_path / 'broker.yaml')}
         if node != 'player':
             return {}
         bag = tmp_path / 'played'
@@ -147,6 +151,8 @@ REFUSED = [
     ('recorder', {}, 'output'),
     ('recorder', {'output': '/proc/none/bag'}, '/proc/none/bag'),
     ('recorder', {'output': 'bag', 'topics': '('}, 'topics'),
+    ('mqtt_publisher', {}, 'broker_file'),
+    ('mqtt_publisher', {'broker_file': '/none.yaml'}, '/none.yaml'),
     ('player', {}, 'bag'),
     ('player', {'bag': '/none'}, '/none'),
 ]
