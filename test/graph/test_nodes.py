@@ -116,9 +116,9 @@ def check_description(observer: Any, node: str) -> None:
 
 @pytest.mark.parametrize('node', NODES)
 def test_misspelt_parameter_is_refused(refusal, needed, node):
-    line = refusal(node, {**needed(node), 'lockstpe': True})
-    assert 'unknown parameter lockstpe' in line
-    assert 'lockstep' in line
+    line = refusal(node, {**needed(node), 'executer': 'lean'})
+    assert 'unknown parameter executer' in line
+    assert 'executor' in line
 
 
 REFUSED = [
