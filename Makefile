@@ -66,6 +66,10 @@ faults: setup ## The fault campaign with options, see ARGS=--help
 soak: setup ## The soak with options, see ARGS=--help
 	@$(ROS) '$(BIN)/python' test/qualification soak $(ARGS)
 
+.PHONY: bench
+bench: setup ## One table: speed beside libraries that do the same work; wants an idle computer
+	@$(ROS) '$(BIN)/python' benchmarks/performance.py
+
 .PHONY: lint
 lint: setup ## Style, format, spelling, types
 	@echo 'ruff check' && '$(BIN)/ruff' check --quiet .

@@ -31,6 +31,7 @@ from fuzzycnc_ros.ros.bring_up import (
     ADDED,
     BANNER,
     LAUNCH_ARGUMENTS,
+    TAKEOVER,
     TIME_SOURCES,
     GraphError,
     Launched,
@@ -38,9 +39,12 @@ from fuzzycnc_ros.ros.bring_up import (
     again,
     launched,
 )
+from fuzzycnc_ros.ros.presence import Presence
 from fuzzycnc_ros.ros.processes import REFUSED
 
 PACKAGE = 'fuzzycnc_ros'
+PRESENCE = Presence()
+"""Locks of the nodes of this launch, until its process ends."""
 
 
 class Process:
@@ -69,6 +73,7 @@ class Process:
             output='screen',
             parameters=[*map(str, self.item.files), dict(self.spec.parameters)],
             remappings=[tuple(rule.split(':=')) for rule in self.item.remap],
+            additional_env={TAKEOVER: '1'},  # this launch has looked who else is there
         )
         handlers = [OnProcessExit(target_action=node, on_exit=self._ended)]
         if self.managed:
@@ -118,6 +123,8 @@ def bring_up(context: LaunchContext) -> list:
     given = {name: LaunchConfiguration(name).perform(context) for name in LAUNCH_ARGUMENTS}
     share = Path(get_package_share_directory(PACKAGE))
     items = launched(given, share / 'params', Path(launch_config.log_dir))
+    if given['takeover'] != 'true':
+        PRESENCE.claim_graph([(item.machine, item.spec.name) for item in items])
     processes = [Process(item) for item in items]
     first = [item for item in processes if not item.resume and not _makes_time(item)]
     managed = [item for item in processes if item.resume]

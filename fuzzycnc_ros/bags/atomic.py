@@ -7,6 +7,8 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
+from fuzzycnc_ros.bags.os_errors import about
+
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file; after an error or a kill it is the old one or none.
@@ -16,15 +18,20 @@ def write_text(path: Path, text: str) -> None:
     OSError
         If it cannot be written.
     """
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
+    except OSError as error:
+        raise about(error, path) from None
     try:
         with os.fdopen(handle, 'w', encoding='utf-8') as file:
             file.write(text)
         os.chmod(name, 0o666 & ~_umask())
         os.replace(name, path)
-    except BaseException:
+    except BaseException as error:
         with suppress(FileNotFoundError):
             os.unlink(name)
+        if isinstance(error, OSError):
+            about(error, path)
         raise
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.errors import CsvError
+from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, SAMPLES_MIN
 
@@ -514,7 +515,7 @@ def _read_text(path: Path, encoding: str) -> str:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise CsvError(f'{path}: cannot be read: {error.strerror}') from error
+        raise CsvError(os_sentence(error, path)) from error
     if data.startswith(_WORKBOOKS):
         raise CsvError(
             f'{path}: expected a CSV file but found a workbook; save its sheet as CSV (UTF-8)'

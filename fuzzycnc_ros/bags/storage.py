@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fuzzycnc_ros.bags.errors import BagFormatError
+from fuzzycnc_ros.bags.os_errors import os_sentence
 
 TOPICS_MAX = 10_000
 """Most topics of a storage file; a shop of a hundred machines has fewer."""
@@ -122,7 +123,7 @@ def check_regular(path: Path) -> int:
     try:
         status = path.stat()
     except OSError as error:
-        raise BagFormatError(f'{path}: cannot be read: {error.strerror}') from error
+        raise BagFormatError(os_sentence(error, path)) from error
     if not stat.S_ISREG(status.st_mode):
         raise BagFormatError(f'{path}: expected a regular file')
     if status.st_size == 0:

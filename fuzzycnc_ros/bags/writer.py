@@ -22,6 +22,7 @@ from fuzzycnc_ros.bags.errors import (
 )
 from fuzzycnc_ros.bags.libraries import load
 from fuzzycnc_ros.bags.metadata import Metadata, Profiles, Qos, TopicInfo
+from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.bags.typestore import (
     message_definition,
     serialize,
@@ -375,9 +376,8 @@ class BagWriter:
     def _fail(self, error: OSError) -> BagWriteError:
         self._sink.keep_whole_records()
         self._failure = (
-            f'{self.file}: cannot be written any further: {error.strerror or error}; what was '
-            'recorded before stays readable after `fuzzycnc info --repair`; free some space and '
-            'start a new bag'
+            f'{os_sentence(error, self.file)}; what was recorded before stays readable after '
+            '`fuzzycnc info --repair`; then start a new bag'
         )
         return BagWriteError(self._failure)
 
@@ -398,7 +398,7 @@ def _make_folder(path: Path) -> Path:
             f'{path}: expected a new directory but it exists; choose another name or remove it'
         ) from error
     except OSError as error:
-        raise BagWriteError(f'{path}: cannot be made: {error.strerror}') from error
+        raise BagWriteError(os_sentence(error, path)) from error
     return path
 
 

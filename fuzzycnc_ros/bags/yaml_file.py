@@ -12,6 +12,8 @@ import stat
 from pathlib import Path
 from typing import Any
 
+from fuzzycnc_ros.bags.os_errors import os_sentence
+
 SIZE_MAX = 1_000_000
 """Largest file that is read [bytes]; parameter files of all nodes together take 30,000."""
 DEPTH_MAX = 50
@@ -47,7 +49,11 @@ def compose(path: Path, wanted: str) -> Any:
     try:
         status = path.stat()
     except OSError as error:
-        raise ValueError(f'{path}: expected {wanted} but nothing is there') from error
+        raise ValueError(
+            f'{path}: expected {wanted} but nothing is there'
+            if isinstance(error, FileNotFoundError)
+            else os_sentence(error, path)
+        ) from error
     if not stat.S_ISREG(status.st_mode) or status.st_size > SIZE_MAX:
         raise ValueError(f'{path}: expected {wanted}, a file of at most {SIZE_MAX} bytes')
     try:
@@ -63,7 +69,7 @@ def compose(path: Path, wanted: str) -> Any:
                 raise ValueError(f'{place}expected no references (*{event.anchor})')
         return yaml.compose(text, Loader=yaml.SafeLoader)
     except OSError as error:
-        raise ValueError(f'{path}: cannot be read: {error.strerror}') from error
+        raise ValueError(os_sentence(error, path)) from error
     except (yaml.YAMLError, ValueError) as error:
         raise ValueError(f'{path}: expected {wanted} (YAML) but: {error}') from error
 

@@ -3,6 +3,7 @@
 """A command line: its commands and groups of them, and what becomes of their errors."""
 
 import inspect
+import os
 import sys
 import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -12,20 +13,23 @@ from importlib import import_module
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from fuzzycnc_ros import __version__
+from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.cli.background_output import background_output
-from fuzzycnc_ros.cli.console import complain
+from fuzzycnc_ros.cli.completion import join_bash_words
+from fuzzycnc_ros.cli.console import complain, flush, say
+from fuzzycnc_ros.cli.quantities import with_their_units
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros.bring_up import GraphError
 from fuzzycnc_ros.ros.processes import interruptible
 
 EPILOG = (
-    'Exit codes: 0 done; 1 done, and something differs; 2 refused, with one line on standard '
-    'error; 130 interrupted, 143 if by SIGTERM, 129 if by SIGHUP. --debug, anywhere on the line, '
-    'shows the traceback of an error. Not a safety function: e-stop, limit switches and drive '
-    'limits stay in hardware.'
+    'Exit codes: 0 done; 1 done, but the result is not as wanted; 2 refused, with one line on '
+    'standard error; 130 ended by Ctrl-C, 143 by SIGTERM, 129 by SIGHUP. --debug, anywhere on the '
+    'line, shows the traceback of an error. Not a safety function: e-stop, limit switches and '
+    'drive limits stay in hardware.'
 )
 
 INTERRUPTED = 130
@@ -36,6 +40,10 @@ ENDED_BY = 128
 _Refusal: type[Exception] = next(
     kind for kind in reversed(typer.BadParameter.__mro__) if hasattr(kind, 'format_message')
 )
+
+
+class _PipeError(Exception):
+    """The reader of a pipe has gone; carries the error that says so."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +120,8 @@ class Application:
         class InOrder(TyperGroup):
             """Lists commands in their order, under headings, and loads one when it is used."""
 
+            _listing = False
+
             def list_commands(self, ctx: Any) -> list[str]:
                 """Return the names of the commands."""
                 return list(commands)
@@ -119,11 +129,28 @@ class Application:
             def get_command(self, ctx: Any, cmd_name: str) -> Any:
                 """Return a command, None if there is none of that name."""
                 command = commands.get(cmd_name)
+                if isinstance(command, Later) and self._listing:
+                    return TyperCommand(cmd_name, help=command.help)
                 if isinstance(command, Later) and cmd_name not in self.commands:
                     holder = typer.Typer(rich_markup_mode=None, context_settings=_SETTINGS)
                     _add(holder, {cmd_name: command.load()})
                     self.commands.update(typer.main.get_group(holder).commands)
                 return super().get_command(ctx, cmd_name)
+
+            def invoke(self, ctx: Any) -> Any:
+                """Run the command; typer would end a broken pipe without a word."""
+                try:
+                    return super().invoke(ctx)
+                except BrokenPipeError as error:
+                    raise _PipeError(error) from error
+
+            def shell_complete(self, ctx: Any, incomplete: str) -> Any:
+                """Return the names that begin as what was typed, without loading any command."""
+                self._listing = True
+                try:
+                    return super().shell_complete(ctx, incomplete)
+                finally:
+                    self._listing = False
 
             def format_commands(self, ctx: Any, formatter: Any) -> None:
                 """Write what each command does, by jobs, without loading any."""
@@ -141,7 +168,6 @@ class Application:
             cls=InOrder,
             help=manual(text),
             epilog=EPILOG,
-            add_completion=False,
             no_args_is_help=True,
             pretty_exceptions_enable=False,
             rich_markup_mode=None,
@@ -153,11 +179,13 @@ class Application:
     def run(self, arguments: Sequence[str]) -> int:
         """Carry out a command line and return its exit code."""
         words, debug = _without_debug(arguments)
-        if words[:1] == ['--version']:
-            print(f'{self.name} {__version__}')
-            return 0
         try:
+            if words[:1] == ['--version']:
+                say(f'{self.name} {__version__}')
+                return 0
+            words = with_their_units(words)
             code = self.typer(words or ['--help'], prog_name=self.name, standalone_mode=False)
+            flush()
         except (KeyboardInterrupt, typer.Abort):
             code = INTERRUPTED
         except Exception as error:  # the one place where every error becomes a line for people
@@ -172,12 +200,25 @@ class Application:
     def main(self) -> None:
         """Run the command line of this process."""
         words, _ = _without_debug(sys.argv[1:])
+        if os.environ.get(f'_{self.name.upper()}_COMPLETE') == 'complete_bash':
+            join_bash_words(os.environ)
         watching = bool(words) and words[0] in self._watching
         with interruptible() as wish, background_output() if watching else nullcontext():
             code = self.run(sys.argv[1:])
+        _drop_unwritten()
         if code == INTERRUPTED and wish.number:
             code = ENDED_BY + wish.number
         sys.exit(code)
+
+
+def _drop_unwritten() -> None:
+    """Drop what a full disk or a broken pipe does not take: that was said already."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 def _add(to: typer.Typer, commands: Mapping[str, Callable[..., Any] | CommandGroup]) -> None:
@@ -213,12 +254,18 @@ def _without_debug(arguments: Sequence[str]) -> tuple[list[str], bool]:
 
 def _line(error: Exception, name: str) -> str:
     """Return an error in one line."""
+    if isinstance(error, _PipeError):
+        (error,) = error.args
     if isinstance(error, _Refusal):
         text = error.format_message()  # type: ignore[attr-defined]
         context = getattr(error, 'ctx', None)
         command = context.command_path if context is not None else name
         text = f'{text.rstrip(".")}; see `{command} --help`'
-    elif isinstance(error, (ValueError, OSError, ModuleNotFoundError, GraphError)):
+    elif isinstance(error, OSError):
+        text = os_sentence(error)
+    elif isinstance(cause := error.__cause__, OSError) and str(cause) in str(error):
+        text = os_sentence(cause)
+    elif isinstance(error, (ValueError, ModuleNotFoundError, GraphError)):
         text = str(error)
     else:
         text = (

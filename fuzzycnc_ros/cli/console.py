@@ -3,10 +3,12 @@
 """What all subcommands share: tables, progress, files of figures."""
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
@@ -15,6 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 import typer
 
 from fuzzycnc_ros.bags.atomic import write_text as write_whole
+from fuzzycnc_ros.bags.os_errors import STANDARD_OUTPUT, about, no_folder
+from fuzzycnc_ros.cli.progress_lines import progress_lines
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.studies.page.document import to_document
 
@@ -34,6 +38,9 @@ JsonFile = Annotated[
     ),
 ]
 
+PLAIN_WIDTH = 100
+"""Characters of a line where the output is no terminal and COLUMNS is not set."""
+
 Tell = Callable[[str, int, int], None]
 """Told what is going on, steps done and in all."""
 
@@ -41,31 +48,45 @@ Tell = Callable[[str, int, int], None]
 def show(table: 'Table') -> None:
     """Print a table: with emphasis on a terminal, as plain text elsewhere."""
     if not sys.stdout.isatty():
-        print(table.to_text())
+        width = plain_width()
+        for part in fitting(table, lambda part: part.least_width() <= width):
+            _put(part.to_text(width))
         return
     from fuzzycnc_ros.cli.terminal import Terminal
 
     console = Terminal()
-    for part in fitting(table, console):
+    for part in fitting(table, partial(fits_terminal, console=console)):
         console.print(part.to_rich())
 
 
-def fitting(table: 'Table', console: 'Console') -> 'list[Table]':
-    """Return a table in parts that fit a terminal, so that no figure is cut short.
+def plain_width() -> int:
+    """Return how many characters a line of a table has in a pipe or file."""
+    columns = os.environ.get('COLUMNS', '')
+    return int(columns) if columns.isdecimal() and int(columns) else PLAIN_WIDTH
+
+
+def fits_terminal(table: 'Table', console: 'Console') -> bool:
+    """Return whether a terminal shows a table without cutting a number."""
+    endless = console.options.update(max_width=10_000)
+    return console.measure(table.to_rich(), options=endless).minimum <= console.width
+
+
+def fitting(table: 'Table', fits: 'Callable[[Table], bool]') -> 'list[Table]':
+    """Return a table in parts that fit, so that no figure is cut short.
 
     Each part repeats the first column.  Columns of one group stay together, and so do groups
     whose names begin with the same word, such as the axes of a run, if a part can hold them.
     """
-    for key in (_family, _group):
+    for key in (_family, _group, id):
         parts: list[list[int]] = []
         for _, members in groupby(table.columns[1:], key):
             first = parts[-1][-1] + 1 if parts else 1
             columns = list(range(first, first + len(list(members))))
-            if parts and _fits(table, [*parts[-1], *columns], console):
+            if parts and fits(_columns(table, [*parts[-1], *columns])):
                 parts[-1] += columns
             else:
                 parts.append(columns)
-        if all(_fits(table, part, console) for part in parts):
+        if all(fits(_columns(table, part)) for part in parts):
             break
     return [_columns(table, part) for part in parts] or [table]
 
@@ -90,16 +111,25 @@ def _columns(table: 'Table', chosen: list[int]) -> 'Table':
     )
 
 
-def _fits(table: 'Table', chosen: list[int], console: 'Console') -> bool:
-    """Return whether some columns of a table fit without cutting anything."""
-    endless = console.options.update(max_width=10_000)
-    width = console.measure(_columns(table, chosen).to_rich(), options=endless).maximum
-    return width <= console.width
-
-
 def say(text: str) -> None:
     """Print a line of the result; control characters of foreign names are spelt out."""
-    print(visible(text), flush=True)
+    _put(visible(text))
+
+
+def _put(text: str) -> None:
+    """Print to standard output; an error names it."""
+    try:
+        print(text, flush=True)
+    except OSError as error:
+        raise about(error, STANDARD_OUTPUT) from None
+
+
+def flush() -> None:
+    """Write out what was printed; an error names standard output."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        raise about(error, STANDARD_OUTPUT) from None
 
 
 def remark(line: 'Remark') -> None:
@@ -119,9 +149,10 @@ def complain(text: str) -> None:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Tell]:
-    """Show the progress of long work on standard error, if that is a terminal."""
+    """Show the progress of long work on standard error: a bar, or lines if it is no terminal."""
     if not sys.stderr.isatty():
-        yield lambda text, done, total: None
+        with progress_lines(title) as lines:
+            yield lines.tell
         return
     from rich.progress import BarColumn, Progress, TimeElapsedColumn
 
@@ -213,7 +244,7 @@ def check_folder(*paths: Path | None) -> None:
         if path.is_dir():
             raise ValueError(f'{path}: expected a file to write but found a directory')
         if not path.absolute().parent.is_dir():
-            raise ValueError(f'{path}: expected an existing folder but found no {path.parent}')
+            raise ValueError(no_folder(path))
 
 
 def check_at_least(option: str, value: float | None, low: float) -> None:

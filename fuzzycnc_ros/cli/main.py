@@ -18,7 +18,7 @@ From your own recording to a judged model:
     fuzzycnc train shift --end 86400 --out model.json
     fuzzycnc evaluate shift --start 86400 --model model.json
 
-Which model, and how many sensors, on runs that nothing has seen:
+Which model, and how many sensors, judged on runs that were not used for training:
 
     fuzzycnc compare monday tuesday wednesday --report models.html
     fuzzycnc curve monday tuesday wednesday --report sensors.html
@@ -27,18 +27,19 @@ What is known of your machine, in one file for the commands below:
 
     fuzzycnc machine new mill.yaml
 
-What keeps a contour tolerance on a part program, its feeds, and methods side by side:
+What to set so that a part program keeps a contour tolerance, the feeds that do, and all methods
+compared:
 
     fuzzycnc advise part.ngc --tolerance 20um --out best.ngc
     fuzzycnc schedule part.ngc --tolerance 0.01mm --out scheduled.ngc
     fuzzycnc pareto butterfly
 
-How an axis gets to a position, and controllers side by side:
+How an axis moves to a position, and all controllers compared:
 
     fuzzycnc position --axis lathe --to -50mm
     fuzzycnc servo compare
 
-Patterns on soft material, straightened beforehand:
+Patterns on soft material, compensated before they are stitched:
 
     fuzzycnc foam demo
 
@@ -89,7 +90,7 @@ COMMANDS: Commands = {
     'operate': Later(
         'Run',
         'fuzzycnc_ros.cli.live.operate',
-        'Act at a running machine: look, activate, set limits, reference and probe.',
+        'Operate a running machine: status, activate, set limits, reference and probe.',
     ),
     'record': Later(
         'Run',
@@ -109,7 +110,7 @@ COMMANDS: Commands = {
     'advise': Later(
         'Part programs',
         'fuzzycnc_ros.cli.programs.advise:advise',
-        'Show what keeps a contour tolerance on LinuxCNC, and recommend the fastest remedy.',
+        'Show which settings keep a contour tolerance on LinuxCNC, and recommend the fastest.',
     ),
     'schedule': Later(
         'Part programs',
@@ -139,7 +140,7 @@ COMMANDS: Commands = {
     'foam': Later(
         'Soft material',
         'fuzzycnc_ros.cli.foam.command',
-        'Straighten patterns on soft material: show, train, compensate, learn.',
+        'Compensate patterns on soft material: show, train, compensate, learn.',
     ),
     'schema': Later(
         'For developers',
@@ -149,7 +150,7 @@ COMMANDS: Commands = {
     'security': Later(
         'For developers',
         'fuzzycnc_ros.cli.live.security',
-        'Let each node of a machine do what it needs, and nobody else anything.',
+        'Write access rights: each node may do what it needs, and nobody else anything.',
     ),
 }
 """The subcommands in the order of the help, by jobs; nothing is imported for the help."""

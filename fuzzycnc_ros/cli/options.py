@@ -2,16 +2,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Options that several commands on thermal models share, and what their words mean."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import Field, fields
 from pathlib import Path
 from typing import Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.completion import Complete, one_of, word_or_file
 from fuzzycnc_ros.cli.console import words
+from fuzzycnc_ros.cli.quantities import DECLARED, TIMES, in_declared_unit, number_in
+from fuzzycnc_ros.core.config import Config
 
 ALL = 'all'
 """Word for every model."""
+
+BUILT_IN_MACHINES = ('mill', 'lathe', 'ballscrew')
+"""Machines that come with the package, as machine files; their reader would load numpy."""
+
+DUTIES = ('D0', 'D0b', 'T1', 'T2', 'T3')
+"""Duties of the simulated mill; where they are made would load numpy."""
+
+PROGRAM_UNITS = ('mm', 'inch')
+"""Units of part programs."""
+
+SENSOR_CHOICES = ('auto', 'clusters', 'all')
+"""Ways to choose the sensors of a model."""
 
 OptionalText = Optional[str]  # noqa: UP045 - typer 0.9 does not read the newer form
 OptionalNumber = Optional[float]  # noqa: UP045
@@ -20,7 +36,13 @@ OptionalPath = Optional[Path]  # noqa: UP045
 """Types of options that need not be given."""
 
 
-def given(text: str, *names: str, metavar: str | None = None) -> Any:
+def given(
+    text: str,
+    *names: str,
+    metavar: str | None = None,
+    complete: Complete | None = None,
+    read: Callable[[str | float], float] | None = None,
+) -> Any:
     """Return an option that counts only if it is given, and so shows no default.
 
     Parameters
@@ -31,17 +53,46 @@ def given(text: str, *names: str, metavar: str | None = None) -> Any:
         What it is called, if not as its parameter.
     metavar : str, optional
         What stands for its value.
+    complete : callable, optional
+        What a shell proposes for its value.
+    read : callable, optional
+        What makes a number of its text.
     """
-    return typer.Option(*names, metavar=metavar, show_default=False, help=text)
+    return typer.Option(
+        *names,
+        metavar=metavar,
+        show_default=False,
+        autocompletion=complete,
+        parser=read,
+        help=text,
+    )
+
+
+def choice(text: str, words: Sequence[str], *, default: bool = True) -> Any:
+    """Return an option that takes one of some words, which its help and shells name.
+
+    Parameters
+    ----------
+    text : str
+        Its help.
+    words : sequence of str
+        What it takes.
+    default : bool
+        Whether the help shows its default.
+    """
+    return typer.Option(
+        metavar='|'.join(words), show_default=default, autocompletion=one_of(words), help=text
+    )
 
 
 MachineFile = Annotated[
     OptionalText,
-    given('Machine file, or one that is built in: mill, lathe, ballscrew.', metavar='FILE.yaml'),
+    given(
+        f'Machine file, or one that is built in: {", ".join(BUILT_IN_MACHINES)}.',
+        metavar='FILE.yaml',
+        complete=word_or_file(BUILT_IN_MACHINES, '.yaml'),
+    ),
 ]
-
-BUILT_IN_MACHINES = ('mill', 'lathe', 'ballscrew')
-"""Machines that come with the package, as machine files; their reader would load numpy."""
 
 Bags = Annotated[
     list[Path], typer.Argument(metavar='BAG...', help='Bags of runs, each from a cold start.')
@@ -50,14 +101,21 @@ Bags = Annotated[
 Start = Annotated[
     OptionalNumber,
     given(
-        "First second that counts, from the bag's first sample, which stays the reference; "
-        'what lies before only warms up lags.'
+        "Time that counts first, from the bag's first sample, which stays the reference; what "
+        'lies before only warms up lags. In s unless it has a unit, such as 24h.',
+        metavar='TIME',
+        read=number_in(TIMES, 'a time'),
     ),
 ]
 
 End = Annotated[
     OptionalNumber,
-    given("Last second that counts, from the bag's first sample; nothing after it is read."),
+    given(
+        "Time that counts last, from the bag's first sample; nothing after it is read. In s "
+        'unless it has a unit, such as 24h.',
+        metavar='TIME',
+        read=number_in(TIMES, 'a time'),
+    ),
 ]
 
 DropSensor = Annotated[
@@ -71,14 +129,22 @@ DropSensor = Annotated[
 ]
 
 Interval = Annotated[
-    float, typer.Option(help='Sampling interval of the model [s]; faster runs are averaged.')
+    float,
+    typer.Option(
+        metavar='TIME',
+        show_default='60 s',
+        parser=number_in(TIMES, 'a time'),
+        help='Sampling interval of the model, in s unless it has a unit; faster runs are '
+        'averaged.',
+    ),
 ]
 
 Sensors = Annotated[
     str,
-    typer.Option(
-        help='clusters = one sensor per cluster, all = every sensor that warms up, '
-        'auto = all up to 24 sensors, clusters above.'
+    choice(
+        'clusters = one sensor per cluster, all = every sensor that warms up, '
+        'auto = all up to 24 sensors, clusters above.',
+        SENSOR_CHOICES,
     ),
 ]
 
@@ -118,12 +184,16 @@ def names_of(option: str, texts: list[str], known: Sequence[str]) -> tuple[str, 
 def node_parameters(option: str, texts: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return parameters by node, given as node.name=value with values as in a parameter file.
 
+    A number may have a unit of the kind that the parameter is declared in.
+
     Raises
     ------
     ValueError
-        If a text has another form or holds no value.
+        If a text has another form or holds no value, or a unit is of another kind.
     """
     import yaml
+
+    from fuzzycnc_ros.registry import COMPONENTS
 
     found: dict[str, dict[str, Any]] = {}
     for text in texts:
@@ -131,14 +201,31 @@ def node_parameters(option: str, texts: Sequence[str]) -> dict[str, dict[str, An
         node, dot, name = path.partition('.')
         if not (equals and dot and node and name):
             raise ValueError(
-                f'{option}: expected NODE.NAME=VALUE such as compensator.offset_max=20e-6 '
+                f'{option}: expected NODE.NAME=VALUE such as compensator.offset_max=20um '
                 f'but found {text!r}'
             )
         try:
-            found.setdefault(node, {})[name] = _number_or_value(yaml.safe_load(value))
+            plain = _number_or_value(yaml.safe_load(value))
         except yaml.YAMLError as error:
             raise ValueError(f'{option} {path}: {value!r} is no value: {error}') from error
+        config = COMPONENTS[node].CONFIG if node in COMPONENTS else Config
+        declared = next((item for item in fields(config) if item.name == name), None)
+        found.setdefault(node, {})[name] = _in_si(path, plain, declared)
     return found
+
+
+def _in_si(path: str, value: Any, declared: Field[Any] | None) -> Any:
+    """Return the value of a parameter, whose numbers may have units."""
+    if isinstance(value, list):
+        return [_in_si(path, item, declared) for item in value]
+    if declared is None or not isinstance(value, str):
+        return value
+    sample = declared.default
+    if isinstance(sample, tuple) and sample:
+        sample = sample[0]
+    if not isinstance(sample, float) or declared.metadata['unit'] not in DECLARED:
+        return value
+    return in_declared_unit(path, value, declared.metadata['unit'])
 
 
 def _number_or_value(value: Any) -> Any:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from fuzzycnc_ros.cli.completion import one_of
 from fuzzycnc_ros.cli.console import check_folder, say, write_text
 from fuzzycnc_ros.cli.options import OptionalPath, given
 
@@ -18,7 +19,12 @@ DIALECT = 'https://json-schema.org/draft/2020-12/schema'
 
 def schema(
     kind: Annotated[
-        str, typer.Argument(metavar='|'.join(KINDS), help='Which file the schema is of.')
+        str,
+        typer.Argument(
+            metavar='|'.join(KINDS),
+            help='Which file the schema is of.',
+            autocompletion=one_of(KINDS),
+        ),
     ],
     out: Annotated[OptionalPath, given('Write it here.', metavar='FILE.json')] = None,
 ) -> None:

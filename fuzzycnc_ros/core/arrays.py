@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Types of arrays and seeds, and the check of what is given as a matrix."""
+"""Types of arrays and seeds, the check of what is given as a matrix, and many short vectors."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,3 +47,21 @@ def check_matrix(samples: ArrayLike, name: str = 'X') -> Array:
             f'in row {at[0]}, column {at[1]}'
         )
     return matrix
+
+
+def dot_products(first: Array, second: Array) -> Array:
+    """Return the products of vectors along the last axis, summed, to the digit as numpy's `sum`.
+
+    A vector of a path has two or three numbers.  To add them up one after the other is several
+    times as fast as a reduction of an axis so short.
+    """
+    product = first * second
+    total = product[..., 0]
+    for column in range(1, product.shape[-1]):
+        total = total + product[..., column]
+    return total
+
+
+def vector_lengths(vectors: Array) -> Array:
+    """Return the Euclidean lengths of vectors along the last axis, to the digit as numpy's."""
+    return np.asarray(np.sqrt(dot_products(vectors, vectors)))

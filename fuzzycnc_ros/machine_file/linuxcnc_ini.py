@@ -11,6 +11,8 @@ from math import inf, isfinite
 from pathlib import Path
 from types import MappingProxyType
 
+from fuzzycnc_ros.bags.os_errors import os_sentence
+
 SIZE_MAX = 1_000_000
 """Largest file that is read [bytes]."""
 
@@ -104,9 +106,7 @@ def _entries(path: Path) -> dict[str, dict[str, tuple[str, int]]]:
             raise ValueError(f'{path}: expected a LinuxCNC configuration of at most 1 MB')
         text = path.read_text(encoding='utf-8', errors='replace')
     except OSError as error:
-        raise ValueError(
-            f'{path}: expected a LinuxCNC configuration but: {error.strerror}'
-        ) from error
+        raise ValueError(os_sentence(error, path)) from error
     found: dict[str, dict[str, tuple[str, int]]] = {}
     section: dict[str, tuple[str, int]] = {}
     for number, raw in enumerate(text.splitlines(), 1):

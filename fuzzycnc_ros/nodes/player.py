@@ -30,6 +30,7 @@ from fuzzycnc_ros.ros.bag_node import bag_refused, closed_on_failure, pattern
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.plain_node import PlainNode
+from fuzzycnc_ros.ros.presence import check_alone
 from fuzzycnc_ros.ros.run import tell_error
 from fuzzycnc_ros.ros.sequencer import Sequencer
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, routes_matched
@@ -53,6 +54,7 @@ class PlayerNode(PlainNode[PlayerConfig]):
     """Play a bag until its end, or for ever."""
 
     def __init__(self, node: Node) -> None:
+        check_alone(node.get_namespace(), 'player')
         super().__init__(node, PlayerConfig)
         self._check(self._config)
         with bag_refused():

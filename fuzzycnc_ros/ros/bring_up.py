@@ -27,6 +27,8 @@ RIVALS = (
     frozenset({MACHINE, 'linuxcnc_bridge', 'opcua_bridge'}),
 )
 """Nodes of which a machine has one: what makes its time, and what stands for it."""
+TAKEOVER = 'FUZZYCNC_TAKEOVER'
+"""Environment variable: a node starts whoever else stands for its machine or makes its time."""
 ACTIVE_TIMEOUT = 20.0
 """Wall time [s] until a managed node must be active."""
 
@@ -158,13 +160,14 @@ def parameter_files(folder: Path | None, named: str = '') -> list[Path]:
     return files
 
 
+def rivals(name: str) -> frozenset[str]:
+    """Return the nodes of which a machine has one, if this is among them; it is one of them."""
+    return frozenset[str]().union(*(group for group in RIVALS if name in group))
+
+
 def in_the_way(names: set[str]) -> set[str]:
     """Return the nodes that cannot run beside some others; recorders disturb nobody."""
-    found = set(names)
-    for rivals in RIVALS:
-        if names & rivals:
-            found |= rivals
-    return found - {'recorder'}
+    return names.union(*map(rivals, names)) - {'recorder'}
 
 
 @dataclass(frozen=True)
@@ -296,6 +299,9 @@ LAUNCH_ARGUMENTS = {
     'lockstep': LaunchArgument(
         'false', 'Run the simulated machine as fast as all nodes answer', switch=True
     ),
+    'takeover': LaunchArgument(
+        'false', 'Start even where nodes of these names are at work', switch=True
+    ),
     **{
         name: LaunchArgument('false', f'Start {node} too', switch=True)
         for name, node in ADDED.items()
@@ -354,10 +360,10 @@ def launched(given: Mapping[str, str], params: Path, log: Path) -> list[Launched
     nodes = [*(_words(given['nodes']) or THERMAL)]
     nodes += [node for name, node in ADDED.items() if given[name] == 'true']
     nodes += [MACHINE] if simulated else []
-    for rivals in RIVALS:
-        if len(rivals & {*nodes}) > 1:
+    for group in RIVALS:
+        if len(group & {*nodes}) > 1:
             raise GraphError(
-                f'expected one of {", ".join(sorted(rivals & {*nodes}))} but found all; '
+                f'expected one of {", ".join(sorted(group & {*nodes}))} but found all; '
                 'simulated:=false leaves the simulated machine out'
             )
     model = Path(given['model']) if given['model'] else None

@@ -56,7 +56,10 @@ def input_health(merger: Merger, now: int) -> list[Health]:
             text += f'; {meaning}' if meaning else ''
             items.append(Health(declared.name, level, text, values))
         elif count.dropped or count.late:
-            text = f'dropped: {count.dropped} not newer than the last, {count.late} too late'
+            text = (
+                f'dropped {count.dropped} messages that were not newer than the one before and '
+                f'{count.late} that came too late'
+            )
             items.append(Health(declared.name, Level.WARN, text, values))
         else:
             items.append(Health(declared.name, Level.OK, 'in time', values))

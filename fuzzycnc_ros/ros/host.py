@@ -20,6 +20,7 @@ from fuzzycnc_ros.ros.clocks import SteadyClock, wall_timer
 from fuzzycnc_ros.ros.command_watch import CommandWatch
 from fuzzycnc_ros.ros.health import Activity, diagnostic_array, input_health
 from fuzzycnc_ros.ros.parameters import ParameterError, changed, declare, refusal
+from fuzzycnc_ros.ros.presence import check_alone
 from fuzzycnc_ros.ros.state_file import StateDirectory, StateFileError
 from fuzzycnc_ros.ros.topics import (
     RCLPY,
@@ -81,6 +82,7 @@ class ComponentNode:
 
     def __init__(self, node: Node, component_type: type[Component[Any]]) -> None:
         self.node = node
+        check_alone(node.get_namespace(), component_type.NAME)
         host, config = declare(node, HostConfig, component_type.CONFIG)
         self.settings = host
         self.executor = host.executor

@@ -4,15 +4,21 @@
 
 What the graph shows is late: a node is found after a while, and a killed one stays for 20 s.
 The kernel knows at once, and releases the lock of a process whatever ended it.
+
+Who starts a graph looks at it whole and holds the locks of its nodes.  So what it starts does not
+look again: it is told so by the environment (`TAKEOVER`).
 """
 
 import fcntl
 import os
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
+
+from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError, in_the_way, rivals
+from fuzzycnc_ros.ros.parameters import ParameterError
 
 Key = tuple[str, str]
 """Machine and node."""
@@ -61,6 +67,52 @@ class Presence:
                 for key in wanted:
                     self.hold(*key)
         return living
+
+    def claim_graph(self, nodes: Collection[Key]) -> None:
+        """Hold the locks of the nodes of a graph before it is started.
+
+        Raises
+        ------
+        GraphError
+            If others live that are in their way; the text names them.
+        """
+        around = {(machine, name) for machine, node in nodes for name in in_the_way({node})}
+        if living := self.claim(nodes, around):
+            raise GraphError(
+                f'expected nobody in the way of these nodes but found {at_work(sorted(living))}: '
+                'end them, choose another machine or ROS_DOMAIN_ID, or add takeover:=true to run '
+                'beside them'
+            )
+
+
+def check_alone(machine: str, node: str) -> None:
+    """Refuse to start what a machine has one of beside another that lives on this computer.
+
+    Parameters
+    ----------
+    machine, node : str
+        Namespace, and what the node is.
+
+    Raises
+    ------
+    ParameterError
+        If there is another; the text names it and the remedy.
+    """
+    if os.environ.get(TAKEOVER):
+        return
+    found = sorted(name for name in rivals(node) if lives(machine, name))
+    if found:
+        raise ParameterError(
+            f'{node}: expected nobody who stands for {machine.strip("/")} or makes its time but '
+            f'found {at_work((machine, name) for name in found)}: end it, choose another '
+            f'namespace or ROS_DOMAIN_ID, or set {TAKEOVER}=1 to run beside it'
+        )
+
+
+def at_work(found: Iterable[Key]) -> str:
+    """Return the nodes that are at work, for a refusal."""
+    names = ', '.join(f'/{machine.strip("/")}/{node}' for machine, node in found)
+    return f'{names} at work in ROS domain {os.environ.get("ROS_DOMAIN_ID", "").strip() or 0}'
 
 
 def lives(machine: str, node: str) -> bool:

@@ -272,10 +272,10 @@ def test_error_of_the_thread_surfaces(tmp_path, monkeypatch):
     while thread.put('/a', bytes(1000), count):
         count += 1
     assert failed.wait(60.0)
-    with pytest.raises(BagWriteError, match=r'No space left on device.*free some space'):
+    with pytest.raises(BagWriteError, match=r'the disk is full; free some space'):
         thread.check()
     assert [str(error) for error in errors] == [thread.progress().error]
-    with pytest.raises(BagWriteError, match=r'No space left'):
+    with pytest.raises(BagWriteError, match=r'the disk is full'):
         thread.close()
     progress = thread.progress()
     assert progress.received == progress.written + progress.topics['/a'].dropped

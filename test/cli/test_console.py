@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import io
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from fuzzycnc_ros.cli.console import (
     check_at_least,
     check_folder,
     check_new,
+    fits_terminal,
     fitting,
+    show,
     words,
     write_json,
     write_text,
@@ -38,7 +41,7 @@ TABLE = Table(
 def printed(table: Table, width: int) -> tuple[int, str]:
     """Return the parts of a table on a terminal of some width, and their text."""
     console = Console(file=io.StringIO(), width=width)
-    parts = fitting(table, console)
+    parts = fitting(table, partial(fits_terminal, console=console))
     for part in parts:
         console.print(part.to_rich())
     return len(parts), console.file.getvalue()
@@ -48,17 +51,18 @@ def printed(table: Table, width: int) -> tuple[int, str]:
 def test_no_figure_is_cut_short_however_narrow_the_terminal(width):
     _, text = printed(TABLE, width)
     assert '…' not in text
-    assert all(cell in text for row in TABLE.rows for cell in row)
+    assert all(number in text for row in TABLE.rows for number in row[1:])
+    assert all(word in text for row in TABLE.rows for word in row[0].split())
 
 
 def test_a_table_that_fits_stays_whole():
     assert printed(TABLE, 200)[0] == 1
     assert printed(TABLE, 80)[0] == 2
-    assert fitting(TABLE, Console(width=200)) == [TABLE]
+    assert fitting(TABLE, lambda part: True) == [TABLE]
 
 
 def test_parts_hold_whole_runs_where_they_can():
-    parts = fitting(TABLE, Console(width=75))
+    parts = fitting(TABLE, partial(fits_terminal, console=Console(width=75)))
     assert [[c.group for c in part.columns[1:]] for part in parts] == [
         ['T2 Y', 'T2 Y', 'T2 Z', 'T2 Z'],
         ['T3 Y', 'T3 Y', 'T3 Z', 'T3 Z'],
@@ -66,16 +70,63 @@ def test_parts_hold_whole_runs_where_they_can():
 
 
 def test_parts_keep_groups_and_emphasis():
-    parts = fitting(TABLE, Console(width=45))
+    parts = fitting(TABLE, partial(fits_terminal, console=Console(width=45)))
     assert [part.columns[1].group for part in parts] == GROUPS
     assert parts[0].strong == {(1, 1)}
     assert parts[-1].strong == {(0, 2)}
     assert all(part.highlight == {1} for part in parts)
 
 
+LONG = Table(
+    'Nodes',
+    (Column('Node', numeric=False), Column('Rate [1/s]'), Column('Trouble', numeric=False)),
+    (
+        ('compensator', '10.0', 'the predictor is silent; ' * 6 + 'the offsets ramp to zero'),
+        ('thermal_predictor', '0.1', ''),
+    ),
+)
+UNGROUPED = Table(
+    'Figures',
+    (Column('Case', numeric=False), *(Column(f'quantity {n} [um]') for n in range(12))),
+    (('step', *(f'{n}.25' for n in range(12))),),
+)
+HASHES = Table(
+    'Hashes',
+    (Column('Topic', numeric=False), Column('SHA-256', numeric=False)),
+    (('/mill/compensation_applied', 64 * 'f'),),
+)
+
+
+@pytest.mark.parametrize('columns', [80, 100])
+@pytest.mark.parametrize('table', [TABLE, LONG, UNGROUPED, HASHES])
+def test_in_a_pipe_a_line_has_as_many_characters_as_columns(monkeypatch, capsys, table, columns):
+    monkeypatch.setenv('COLUMNS', str(columns))
+    show(table)
+    lines = capsys.readouterr().out.splitlines()
+    wide = max(table.least_width(), columns) if table is HASHES else columns
+    assert max(map(len, lines)) <= wide
+    text = ' '.join(' '.join(lines).split())
+    numbers = [row[c] for row in table.rows for c, col in enumerate(table.columns) if col.numeric]
+    assert all(number in text.split() for number in numbers)
+    assert all(word in text for row in table.rows for cell in row for word in cell.split())
+
+
+def test_without_columns_a_pipe_has_a_hundred(monkeypatch, capsys):
+    monkeypatch.delenv('COLUMNS', raising=False)
+    show(LONG)
+    assert 80 < max(map(len, capsys.readouterr().out.splitlines())) <= 100
+
+
+def test_text_takes_several_lines_on_a_terminal_too():
+    parts, text = printed(LONG, 100)
+    assert parts == 1
+    assert '…' not in text
+    assert all(word in text for word in LONG.rows[0][2].split())
+
+
 def test_a_table_of_one_column_is_shown():
     table = Table('Names', (Column('Name', numeric=False),), (('a',),))
-    assert fitting(table, Console(width=80)) == [table]
+    assert fitting(table, lambda part: False) == [table]
 
 
 def test_figures_that_json_does_not_know_become_null(tmp_path):

@@ -131,8 +131,9 @@ class Reader:
         """Run a statement; it must end well."""
         lasting = re.match(r'fuzzycnc (?:up|record)\b', statement)
         ends = re.search('--rate|--lockstep', statement) and 'operate' not in following
+        if lasting or 'fuzzycnc up' in statement:
+            self.leave()  # a machine has one graph
         if lasting and not ends:
-            self.leave()
             self._beside = self.start(statement)
             self._settle(statement)
             return

@@ -8,6 +8,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[2] / 'fuzzycnc_ros'
 PRINTS = {
     'cli/console.py': 'lines and tables',
+    'cli/progress_lines.py': 'progress',
     'cli/application.py': 'errors',
     'ros/run.py': 'errors of nodes',
     'nodes/player.py': 'JSON',

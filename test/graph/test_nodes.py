@@ -16,6 +16,7 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.ros.bring_up import TAKEOVER
 from fuzzycnc_ros.runtime.host import HostConfig, MqttPublisherConfig, PlayerConfig, RecorderConfig
 
 pytestmark = pytest.mark.ros
@@ -62,8 +63,9 @@ def needed(tmp_path: Path) -> Callable[[str], dict[str, Any]]:
 @pytest.mark.parametrize(
     ('first', 'interrupts'), [(0, 'ignored'), pytest.param(1, 'default', marks=pytest.mark.slow)]
 )
-def test_describe_report_and_end(graph, observer, root, needed, first, interrupts):
+def test_describe_report_and_end(graph, observer, root, needed, monkeypatch, first, interrupts):
     """Each node as a process; they are asked to end by one signal or the other."""
+    monkeypatch.setenv(TAKEOVER, '1')  # all of those that a machine has one of, side by side
     observer.watch_diagnostics()
     started = {
         node: graph.start(

@@ -110,7 +110,7 @@ def test_a_compensator_is_looked_at_limited_activated_and_put_to_rest(
     )
     assert command('set', 'compensator.offset_max=5e-6') == (
         0,
-        'mill/compensator.offset_max = 5e-06\n',
+        'mill/compensator.offset_max = 5e-06 m\n',
         '',
     )
     assert command('activate') == (0, 'mill/compensator is active\n', '')
@@ -202,7 +202,7 @@ def test_a_probe_says_what_was_measured_and_whether_compensated(
     with working(observer):
         code, out, err = command('probe', 'Y=-3um', 'Z=0.012mm', '--deviation', '1um')
     assert (code, err) == (0, '')
-    assert out.startswith('told 1 node of /mill, ' + ('with ' if includes else 'without '))
+    assert out.startswith('sent to 1 node of /mill, ' + ('with ' if includes else 'without '))
     observer.until(lambda: heard, 'the probe is heard')
     record = heard[0]
     assert record.axis == record.channel == ('Y', 'Z')

@@ -58,7 +58,7 @@ def refusal(command):
 def test_second_of_the_same_name_is_refused(up):
     started(up('first', '--nodes', NODES, '--compose'))
     line = refusal(up('second', '--nodes', 'compensator,sensor_selector'))
-    assert 'expected nobody at mill but found /mill/compensator at work' in line
+    assert 'expected no nodes in mill but found /mill/compensator at work' in line
     assert '--takeover' in line
     line = refusal(up('both', '--machine', 'mill,other'))
     assert 'found /mill/compensator, /mill/temperature_acquisition at work' in line
@@ -87,6 +87,18 @@ def test_who_is_in_nobodys_way_may_join(up, tmp_path):
     started(up('others', *others))
     started(up('elsewhere', '--machine', 'lathe', '--nodes', 'compensator'))
     started(up('meant', '--nodes', 'compensator', '--takeover'))
+
+
+def test_a_bridge_by_itself_is_refused_beside_another(up, graph, observer):
+    started(up('first', '--simulate', 'T2', '--nodes', 'temperature_acquisition'))
+    bridge = graph.start('opcua_bridge', {'axes': ['Y']})
+    assert bridge.wait() == 2
+    (line,) = [line for line in bridge.output.splitlines() if line.startswith('error: ')]
+    assert 'opcua_bridge: expected nobody who stands for mill' in line
+    assert 'found /mill/simulated_machine at work' in line
+    elsewhere = graph.start('opcua_bridge', {'axes': ['Y']}, namespace='/lathe')
+    assert observer.state('opcua_bridge', 'lathe')
+    assert elsewhere.process.poll() is None
 
 
 @pytest.mark.parametrize('dead', ['command', 'nodes'])

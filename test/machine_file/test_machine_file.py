@@ -154,7 +154,7 @@ def test_nodes_get_what_they_know():
         ('contour_constant: {XY: 3}', ['1e-09 to 1 s^2']),
         ('contour_constant: {XY: yes}', ['expected a number', 'True']),
         ('loop: {position_gain: 9000}', ['line 1', 'position_gain']),
-        ('linuxcnc: {ini: none.ini}', ['linuxcnc.ini', 'none.ini', 'No such file']),
+        ('linuxcnc: {ini: none.ini}', ['linuxcnc.ini', 'none.ini', 'nothing is there']),
         ('linuxcnc: {ini: 3}', ['expected a file', '3']),
         ('machine: &a 1\npath: *a', ['no references']),
     ],

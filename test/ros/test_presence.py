@@ -6,10 +6,13 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import nullcontext
 
 import pytest
 
-from fuzzycnc_ros.ros.presence import Presence, lives
+from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError
+from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.ros.presence import Presence, check_alone, lives
 
 HOLDER = """
 import sys, time
@@ -62,6 +65,41 @@ def test_a_claim_finds_who_is_in_the_way_and_then_holds_nothing(holder):
         wanted = [('mill', 'sensor_selector'), ('mill', 'compensator')]
         assert presence.claim(wanted, wanted) == {('mill', 'compensator')}
         assert not lives('mill', 'sensor_selector')
+
+
+@pytest.mark.parametrize(
+    ('machine', 'node', 'refused'),
+    [
+        ('/mill', 'compensator', False),  # told apart by those who read it
+        ('/mill', 'opcua_bridge', True),
+        ('/mill', 'simulated_machine', True),
+        ('/mill', 'simulated_body', False),
+        ('/lathe', 'opcua_bridge', False),
+    ],
+)
+def test_a_machine_has_one_that_stands_for_it(monkeypatch, machine, node, refused):
+    with Presence() as presence:
+        presence.hold('/mill', 'linuxcnc_bridge')
+        presence.hold('/mill', 'compensator')
+        said = pytest.raises(ParameterError, match='found /mill/linuxcnc_bridge at work in ROS')
+        with said if refused else nullcontext():
+            check_alone(machine, node)
+        monkeypatch.setenv(TAKEOVER, '1')
+        check_alone(machine, node)
+
+
+def test_a_graph_is_claimed_whole_or_not_at_all(holder):
+    with Presence() as presence:
+        with pytest.raises(GraphError, match=r'found /mill/compensator at work .* takeover:=true'):
+            presence.claim_graph([('mill', 'sensor_selector'), ('mill', 'compensator')])
+        assert not lives('mill', 'sensor_selector')
+        presence.claim_graph([('lathe', 'simulated_machine')])
+        assert lives('lathe', 'simulated_machine')
+        with (
+            Presence() as second,
+            pytest.raises(GraphError, match='found /lathe/simulated_machine'),
+        ):
+            second.claim_graph([('lathe', 'opcua_bridge')])
 
 
 def test_a_claim_is_held_until_it_is_left():

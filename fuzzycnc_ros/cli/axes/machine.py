@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.completion import word_or_file
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_folder,
@@ -27,9 +28,10 @@ from fuzzycnc_ros.cli.options import (
     MachineFile,
     OptionalNumber,
     OptionalPath,
+    choice,
     given,
 )
-from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.cli.quantities import FORCES, LENGTHS, TIMES, number_in, quantity
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.identify.axis_fit import AxisRecording
@@ -56,13 +58,16 @@ def identify(
             'commanded_Y, ... of axes that follow a path. Numbers where there is no header.',
         ),
     ] = None,
-    unit: Annotated[
-        str, typer.Option(metavar='|'.join(LENGTHS), help='Unit of the positions.')
-    ] = 'mm',
+    unit: Annotated[str, choice('Unit of the positions.', tuple(LENGTHS))] = 'mm',
     full: Annotated[float, typer.Option(help='Command at full duty, such as 10 for 10 V.')] = 1.0,
     force: Annotated[
         OptionalNumber,
-        given('Force at full duty [N]; without it the mass cannot be told, and is called 1 kg.'),
+        given(
+            'Force at full duty, in N unless it has a unit; without it the mass cannot be told, '
+            'and is called 1 kg.',
+            metavar='FORCE',
+            read=number_in(FORCES, 'a force'),
+        ),
     ] = None,
     reverse: Annotated[
         bool, typer.Option('--reversed', help='A positive command drives to negative positions.')
@@ -70,7 +75,9 @@ def identify(
     period: Annotated[
         str,
         typer.Option(
-            metavar='TIME', show_default=False, help='Time between samples, if no column has it.'
+            metavar='TIME',
+            show_default=False,
+            help='Time between samples, such as 1ms, if no column has it.',
         ),
     ] = '',
     json_file: JsonFile = None,
@@ -99,7 +106,7 @@ def identify(
         raise ValueError(f'--full: expected a number above 0 but found {full:g}')
     if force is not None and not force > 0.0:
         raise ValueError(f'--force: expected a number above 0 but found {force:g}')
-    every = quantity('--period', period, {'s': 1.0, 'ms': 1e-3}, example='1ms') if period else None
+    every = quantity('--period', period, TIMES, example='1ms') if period else None
     wanted = parse_columns(columns or [])
     base = read_machine_file(machine_file) if machine_file is not None else None
     if any(what.startswith(('commanded', 'actual')) for what in wanted):
@@ -293,15 +300,16 @@ File = Annotated[
     typer.Argument(
         metavar='FILE|NAME',
         help=f'Machine file, or one that is built in: {", ".join(BUILT_IN_MACHINES)}.',
+        autocompletion=word_or_file(BUILT_IN_MACHINES, '.yaml'),
     ),
 ]
 
 
 def new(
     out: Annotated[Path, typer.Argument(metavar='FILE.yaml', help='New machine file.')],
-    like: Annotated[
-        str, typer.Option(metavar='|'.join(BUILT_IN_MACHINES), help='Machine to begin from.')
-    ] = BUILT_IN_MACHINES[0],
+    like: Annotated[str, choice('Machine to begin from.', BUILT_IN_MACHINES)] = BUILT_IN_MACHINES[
+        0
+    ],
     linuxcnc_ini: Annotated[
         OptionalPath,
         given(

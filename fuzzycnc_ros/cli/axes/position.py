@@ -13,7 +13,6 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     AXES,
     CHOICES,
     DEFAULT,
-    TIMES,
     Axis,
     check_axis,
     made_with,
@@ -21,6 +20,7 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     signed,
     warnings_said,
 )
+from fuzzycnc_ros.cli.completion import one_of
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_at_least,
@@ -38,13 +38,19 @@ from fuzzycnc_ros.cli.options import (
     Report,
     given,
 )
-from fuzzycnc_ros.cli.quantities import LENGTHS, SHARES, quantity
+from fuzzycnc_ros.cli.quantities import LENGTHS, SHARES, TIMES, quantity
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.machine.machine_data import AxisData, PlantConfig
     from fuzzycnc_ros.core.servo.controller import AxisController
     from fuzzycnc_ros.core.servo.profile import Reference
     from fuzzycnc_ros.simulation.servo.axes import AxisPlant
+
+MACHINE_CHOICES = ('pid', 'cascade', 'linear_tangent', 'variable_universe')
+"""Controllers of an axis of a machine file."""
+
+SENSORS = ('grating', 'encoder')
+"""What measures the position of an axis."""
 
 DURATION_MIN, DURATION_MAX = 0.05, 120.0
 """Lengths of a run that are simulated [s]."""
@@ -72,7 +78,8 @@ def position(
             metavar='NAME',
             show_default=False,
             help=f'One of {", ".join(CHOICES)}; the ballscrew has {DEFAULT} alone. With a machine '
-            'file pid, cascade, linear_tangent or variable_universe; its own without this.',
+            f'file {", ".join(MACHINE_CHOICES)}; its own without this.',
+            autocompletion=one_of((*CHOICES, *MACHINE_CHOICES)),
         ),
     ] = '',
     params: Annotated[
@@ -113,7 +120,8 @@ def position(
         OptionalText,
         given(
             'Linear grating or encoder on the screw; by default the lathe has a grating.',
-            metavar='grating|encoder',
+            metavar='|'.join(SENSORS),
+            complete=one_of(SENSORS),
         ),
     ] = None,
     noise: Annotated[
@@ -168,7 +176,7 @@ def position(
     knobs |= _load(plain, load, load_at)
     knobs['seed'] = ('--seed', seed)
     if sensor is not None:
-        if sensor not in ('grating', 'encoder'):
+        if sensor not in SENSORS:
             raise ValueError(f'--sensor: expected grating or encoder but found {sensor!r}')
         knobs['sensor'] = ('--sensor', sensor)
     if noise is not None:

@@ -21,6 +21,7 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     make_controller,
     warnings_said,
 )
+from fuzzycnc_ros.cli.completion import some_of
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_at_least,
@@ -42,6 +43,7 @@ from fuzzycnc_ros.cli.options import (
     OptionalText,
     OptionalWhole,
     Report,
+    choice,
     given,
     names_of,
 )
@@ -62,6 +64,17 @@ HELP = """Compare, learn, tune and judge controllers that position an axis.
 `fuzzycnc position` moves an axis with what they find.
 """
 
+SEARCHED = (
+    'error_exponent',
+    'rate_exponent',
+    'error_floor',
+    'rate_floor',
+    'output_gain',
+    'rate_range',
+    'disturbance',
+)
+"""Settings that `servo tune` searches; where they are made would load numpy."""
+
 MachineAxis = Annotated[
     str, typer.Option(metavar='NAME', show_default=False, help='Axis of the machine file.')
 ]
@@ -77,6 +90,7 @@ def compare(
         typer.Option(
             metavar='NAME,...',
             help=f'Controllers to compare, or {ALL}: {", ".join(CHOICES)}.',
+            autocompletion=some_of((ALL, *CHOICES)),
         ),
     ] = [ALL],  # noqa: B006 - typer copies it
     moves: Annotated[
@@ -88,7 +102,7 @@ def compare(
     report: Report = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Put all position controllers on the same cases of the lathe axis, or of a machine's.
+    """Compare all position controllers on the same cases of the lathe axis, or of a machine's.
 
     Steps and profiles with and without friction, the gain halved and one and a half times, a step
     of load, a sine, a circle of two axes, and random moves whose gain, load, noise and friction
@@ -156,8 +170,8 @@ def tune(
         list[str],
         typer.Option(
             metavar='NAME,...',
-            help=f'Settings to search, or {ALL}: error_exponent, rate_exponent, error_floor, '
-            'rate_floor, output_gain, rate_range, disturbance.',
+            help=f'Settings to search, or {ALL}: {", ".join(SEARCHED)}.',
+            autocompletion=some_of((ALL, *SEARCHED)),
         ),
     ] = [ALL],  # noqa: B006
     seed: Annotated[int, typer.Option(help='Seed of the search.')] = 0,
@@ -224,7 +238,7 @@ def tune(
     before = default_cost()
     show(tuning_table(found, before))
     if found.cost >= before:
-        say('note: no better than the defaults; more generations or candidates may be')
+        say('note: no better than the defaults; try more --generations or a larger --population')
     with warnings.catch_warnings():
         warnings.simplefilter('ignore')
         best = production(make_axis(axis, {}).linear(), found.settings)
@@ -250,11 +264,11 @@ def stability(
     machine_file: MachineFile = None,
     controller: Annotated[
         str,
-        typer.Option(
-            metavar='|'.join(TUNABLE),
-            show_default=False,
-            help=f'Controller of the lathe axis, {DEFAULT} without it; with a machine file '
+        choice(
+            f'Controller of the lathe axis, {DEFAULT} without it; with a machine file '
             'variable_universe or linear_tangent, its own without it.',
+            (*TUNABLE, 'linear_tangent'),
+            default=False,
         ),
     ] = '',
     params: Params = None,
@@ -265,11 +279,11 @@ def stability(
     report: Report = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Show what a position loop has to spare before it swings.
+    """Show how far a position loop is from swinging.
 
-    Gains near the target, gain and phase margin, the spectral radius of the sampled loop with its
-    observer over the gain of the axis, and the amplitude of a lasting oscillation that the
-    describing function of the contracted surface predicts.
+    The tables have the gains near the target, gain and phase margin, the spectral radius of the
+    sampled loop with its observer for several gains of the axis, and the amplitude of a lasting
+    oscillation as the describing function of the contracted surface predicts it.
 
         fuzzycnc servo stability
         fuzzycnc servo stability --params settings.yaml --gains 0.5,1,1.5,2 --report margins.html
@@ -353,16 +367,14 @@ def learn(
         OptionalText, given('Axis of the bag, if it drives several.', metavar='AXIS')
     ] = None,
     unit: Annotated[
-        OptionalText, given('Unit of the lengths of a .csv.', metavar='|'.join(LENGTHS))
+        OptionalText, choice('Unit of the lengths of a .csv.', tuple(LENGTHS), default=False)
     ] = None,
     method: Annotated[
-        str, typer.Option(metavar='lsq|wm', help='Least squares, or Wang-Mendel as published.')
+        str, choice('Least squares, or Wang-Mendel as published.', ('lsq', 'wm'))
     ] = 'lsq',
     sets: Annotated[
         int,
-        typer.Option(
-            metavar='6|7', help='Sets of error and rate: the six published, or one about zero too.'
-        ),
+        choice('Sets of error and rate: the six published, or one about zero too.', ('6', '7')),
     ] = 6,
     reversed_axis: Annotated[
         bool,
@@ -372,8 +384,8 @@ def learn(
 ) -> None:
     """Learn the rules of the controller from recorded moves of any controller.
 
-    Shown is where every cell is from: records, the opposite cell, or its neighbours. The file is
-    for `fuzzycnc position --params` and `fuzzycnc servo stability --params`.
+    The table shows where the rule of every cell comes from: records, the opposite cell, or its
+    neighbours. `fuzzycnc position --params` and `fuzzycnc servo stability --params` read the file.
 
         fuzzycnc servo learn run --out rules.yaml
         fuzzycnc servo learn moves.csv --unit mm --method wm --out rules.json
@@ -439,7 +451,7 @@ def learn(
     cells = learned.values.size
     say(
         f'{learned.used:,} records; data in {round(learned.coverage * cells)} of {cells} cells, '
-        f'{int(learned.conflicts.sum()):,} records of another set than their cell'
+        f'{int(learned.conflicts.sum()):,} records that contradict the rule of their cell'
     )
     if not learned.count[OUTER].any():
         say(

@@ -8,12 +8,12 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fuzzycnc_ros.cli.console import say
+from fuzzycnc_ros.cli.options import choice
 from fuzzycnc_ros.cli.quantities import quantity
 
 if TYPE_CHECKING:
@@ -41,15 +41,12 @@ DEFAULT = CHOICES[0]
 TUNABLE = CHOICES[:3]
 """Controllers that settings from a file are for."""
 
-TIMES: Mapping[str, float] = MappingProxyType({'s': 1.0, 'ms': 1e-3})
-"""What a time of 1 is, by unit [s]."""
-
 Axis = Annotated[
     str,
-    typer.Option(
-        metavar='|'.join(AXES),
-        show_default=False,
-        help=f'Simulated axis, {AXES[0]} without it; with a machine file the name of its axis.',
+    choice(
+        f'Simulated axis, {AXES[0]} without it; with a machine file the name of its axis.',
+        AXES,
+        default=False,
     ),
 ]
 

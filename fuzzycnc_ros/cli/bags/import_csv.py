@@ -9,8 +9,10 @@ from typing import Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.completion import one_of
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, progress_bar, say, words, write_json
 from fuzzycnc_ros.cli.options import OptionalPath, given
+from fuzzycnc_ros.cli.quantities import TIMES, number_in
 
 OptionalText = Optional[str]  # noqa: UP045 - typer 0.9 does not read the newer form
 OptionalNumber = Optional[float]  # noqa: UP045
@@ -25,7 +27,11 @@ def import_csv(
     ] = None,
     time_unit: Annotated[
         OptionalText,
-        typer.Option(show_default=False, help='s, ms, min, h or iso8601 [default: s].'),
+        given(
+            's, ms, min, h or iso8601 [default: s].',
+            metavar='UNIT',
+            complete=one_of(('s', 'ms', 'min', 'h', 'iso8601')),
+        ),
     ] = None,
     time_format: Annotated[
         OptionalText,
@@ -44,7 +50,12 @@ def import_csv(
         ),
     ] = None,
     temperature_unit: Annotated[
-        OptionalText, typer.Option(show_default=False, help='degC, K or degF [default: degC].')
+        OptionalText,
+        given(
+            'degC, K or degF [default: degC].',
+            metavar='UNIT',
+            complete=one_of(('degC', 'K', 'degF')),
+        ),
     ] = None,
     displacement: Annotated[
         Texts,
@@ -60,7 +71,8 @@ def import_csv(
         OptionalText, typer.Option(show_default=False, help='Spindle-speed column.')
     ] = None,
     speed_unit: Annotated[
-        OptionalText, typer.Option(show_default=False, help='rpm or rad/s [default: rpm].')
+        OptionalText,
+        given('rpm or rad/s [default: rpm].', metavar='UNIT', complete=one_of(('rpm', 'rad/s'))),
     ] = None,
     rename: Annotated[
         Texts,
@@ -107,8 +119,10 @@ def import_csv(
     ] = False,
     resample: Annotated[
         OptionalNumber,
-        typer.Option(
-            show_default=False, help='Put uneven rows on an even grid of this interval [s].'
+        given(
+            'Put uneven rows on an even grid of this interval, in s unless it has a unit.',
+            metavar='TIME',
+            read=number_in(TIMES, 'a time'),
         ),
     ] = None,
     machine: Annotated[
@@ -117,7 +131,11 @@ def import_csv(
     ] = None,
     epoch: Annotated[
         OptionalNumber,
-        typer.Option(show_default=False, help='Stamp of the first sample [s] [default: 1].'),
+        given(
+            'Stamp of the first sample, in s unless it has a unit [default: 1 s].',
+            metavar='TIME',
+            read=number_in(TIMES, 'a time'),
+        ),
     ] = None,
     mapping: Annotated[
         OptionalPath,

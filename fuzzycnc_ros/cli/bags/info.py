@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.bags.repair import RepairReport
 
 
+OWN_TYPES = 'fuzzycnc_msgs/msg/'
+"""Messages whose names need no package in the table."""
+
+
 def info(
     bag: Annotated[
         Path, typer.Argument(metavar='BAG', help='Bag directory, or a single .mcap or .db3 file.')
@@ -101,16 +105,16 @@ def _describe(reader: 'BagReader', read: Counter[str]) -> dict[str, Any]:
             topic,
             str(read[topic]),
             str(item.message_count),
-            item.type,
+            item.type.removeprefix(OWN_TYPES),
             'latched' if _latched(item.profiles) else 'stream',
         )
         for topic, item in sorted(reader.connections.items())
     )
     if rows:
-        show(Table('Topics', columns, rows))
+        show(Table(f'Topics; types without a package are of {OWN_TYPES}', columns, rows))
     attachments = reader.attachments()
     for name, item in attachments.items():
-        say(f'attachment {name}: {len(item.data)} bytes, {item.media_type}')
+        say(f'attachment {name}: {len(item.data):,} bytes, {item.media_type}')
     lost, holed = lost_messages(attachments), holes(attachments)
     for topic, count in lost.items():
         say(f'lost while recording: {count} messages of {topic}')

@@ -23,6 +23,7 @@ from fuzzycnc_ros.cli.console import (
     write_json,
 )
 from fuzzycnc_ros.cli.options import OptionalNumber, given
+from fuzzycnc_ros.cli.quantities import TIMES, number_in
 from fuzzycnc_ros.ros.bring_up import GraphError, machine_name
 from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
 
@@ -38,26 +39,35 @@ def record(
     topics: Annotated[
         str,
         typer.Option(
-            metavar='REGEX', help='Topics to record, absolute names; all of the machine if empty.'
+            metavar='REGEX',
+            help='Topics to record, absolute names; all of the machine without it.',
         ),
     ] = '',
     lockstep: Annotated[
-        bool, typer.Option('--lockstep', help='Take turns in a lock-step run, losing nothing.')
+        bool,
+        typer.Option(
+            '--lockstep', help='Take part in a lock-step run, so that no message is lost.'
+        ),
     ] = False,
     duration: Annotated[
-        OptionalNumber, given('Stop after so many seconds; else Ctrl-C stops.')
+        OptionalNumber,
+        given(
+            'Stop after this time, in s unless it has a unit, such as 8h; else Ctrl-C stops.',
+            metavar='TIME',
+            read=number_in(TIMES, 'a time'),
+        ),
     ] = None,
     json_file: JsonFile = None,
 ) -> None:
     """Record the topics of a live machine, undecoded, until Ctrl-C.
 
-    The bag is one that `ros2 bag info` and `ros2 bag play` read. Topics are taken up as they
-    appear. Lost messages and holes in samples are counted, written into the bag, and end the
+    `ros2 bag info` and `ros2 bag play` read the bag. Topics are recorded from when they appear.
+    Lost messages and holes in samples are counted, written into the bag, and end the
     command with code 1; if this process is killed, at most the last second is lost, and
     `fuzzycnc info BAG --repair` makes the bag whole.
 
         fuzzycnc record --machine mill_1 --out monday
-        fuzzycnc record --out axes --topics '/(joint_states|tf)$' --duration 60
+        fuzzycnc record --out axes --topics '/(joint_states|tf)$' --duration 60s
     """
     check_at_least('--duration', duration, 0.0)
     machine = machine_name(machine) if machine.strip('/') else ''

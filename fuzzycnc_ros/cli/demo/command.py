@@ -35,14 +35,16 @@ def demo(
         Path, typer.Option(help='Folder for the bag, the report and the summary; it is renewed.')
     ] = Path('build/demo'),
     scenario: Annotated[
-        Scenario, typer.Option(help='What to show: see above.')
+        Scenario, typer.Option(help='What to show; the text above describes each.')
     ] = Scenario.thermal,
     seed: Annotated[int, typer.Option(help='Seed of all measuring noise.')] = 0,
     program: Annotated[
         Optional[Path],  # noqa: UP045 - typer 0.9 does not read the newer form
         typer.Option(
-            help='Part program to cut in the shift, in mm unless it says G20; a plate of its own '
-            'if none.'
+            metavar='FILE',
+            show_default=False,
+            help='Part program to cut in the scenario shift, in mm unless it says G20; without it '
+            'a plate that comes with the package.',
         ),
     ] = None,
 ) -> None:
@@ -51,7 +53,9 @@ def demo(
     Calibration runs are recorded first.  Then every node comes up as a process of its own; over
     DDS they select sensors, train models, and compensate two duties that no model has seen, in
     lock-step with the simulated machine.  At the end there are a table, a bag that is replayed
-    and compared, a report with plots, and the figures as JSON.
+    and compared, a report with plots, and the figures as JSON:
+
+        fuzzycnc demo
 
     Or watch its axes follow a curve at a contour error of 0.05 mm: the feed is scheduled, sent
     as a trajectory, and followed every millisecond:

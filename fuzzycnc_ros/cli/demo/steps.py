@@ -19,6 +19,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TimeElapsedColumn
 from fuzzycnc_ros.cli.console import show
 from fuzzycnc_ros.cli.live.free_domain import own_domain
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
+from fuzzycnc_ros.cli.progress_lines import progress_lines
 from fuzzycnc_ros.cli.terminal import Description
 from fuzzycnc_ros.ros.bring_up import GraphError, NodeSpec
 from fuzzycnc_ros.studies.page.document import to_document
@@ -96,22 +97,21 @@ class Steps:
     def step(self, text: str) -> Iterator['Bar']:
         """Show a step as long as the block runs."""
         started = time.monotonic()
-        task = self._progress.add_task(text, total=None)
-        yield Bar(self._progress, task)
-        self._progress.remove_task(task)
+        if self._console.is_terminal:
+            task = self._progress.add_task(text, total=None)
+            yield Bar(lambda done, total: self._progress.update(task, completed=done, total=total))
+            self._progress.remove_task(task)
+        else:
+            with progress_lines(text) as lines:
+                yield Bar(lambda done, total: lines.tell(text, done, total))
         self._console.print(f'  {time.monotonic() - started:5.1f} s  {text}')
 
 
 @dataclass
 class Bar:
-    """The bar of a step."""
+    """The bar of a step; it is told steps done and in all."""
 
-    progress: Progress
-    task: Any
-
-    def update(self, done: int, total: int) -> None:
-        """Show how much is done."""
-        self.progress.update(self.task, completed=done, total=total)
+    update: Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)

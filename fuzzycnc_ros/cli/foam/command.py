@@ -21,13 +21,13 @@ from fuzzycnc_ros.cli.console import (
     write_text,
 )
 from fuzzycnc_ros.cli.foam.compensate import compensate, read_model_file
-from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, Report, given
+from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, Report, choice, given
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
     from fuzzycnc_ros.studies.soft.foam_records import Samples
 
-HELP = """Straighten patterns on soft material: show, train, compensate, learn.
+HELP = """Compensate patterns on soft material: show, train, compensate, learn.
 
     fuzzycnc foam demo --report foam.html
     fuzzycnc foam train calibration --out model.json
@@ -99,14 +99,14 @@ def train(
     ],
     out: Annotated[Path, typer.Option(metavar='MODEL', help='Model file to write.')],
     consequent: Annotated[
-        str, typer.Option(metavar='nts|sts', help='Rules with a hidden layer, or linear ones.')
+        str, choice('Rules with a hidden layer, or linear ones.', ('nts', 'sts'))
     ] = 'nts',
     features: Annotated[
         str,
-        typer.Option(
-            metavar='|'.join(FEATURES),
-            help='Inputs: drift per load of the foot, physical ones, those of the paper with '
-            'the thickness, those of the paper.',
+        choice(
+            'Inputs: drift per load of the foot, physical ones, those of the paper with the '
+            'thickness, those of the paper.',
+            FEATURES,
         ),
     ] = 'load',
     adapt: Annotated[

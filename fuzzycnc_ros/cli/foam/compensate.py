@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, say, show, write_json
-from fuzzycnc_ros.cli.options import OptionalText, given
+from fuzzycnc_ros.cli.options import PROGRAM_UNITS, OptionalText, choice, given
 from fuzzycnc_ros.cli.programs.program_files import (
     STREAM,
     check_output,
@@ -94,7 +94,7 @@ def compensate(
         ),
     ] = None,
     units: Annotated[
-        str, typer.Option(metavar='mm|inch', help='Unit before the program says G20 or G21.')
+        str, choice('Unit before the program says G20 or G21.', PROGRAM_UNITS)
     ] = 'mm',
     in_place: Annotated[
         bool, typer.Option('--in-place', help='FILE may be the path itself.')
@@ -121,7 +121,7 @@ def compensate(
             ('--thickness', thickness, '15mm'), ('--depth', depth, '6mm'), ('--step', step, '3mm'),
         )
     ]  # fmt: skip
-    if units not in ('mm', 'inch'):
+    if units not in PROGRAM_UNITS:
         raise ValueError(f'--units: expected mm or inch but found {units!r}')
     sheet = SheetMaterial(lengths[0], None if size is None else sheet_size(size))
     known = read_model_file(model)

@@ -51,7 +51,8 @@ class TrackOptions:
         missing = [name for name, value in given.items() if not value]
         if missing:
             raise ValueError(
-                f'{", ".join(missing)}: expected, as a .csv does not say it, but found none'
+                f'{", ".join(missing)}: expected with a .csv, which does not hold it, but '
+                'found none'
             )
         thickness = quantity('--thickness', str(self.thickness), LENGTHS, example='15mm')
         size = None if self.size is None else sheet_size(self.size)
@@ -76,7 +77,7 @@ def read_tables(sources: Sequence[Path], options: TrackOptions) -> Recordings | 
         }
         for name, value in given.items():
             if value is not None:
-                raise ValueError(f'{name}: expected with a .csv alone, as a bag says it')
+                raise ValueError(f'{name}: expected with a .csv only, since a bag holds it')
         return None
     if len(tables) < len(sources):
         raise ValueError(f'{tables[0]}: expected bags, or .csv files, but found both')

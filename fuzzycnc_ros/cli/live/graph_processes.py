@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from fuzzycnc_ros.ros.bring_up import GraphError, NodeSpec
+from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError, NodeSpec
 from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
 
 STOP_TIMEOUT = 10.0
@@ -84,7 +84,8 @@ class GraphProcesses:
         self.folder = folder or Path(self._temporary.name)  # type: ignore[union-attr]
         self.folder.mkdir(parents=True, exist_ok=True)
         self._params = list(params)
-        self._environment = {**os.environ, **(environment or {})}
+        # Whoever starts a graph has looked who else is there, and holds the locks of its nodes.
+        self._environment = {**os.environ, TAKEOVER: '1', **(environment or {})}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._asked: set[str] = set()  # to end, by us
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.completion import live_settings, managed_nodes, one_of
 from fuzzycnc_ros.cli.console import JsonFile, check_ros, say, show, words, write_json
 from fuzzycnc_ros.cli.options import node_parameters
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
@@ -19,11 +20,11 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.cli.live.operator_client import Operator
     from fuzzycnc_ros.runtime.records import CompensationApplied
 
-HELP = """Act at a running machine: look, activate, set limits, reference and probe.
+HELP = """Operate a running machine: status, activate, set limits, reference and probe.
 
     fuzzycnc operate status
     fuzzycnc operate reference --by anna
-    fuzzycnc operate set compensator.offset_max=5e-6
+    fuzzycnc operate set compensator.offset_max=5um
     fuzzycnc operate activate
     fuzzycnc operate probe Y=-3um Z=12um
     fuzzycnc operate deactivate
@@ -40,13 +41,19 @@ MICRO = 1e-6
 MachineName = Annotated[
     str, typer.Option('--machine', help='Name of the machine: the namespace of its nodes.')
 ]
-ManagedNode = Annotated[str, typer.Argument(metavar='[NODE]', help='A managed node.')]
+ManagedNode = Annotated[
+    str,
+    typer.Argument(metavar='[NODE]', help='A managed node.', autocompletion=one_of(managed_nodes)),
+]
 
 
 def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
     """Show the nodes of a machine, what limits or troubles them, and the offsets in force.
 
-    fuzzycnc operate status --machine mill_1
+    Rate [1/s] and latency [ms] are those of the last second.
+
+        fuzzycnc operate status
+        fuzzycnc operate status --machine mill_1 --json status.json
     """
     check_ros('operate')
     from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
@@ -103,9 +110,12 @@ def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
 
 
 def activate(node: ManagedNode = 'compensator', machine: MachineName = 'mill') -> None:
-    """Let a managed node act: the compensator if none is named.
+    """Activate a managed node: the compensator if none is named.
 
-    fuzzycnc operate activate compensator
+    A node that is not configured yet is configured first.
+
+        fuzzycnc operate activate
+        fuzzycnc operate activate servo_controller --machine mill_1
     """
     with _operator(machine, node) as operator:
         state = operator.lifecycle(node)
@@ -119,30 +129,39 @@ def activate(node: ManagedNode = 'compensator', machine: MachineName = 'mill') -
 
 
 def deactivate(node: ManagedNode = 'compensator', machine: MachineName = 'mill') -> None:
-    """Let a managed node come to rest: offsets ramp to zero, axes stop.
+    """Deactivate a managed node: offsets ramp to zero, axes stop.
 
-    fuzzycnc operate deactivate compensator
+    The node keeps running, and can be activated again.
+
+        fuzzycnc operate deactivate
+        fuzzycnc operate deactivate servo_controller --machine mill_1
     """
     with _operator(machine, node) as operator:
         if operator.lifecycle(node) != 'active':
             say(f'{machine}/{node} is not active')
             return
         _transition(operator, machine, node, 'deactivate')
-        say(f'{machine}/{node} is inactive and goes on until it is at rest')
+        say(f'{machine}/{node} is inactive; what it moves comes to rest at its own rate')
 
 
 def set_values(
     values: Annotated[
         list[str],
-        typer.Argument(metavar='NODE.NAME=VALUE...', help='See docs/reference/parameters.md.'),
+        typer.Argument(
+            metavar='NODE.NAME=VALUE...',
+            help='Numbers with their unit, such as 5um, or plain in SI; see '
+            'docs/reference/parameters.md.',
+            autocompletion=live_settings,
+        ),
     ],
     machine: MachineName = 'mill',
 ) -> None:
     """Set live parameters of running nodes, until they are started again.
 
-    Values are checked by the rules of `docs/reference/parameters.md`, in SI units.
+    Numbers may have a unit of the kind that `docs/reference/parameters.md` names; a plain number
+    is in that unit itself. Values are checked by the rules of that page.
 
-        fuzzycnc operate set compensator.offset_max=10e-6 compensator.slew_max=5e-8
+        fuzzycnc operate set compensator.offset_max=10um compensator.slew_max=0.05um/s
     """
     check_ros('operate')
     from fuzzycnc_ros.registry import COMPONENTS
@@ -156,7 +175,7 @@ def set_values(
         if fixed:
             raise ValueError(
                 f'{node}.{fixed[0]}: expected a parameter that may change while the node runs; '
-                'this one belongs into its parameter file, before it is started'
+                'put this one into its parameter file and start the node again'
             )
         whole = config(**own)  # checks types and bounds
         given[node] = {name: getattr(whole, name) for name in own}
@@ -166,23 +185,22 @@ def set_values(
         if refused:
             raise GraphError(f'{machine}/{node}: {"; ".join(refused)}')
         for name, value in own.items():
-            say(f'{machine}/{node}.{name} = {value}')
+            unit = COMPONENTS[node].CONFIG.__dataclass_fields__[name].metadata['unit']
+            say(f'{machine}/{node}.{name} = {value}' + (f' {unit}' if unit != '-' else ''))
 
 
 def reference(
-    by: Annotated[str, typer.Option(help='Who says so; kept in recordings.')] = 'operator',
+    by: Annotated[str, typer.Option(help='Name of the person; kept in recordings.')] = 'operator',
     force: Annotated[
         bool,
-        typer.Option(
-            '--force', help='Also while offsets are in force, which then change their zero.'
-        ),
+        typer.Option('--force', help='Also while offsets are in force, which then change.'),
     ] = False,
     machine: MachineName = 'mill',
 ) -> None:
     """Declare the machine thermally at rest: what follows is counted from now on.
 
-    Refused while offsets are in force: they would go to what the rises against the new reference
-    say. Deactivate the compensator first, or say --force.
+    Refused while offsets are in force: with the new reference they would change. Deactivate the
+    compensator first, or add --force.
 
         fuzzycnc operate reference --by anna
     """
@@ -203,11 +221,12 @@ def probe(
     ] = None,
     machine: MachineName = 'mill',
 ) -> None:
-    """Tell a displacement that was measured just now, with an indicator or a touch probe.
+    """Publish a displacement that was measured just now, with an indicator or a touch probe.
 
-    It is the actual minus the nominal position of the tool relative to the workpiece since the
-    thermal reference, and says whether compensation was in force. Recordings of calibration runs
-    can be made so, and the predictor takes it into account if its parameter `probing` says so.
+    A displacement is the actual minus the nominal position of the tool relative to the workpiece,
+    counted from the thermal reference. The message says whether compensation was in force. A
+    calibration run can be recorded this way, and the predictor corrects itself by it if its
+    parameter `probing` is set.
 
         fuzzycnc operate probe Y=-3um Z=12um --deviation 1um
     """
@@ -224,12 +243,15 @@ def probe(
     with Operator(machine, patience=PATIENCE) as operator:
         operator.pause(LISTENING)
         for topic, what in (
-            ('/clock', 'its time is simulated'),
-            ('clock', 'its time is simulated'),
-            ('displacement', 'another node publishes displacement'),
+            ('/clock', 'it is a simulated machine'),
+            ('clock', 'it is a simulated machine'),
+            ('displacement', 'another node does'),
         ):
             if operator.has_publisher(topic):
-                raise GraphError(f'{machine}: expected a machine that nobody probes, but {what}')
+                raise GraphError(
+                    f'{machine}: expected a machine whose displacement nobody else publishes '
+                    f'but found that {what}'
+                )
         applied = _applied(operator)
         includes = applied is not None and bool(applied.offset.any())
         record = Displacement(
@@ -248,7 +270,7 @@ def probe(
                 f'{error}; a recorder or the predictor of {machine} must be running'
             ) from error
     say(
-        f'told {readers} node{"s" if readers > 1 else ""} of /{machine}, '
+        f'sent to {readers} node{"s" if readers > 1 else ""} of /{machine}, '
         f'{"with" if includes else "without"} compensation in force'
     )
 
@@ -270,8 +292,8 @@ def _displacements(values: list[str]) -> dict[str, float]:
 
 def _nobody(machine: str) -> str:
     return (
-        f'expected nodes of /{machine} but none reports; are they running, is --machine right, '
-        f'and is ROS_DOMAIN_ID theirs (here {os.environ.get("ROS_DOMAIN_ID", "0")})?'
+        f'expected nodes of /{machine} but none reports; start them, or check --machine and '
+        f'ROS_DOMAIN_ID (here {os.environ.get("ROS_DOMAIN_ID", "0")})'
     )
 
 

@@ -11,12 +11,13 @@ from xml.etree import ElementTree
 
 import typer
 
+from fuzzycnc_ros.cli.completion import node_names, some_of
 from fuzzycnc_ros.cli.console import say, words, write_text
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.ros.access import Access
 
-HELP = """Let each node of a machine do what it needs, and nobody else anything.
+HELP = """Write access rights: each node may do what it needs, and nobody else anything.
 
     fuzzycnc security write policies --machine mill
 
@@ -49,8 +50,11 @@ def write(
     nodes: Annotated[
         str,
         typer.Option(
+            metavar='NODE,...',
+            show_default=False,
             help='Nodes, with commas; without it all but simulated_machine, simulated_body and '
-            'player, which only play a machine.'
+            'player, which only stand in for a machine.',
+            autocompletion=some_of(node_names),
         ),
     ] = '',
     subscribe: Annotated[

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bring graphs up in order, watch them until they are over or interrupted, take them down."""
 
-import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -62,6 +61,7 @@ def check_free(monitor: 'Monitor', presence: 'Presence', plans: Mapping[str, Pla
     """
     # Here, so that `fuzzycnc --help` works where ROS is not installed.
     from fuzzycnc_ros.cli.live.operator_client import SETTLED
+    from fuzzycnc_ros.ros.presence import at_work
 
     wanted = {
         machine: {spec.name for group in plan for spec in group} for machine, plan in plans.items()
@@ -79,10 +79,9 @@ def check_free(monitor: 'Monitor', presence: 'Presence', plans: Mapping[str, Pla
     found = sorted(living | (heard & taken))
     if found:
         raise GraphError(
-            f'expected nobody at {", ".join(sorted({machine for machine, _ in found}))} but '
-            f'found {", ".join(f"/{machine}/{node}" for machine, node in found)} at work in '
-            f'ROS domain {os.environ.get("ROS_DOMAIN_ID") or 0}: end them, choose another '
-            '--machine or ROS_DOMAIN_ID, or add --takeover to run beside them'
+            f'expected no nodes in {", ".join(sorted({machine for machine, _ in found}))} but '
+            f'found {at_work(found)}: end them, choose another --machine or ROS_DOMAIN_ID, or add '
+            '--takeover to run beside them'
         )
 
 

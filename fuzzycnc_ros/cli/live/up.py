@@ -10,9 +10,11 @@ from typing import Annotated, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.completion import node_names, some_of
 from fuzzycnc_ros.cli.console import check_folder, check_ros, words, write_json
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.supervision_run import check_free, supervise
+from fuzzycnc_ros.cli.options import DUTIES
 from fuzzycnc_ros.cli.terminal import Terminal
 from fuzzycnc_ros.ros.bring_up import (
     BANNER,
@@ -39,8 +41,12 @@ def up(
     simulate: Annotated[
         str,
         typer.Option(
-            help='Duties of the simulated machine, comma-separated (D0, D0b, T1, T2, T3); each '
-            'begins cold, a day later, and nobody waits for that. Leave it out for a real machine.'
+            metavar='DUTY,...',
+            show_default=False,
+            help=f'Duties of the simulated machine, comma-separated: {", ".join(DUTIES)}. Each '
+            'begins a day later with a cold machine, at once after the one before. Leave it out '
+            'for a real machine.',
+            autocompletion=some_of(DUTIES),
         ),
     ] = '',
     model: Annotated[
@@ -51,8 +57,8 @@ def up(
         bool,
         typer.Option(
             '--force-model',
-            help='Use the model even where it left more than no compensation; without, the graph '
-            'is not started.',
+            help='Use the model even if it was worse than no compensation on held-out runs; '
+            'without this such a model is refused.',
         ),
     ] = False,
     record: Annotated[
@@ -71,13 +77,16 @@ def up(
         typer.Option(
             metavar='FILE.yaml',
             show_default=False,
-            help='Machine file whose values the nodes get; those of --params win.',
+            help='Machine file whose values the nodes get; --params overrules them.',
         ),
     ] = None,
     nodes: Annotated[
         str,
         typer.Option(
-            help='Nodes to run, comma-separated, in place of those of thermal compensation.'
+            metavar='NODE,...',
+            show_default=False,
+            help='Nodes to run, comma-separated, in place of those of thermal compensation.',
+            autocompletion=some_of(node_names),
         ),
     ] = '',
     rate: Annotated[
@@ -92,7 +101,10 @@ def up(
     ] = False,
     autostart: Annotated[
         bool,
-        typer.Option(help='Activate the managed nodes; without it a lifecycle manager or you do.'),
+        typer.Option(
+            help='Activate the managed nodes; without it do that yourself, by `fuzzycnc operate '
+            'activate` or a lifecycle manager.'
+        ),
     ] = False,
     feedrate: Annotated[
         bool, typer.Option(help='Start the feedrate scheduler too, which runs tool paths.')
@@ -100,8 +112,8 @@ def up(
     state_directory: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(
-            help='Where nodes keep what must survive a restart; left out, it survives restarts '
-            'of nodes but not the end of this command.'
+            help='Folder for what must survive a restart. Without it that survives restarts of '
+            'nodes, but not the end of this command.'
         ),
     ] = None,
     network: Annotated[
@@ -109,7 +121,7 @@ def up(
     ] = False,
     takeover: Annotated[
         bool,
-        typer.Option('--takeover', help='Start even where nodes of these names are at work.'),
+        typer.Option('--takeover', help='Start even if nodes of these names are running.'),
     ] = False,
     json_file: Annotated[
         Optional[Path],  # noqa: UP045
@@ -118,15 +130,15 @@ def up(
 ) -> None:
     """Bring up and supervise the graph of one machine or several; Ctrl-C takes all of it down.
 
-    Nodes that die are started again, ever later, and given up after five times within two
-    minutes; the exit code is then 1. What they knew is kept, so that compensation goes on without
-    a step. A managed node that was active becomes active again, if --autostart says so.
+    A node that dies is started again, after a longer wait each time. After five times within two
+    minutes it is given up, and the exit code is 1. Its state is kept, so that compensation
+    continues without a step. With --autostart a managed node that was active becomes active again.
 
     With a simulated machine, a whole shift at 600 times real time, recorded:
 
         fuzzycnc up --simulate T2 --rate 600 --model mill.json --autostart --record shift
 
-    For a real machine, whose temperatures and state other nodes publish:
+    For a real machine whose temperatures and state are published by other nodes:
 
         fuzzycnc up --machine mill_1 --model mill_1.json --params /etc/fuzzycnc
 

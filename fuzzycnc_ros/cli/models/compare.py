@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.completion import one_of, some_of
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_at_least,
@@ -49,6 +50,7 @@ from fuzzycnc_ros.cli.options import (
     given,
     names_of,
 )
+from fuzzycnc_ros.cli.quantities import TIMES, number_in
 from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
 from fuzzycnc_ros.papers.names import COMPARED
 
@@ -92,7 +94,11 @@ def compare(
     ] = None,
     machine: Annotated[
         OptionalText,
-        given(f'Simulated machine instead of bags: {", ".join(MACHINES)}.', metavar='NAME'),
+        given(
+            f'Simulated machine instead of bags: {", ".join(MACHINES)}.',
+            metavar='NAME',
+            complete=one_of(MACHINES),
+        ),
     ] = None,
     models: Annotated[
         list[str],
@@ -100,6 +106,7 @@ def compare(
             metavar='NAME,...',
             help=f'Models to compare, or {ALL}: {", ".join(COMPARED)}. '
             'A simulated machine has a list of its own.',
+            autocompletion=some_of((ALL, *COMPARED)),
         ),
     ] = [ALL],  # noqa: B006 - typer copies it
     interval: Interval = 60.0,
@@ -114,7 +121,8 @@ def compare(
         typer.Option(
             metavar='START:END',
             show_default=False,
-            help='Stretch of a single bag to hold out [s]; repeat for more.',
+            help='Stretch of a single bag to hold out, in s unless with units, such as 16h:24h; '
+            'repeat for more.',
         ),
     ] = None,
     jobs: Jobs = None,
@@ -402,13 +410,15 @@ def _check_machine(context: typer.Context, machine: str) -> None:
 def _window(text: str) -> tuple[float, float]:
     """Return START:END as two numbers."""
     start, _, end = text.partition(':')
+    read = number_in(TIMES, 'a time')
     try:
-        window = float(start), float(end)
-    except ValueError:
+        window = read(start), read(end)
+    except typer.BadParameter:
         window = 0.0, 0.0
     if not window[0] < window[1]:
         raise ValueError(
-            f'--hold-out: expected START:END in s, such as 57600:86400, but found {text!r}'
+            '--hold-out: expected START:END in s, such as 57600:86400 or 16h:24h, but found '
+            f'{text!r}'
         )
     return window
 

@@ -83,7 +83,8 @@ def curve(
     kept = tuple(count for count in numbers if count <= usable)
     if not kept:
         raise ValueError(
-            f'--counts: expected a number up to {usable}, as so many sensors warm up, but found '
+            f'--counts: expected a number up to {usable}, since only so many sensors warm up, '
+            f'but found '
             f'{", ".join(map(str, numbers))}'
         )
     curves = SensorCurves(kept, runs[0].channel, _curves(held_out, kept, seed))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Generic, TypeVar
 
 import typer
 
+from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.cli.console import Tell, say
 from fuzzycnc_ros.cli.options import OptionalWhole, given
 
@@ -181,7 +182,8 @@ def _attempt(
     try:
         return work(bag, progress)
     except (ValueError, OSError) as error:
-        return BadBag(bag, ' '.join(str(error).split()))
+        text = os_sentence(error) if isinstance(error, OSError) else str(error)
+        return BadBag(bag, ' '.join(text.split()))
 
 
 def _nobody(stage: str, name: str, done: int, total: int) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.completion import settings, some_of
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     Tell,
@@ -21,7 +22,7 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_report,
 )
-from fuzzycnc_ros.cli.options import OptionalPath, given, node_parameters
+from fuzzycnc_ros.cli.options import DUTIES, OptionalPath, given, node_parameters
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.page.table import Table
@@ -36,11 +37,19 @@ def simulate(
     duties: Annotated[
         list[str],
         typer.Option(
-            metavar='DUTY,...', help='Duties to compensate, of D0, D0b, T1, T2, T3, one a day.'
+            metavar='DUTY,...',
+            help=f'Duties to compensate, of {", ".join(DUTIES)}, one a day.',
+            autocompletion=some_of(DUTIES),
         ),
     ] = ['T2,T3'],  # noqa: B006 - typer copies it
     training: Annotated[
-        list[str], typer.Option('--train', metavar='DUTY,...', help='Duties to train on first.')
+        list[str],
+        typer.Option(
+            '--train',
+            metavar='DUTY,...',
+            help='Duties to train on first.',
+            autocompletion=some_of(DUTIES),
+        ),
     ] = ['D0,D0b,T1'],  # noqa: B006
     model: Annotated[
         OptionalPath, given('Use this model file instead of training.', metavar='MODEL')
@@ -63,7 +72,9 @@ def simulate(
         typer.Option(
             show_default=False,
             metavar='NODE.NAME=VALUE',
-            help='Parameter of a node, see docs/reference/parameters.md; repeat.',
+            help='Parameter of a node, a number with its unit or in SI, see '
+            'docs/reference/parameters.md; repeat.',
+            autocompletion=settings,
         ),
     ] = None,
     out: Annotated[
@@ -89,7 +100,7 @@ def simulate(
         fuzzycnc simulate
         fuzzycnc simulate --seeds 12 --json shift.json
         fuzzycnc simulate --duties T2 --fault T18:drift:3600 --report t2.html
-        fuzzycnc simulate --out shift --param compensator.offset_max=20e-6
+        fuzzycnc simulate --out shift --param compensator.offset_max=20um
     """
     from fuzzycnc_ros.studies.thermal.summary import summary_document, summary_table
 

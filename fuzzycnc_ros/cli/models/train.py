@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 import typer
 
 from fuzzycnc_ros.cli.bags.recording_loss import hole_text
+from fuzzycnc_ros.cli.completion import one_of, some_of
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_folder,
@@ -57,6 +58,7 @@ def train(
             metavar='NAME',
             help=f'Model to use on every channel: {", ".join(CANDIDATES)}; auto takes the best '
             'on what was held out.',
+            autocompletion=one_of(('auto', *CANDIDATES)),
         ),
     ] = 'auto',
     models: Annotated[
@@ -66,6 +68,7 @@ def train(
             show_default=False,
             help=f'Models to fit, judge and choose from, or {ALL}; {", ".join(STANDARD)} unless '
             'told otherwise.',
+            autocompletion=some_of((ALL, *CANDIDATES)),
         ),
     ] = None,
     interval: Interval = 60.0,

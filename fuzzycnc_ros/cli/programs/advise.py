@@ -19,7 +19,14 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_report,
 )
-from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, Report, given
+from fuzzycnc_ros.cli.options import (
+    PROGRAM_UNITS,
+    OptionalPath,
+    OptionalText,
+    Report,
+    choice,
+    given,
+)
 from fuzzycnc_ros.cli.programs.program_files import (
     STREAM,
     check_output,
@@ -39,6 +46,9 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.studies.programs.advice_page import AdviceFigures
     from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
 
+CORNER_CHOICES = ('none', 'feed', 'split')
+"""What is done at corners."""
+
 SLACK = 3.0
 """LinuxCNC may take that many times the simulated time, and `WAIT` [s] more."""
 WAIT = 60.0
@@ -56,10 +66,10 @@ def advise(
     machine: Machine = None,
     corners: Annotated[
         str,
-        typer.Option(
-            metavar='none|feed|split',
-            help='Feeds refined until corners keep the tolerance too: not at all, by feed words, '
-            'or by cutting blocks near corners along the same path.',
+        choice(
+            'Feeds refined until corners keep the tolerance too: not at all, by feed words, or by '
+            'cutting blocks near corners along the same path.',
+            CORNER_CHOICES,
         ),
     ] = 'feed',
     blend: Annotated[
@@ -70,7 +80,7 @@ def advise(
         ),
     ] = None,
     units: Annotated[
-        str, typer.Option(metavar='mm|inch', help='Unit before the program says G20 or G21.')
+        str, choice('Unit before the program says G20 or G21.', PROGRAM_UNITS)
     ] = 'mm',
     linuxcnc: Annotated[
         bool,
@@ -87,7 +97,7 @@ def advise(
     report: Report = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Show what keeps a contour tolerance on LinuxCNC, and recommend the fastest remedy.
+    """Show which settings keep a contour tolerance on LinuxCNC, and recommend the fastest.
 
     What costs nothing comes first: a lower MAX_ACCELERATION and another P of G64. Then scheduled
     feeds, mixtures of all, and feeds that are refined on the simulated controller. Each is judged
@@ -111,7 +121,7 @@ def advise(
         known = replace(known, scheduler=replace(known.scheduler, tolerance=wanted))
     if corners not in CORNERS:
         raise ValueError(f'--corners: expected {", ".join(CORNERS)} but found {corners!r}')
-    if units not in ('mm', 'inch'):
+    if units not in PROGRAM_UNITS:
         raise ValueError(f'--units: expected mm or inch but found {units!r}')
     check_folder(report, json_file)
     if out is not None:
@@ -256,8 +266,8 @@ def _notes(given: 'Program', path: 'ProgramPath') -> list[str]:
     notes = [f'note: {note}' for note in given.notes[:8]]
     if path.program.unknown:
         notes.append(
-            f'left out: {path.program.unknown:,} motions of which the program does not tell '
-            'where they go or how fast'
+            f'left out: {path.program.unknown:,} motions whose end or feed the program '
+            'does not tell'
         )
     return notes
 

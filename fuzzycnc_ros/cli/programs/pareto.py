@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fuzzycnc_ros.cli.completion import some_of, word_or_file
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_at_least,
@@ -26,6 +27,21 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.cli.programs.scheduling_machine import SchedulingMachine
     from fuzzycnc_ros.studies.pareto.pareto_path import ParetoPath
 
+CURVES = ('infinity', 'trident', 'butterfly')
+"""Published curves."""
+
+METHODS = (
+    'constant',
+    'fuzzy',
+    'log_fuzzy',
+    'normal_acceleration',
+    'chord_error',
+    'look_ahead',
+    'jerk_limited',
+    'refined',
+)
+"""Scheduling methods that are compared; where they are made would load numpy."""
+
 ERROR_MIN, ERROR_MAX = 1e-6, 1e-3
 """Errors that may be compared [m]."""
 
@@ -35,8 +51,9 @@ def pareto(
         str,
         typer.Argument(
             metavar='CURVE|FILE',
-            help='infinity, trident or butterfly; a part program; or points as .csv, columns '
+            help=f'{", ".join(CURVES)}; a part program; or points as .csv, columns '
             'x,y or x,y,z in mm.',
+            autocompletion=word_or_file(CURVES, '.ngc', '.nc', '.csv'),
         ),
     ],
     errors: Annotated[
@@ -47,8 +64,8 @@ def pareto(
         list[str],
         typer.Option(
             metavar='NAME,...',
-            help=f'Methods to compare, or {ALL}: constant, fuzzy, log_fuzzy, '
-            'normal_acceleration, chord_error, look_ahead, jerk_limited, refined.',
+            help=f'Methods to compare, or {ALL}: {", ".join(METHODS)}.',
+            autocompletion=some_of((ALL, *METHODS)),
         ),
     ] = [ALL],  # noqa: B006
     run: Annotated[

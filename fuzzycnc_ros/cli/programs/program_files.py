@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
+from fuzzycnc_ros.bags.os_errors import about
 from fuzzycnc_ros.cli.console import check_folder
 
 STREAM = '-'
@@ -104,7 +105,9 @@ def new_program(out: Path) -> Iterator[IO[str]]:
         with open(part, 'x', encoding='utf-8', errors='surrogateescape', newline='') as file:
             yield file
         os.replace(part, out)
-    except BaseException:
-        with suppress(FileNotFoundError):
+    except BaseException as error:
+        with suppress(OSError):
             part.unlink()
+        if isinstance(error, OSError) and error.filename in (None, str(part)):
+            about(error, out)
         raise

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fuzzycnc_ros.cli.completion import one_of
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     Tell,
@@ -23,7 +24,7 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_report,
 )
-from fuzzycnc_ros.cli.options import OptionalText, Report, given
+from fuzzycnc_ros.cli.options import PROGRAM_UNITS, OptionalText, Report, choice, given
 from fuzzycnc_ros.cli.programs.program_files import (
     STREAM,
     check_output,
@@ -45,6 +46,18 @@ if TYPE_CHECKING:
 
 NOTES = 8
 """Notes that are printed; the report and the figures have all."""
+
+METHODS = (
+    'log_fuzzy',
+    'tolerance',
+    'fuzzy',
+    'constant',
+    'normal_acceleration',
+    'chord_error',
+    'look_ahead',
+    'jerk_limited',
+)
+"""Rules that choose the feed; where they are made would load numpy."""
 
 STRETCH, STRETCH_BLOCKS = 20.0, 2000
 """Motion that a report drives with every method at most [s], and blocks of it."""
@@ -88,10 +101,10 @@ def schedule(
     method: Annotated[
         OptionalText,
         given(
-            'Rule that chooses the feed: log_fuzzy (or tolerance), fuzzy, constant, '
-            'normal_acceleration, chord_error, look_ahead, jerk_limited; that of the machine file '
-            'without it.',
+            f'Rule that chooses the feed: {", ".join(METHODS)}; tolerance is log_fuzzy. That of '
+            'the machine file without it.',
             metavar='NAME',
+            complete=one_of(METHODS),
         ),
     ] = None,
     blend: Annotated[
@@ -123,7 +136,7 @@ def schedule(
         ),
     ] = '5%',
     units: Annotated[
-        str, typer.Option(metavar='mm|inch', help='Unit before the program says G20 or G21.')
+        str, choice('Unit before the program says G20 or G21.', PROGRAM_UNITS)
     ] = 'mm',
     in_place: Annotated[
         bool, typer.Option('--in-place', help='FILE may be the program itself.')
@@ -155,7 +168,7 @@ def schedule(
 
     known = _settled(read_machine(machine), tolerance, method, blend, feed, override)
     settings = _settings(known, feed, feed_step)
-    if units not in ('mm', 'inch'):
+    if units not in PROGRAM_UNITS:
         raise ValueError(f'--units: expected mm or inch but found {units!r}')
     check_output(program, out, in_place)
     check_folder(report, json_file)

@@ -3,11 +3,15 @@
 """A table once, shown in the terminal, as plain text, as Markdown and in HTML."""
 
 from dataclasses import dataclass, replace
-from itertools import groupby
+from itertools import groupby, zip_longest
+from textwrap import wrap
 from typing import Any
 
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.studies.page.requirement import require
+
+TEXT_MIN = 20
+"""Characters that a cell of text keeps beside each other if it has so many."""
 
 WARNING_MARK = '! '
 """Stands before a number that warns."""
@@ -106,12 +110,14 @@ class Table:
             title_justify='left',
             box=require('rich.box').SIMPLE_HEAD,
         )
-        for column in self.columns:
+        for column, least in zip(self.columns, self._least_widths(), strict=True):
             table.add_column(
                 text(f'{column.group}\n{column.heading}'.strip()),
                 justify='right' if column.numeric else 'left',
                 vertical='bottom',
-                no_wrap=True,
+                no_wrap=column.numeric,
+                overflow='fold',
+                min_width=None if column.numeric else least,
             )
         for r, row in enumerate(self.rows):
             cells = [text(self.marked(r, c), style=self._style((r, c))) for c in range(len(row))]
@@ -123,22 +129,75 @@ class Table:
             return 'bold yellow'
         return 'bold green' if cell in self.strong else ''
 
-    def to_text(self) -> str:
-        """Return plain text in aligned columns."""
-        headings = tuple(column.full_heading for column in self.columns)
-        shown = [
+    def to_text(self, width: int | None = None) -> str:
+        """Return plain text in aligned columns.
+
+        Parameters
+        ----------
+        width : int, optional
+            Characters of a line; cells of text take several lines where they must, numbers never.
+        """
+        headings = [tuple(column.full_heading for column in self.columns)]
+        widths = self._natural_widths(headings)
+        if width is not None and sum(widths) + 2 * (len(widths) - 1) > width:
+            headings = self._stacked()
+            widths = self._narrowed(self._natural_widths(headings), width)
+        rule = tuple('-' * size for size in widths)
+        lines = []
+        for row in (*headings, rule, *self._cells()):
+            cells = [
+                [cell] if column.numeric else wrap(cell, max(size, 1)) or ['']
+                for cell, size, column in zip(row, widths, self.columns, strict=True)
+            ]
+            lines += [
+                '  '.join(
+                    cell.rjust(size) if column.numeric else cell.ljust(size)
+                    for cell, size, column in zip(line, widths, self.columns, strict=True)
+                ).rstrip()
+                for line in zip_longest(*cells, fillvalue='')
+            ]
+        return '\n'.join([self.title, *lines])
+
+    def least_width(self) -> int:
+        """Return how many characters a line of plain text needs, so that no number is cut."""
+        return sum(self._least_widths()) + 2 * (len(self.columns) - 1)
+
+    def _cells(self) -> list[tuple[str, ...]]:
+        """Return the rows as plain text has them."""
+        return [
             tuple(self.marked(r, c) for c in range(len(row))) for r, row in enumerate(self.rows)
         ]
-        widths = [max(map(len, column)) for column in zip(headings, *shown, strict=True)]
-        rule = tuple('-' * width for width in widths)
-        lines = [
-            '  '.join(
-                cell.rjust(width) if column.numeric else cell.ljust(width)
-                for cell, width, column in zip(row, widths, self.columns, strict=True)
-            ).rstrip()
-            for row in (headings, rule, *shown)
-        ]
-        return '\n'.join([self.title, *lines])
+
+    def _stacked(self) -> list[tuple[str, ...]]:
+        """Return groups above headings."""
+        groups = tuple(column.group for column in self.columns)
+        headings = tuple(column.heading for column in self.columns)
+        return [groups, headings] if any(groups) else [headings]
+
+    def _natural_widths(self, headings: list[tuple[str, ...]]) -> list[int]:
+        rows = zip(*headings, *self._cells(), strict=True)
+        return [max(map(len, column)) for column in rows]
+
+    def _least_widths(self) -> list[int]:
+        """Return the least width of each column: numbers whole, of text its longest word."""
+        stacked = self._stacked()
+        found = []
+        for c, natural in enumerate(self._natural_widths(stacked)):
+            cells = [row[c] for row in (*stacked, *self._cells())]
+            longest = max((len(word) for cell in cells for word in cell.split()), default=0)
+            words = natural if self.columns[c].numeric else max(TEXT_MIN, longest)
+            found.append(min(natural, words))
+        return found
+
+    def _narrowed(self, widths: list[int], width: int) -> list[int]:
+        """Return widths that fit a line, if the widest columns of text can give enough away."""
+        found, least = list(widths), self._least_widths()
+        while sum(found) + 2 * (len(found) - 1) > width:
+            spare = [size - low for size, low in zip(found, least, strict=True)]
+            if not any(spare):
+                break
+            found[max(range(len(found)), key=lambda c: found[c] if spare[c] else 0)] -= 1
+        return found
 
     def to_markdown(self) -> str:
         """Return a Markdown table with a bold title line."""

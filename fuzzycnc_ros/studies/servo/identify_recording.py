@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.core.arrays import Array
 
 SIZE_MAX = 500_000_000
@@ -134,7 +135,7 @@ def _table(path: Path, *, header_only: bool = False) -> tuple[Array, list[str]]:
         with path.open(encoding='utf-8-sig') as file:
             lines = [file.readline()] if header_only else file.read().splitlines()
     except OSError as error:
-        raise ValueError(f'{path}: expected a recording but: {error.strerror}') from error
+        raise ValueError(os_sentence(error, path)) from error
     except UnicodeDecodeError as error:
         raise ValueError(
             f'{path}: expected a text file with columns but found binary data; save .mat files as '

@@ -63,7 +63,7 @@ def test_motion_goes_on_without_its_word_and_axes_keep_their_place():
 
 
 def test_units_and_distances_switch_in_the_middle():
-    text = 'G20 G1 X1 F60\nG21 X30.4 F600\nG91 X1 Y1\nY1\nG90 X0\nG710 X1\nG700 X1\n'
+    text = 'G20\nG1 X1 F60\nG21\nX30.4 F600\nG91 X1 Y1\nY1\nG90 X0\nG710 X1\nG700 X1\n'
     program = read_program(text)
     assert [round(part.end[0] / MM, 9) for part in program.segments] == [
         25.4,
@@ -244,7 +244,7 @@ def test_what_is_not_understood_is_passed_through_and_said_and_no_place_is_guess
 
 
 def test_a_feed_beside_a_change_of_units_is_said():
-    assert 'new unit' in str(read_program('G20 G1 X1 F10\n').notes[0])
+    assert 'as controllers differ' in str(read_program('G20 G1 X1 F10\n').notes[0])
     assert read_program('G21 G1 X1 F10\n').notes == ()
 
 

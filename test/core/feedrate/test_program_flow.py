@@ -270,6 +270,22 @@ def test_modes_are_saved_and_restored_but_the_feed_there_is_what_was_chosen():
     assert last.feed == pytest.approx(100 * MM / 60)
 
 
+@pytest.mark.parametrize(
+    ('line', 'known'),
+    [
+        ('G20 F60', [False, True]),
+        ('G20 F60 X1', [False, False, True]),
+        ('G21 F60', [True, True]),
+        ('G20', [True, True]),
+    ],
+)
+def test_a_feed_beside_a_change_of_units_is_not_guessed(line, known):
+    """LinuxCNC takes it in the old unit, GRBL in the new one."""
+    program = read_program(f'G1 F100 Y1 X0 Z0\n{line}\nG1 X2\nF50 X3\n')
+    assert [part.schedulable for part in program.segments[1:]] == known
+    assert ('controllers differ' in ' '.join(map(str, program.notes))) is not all(known)
+
+
 def test_a_long_part_is_not_followed_and_said(monkeypatch):
     monkeypatch.setattr(reader, 'LINES', 4)
     text = 'F100\no1 repeat [2]\nG91 G1 X1\no1 endrepeat\nG90 X1 Y0 Z0\nG1 X5 F100\n'

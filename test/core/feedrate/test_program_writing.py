@@ -133,11 +133,11 @@ def test_a_word_stands_only_where_the_feed_changes():
 
 
 def test_inches_get_more_digits_and_no_feed_is_rounded_up():
-    program = read_program('G20 G1 X1 F10\nG21 X30\n')
+    program = read_program('G20\nG1 X1 F10\nG21 X30\n')
     feed = 0.00123456
-    inch, metric = write_program(program, [feed, feed]).splitlines()
-    assert (inch, metric) == ('G20 G1 X1 F2.91628', 'G21 X30')
-    again = read_program(f'{inch}\n{metric}\n')
+    unit, inch, metric = write_program(program, [feed, feed]).splitlines()
+    assert (unit, inch, metric) == ('G20', 'G1 X1 F2.91628', 'G21 X30')
+    again = read_program(f'{unit}\n{inch}\n{metric}\n')
     assert all(segment.feed <= feed for segment in again.segments)
 
 

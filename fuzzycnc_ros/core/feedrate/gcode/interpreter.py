@@ -361,7 +361,11 @@ class Interpreter:
         if 40 not in codes:
             self._set_feed(line)
             if state.feed_unit != feed_unit and _names(line, 'F'):
-                self._say('feed beside a change of units: taken in the new unit (LinuxCNC: old)')
+                # LinuxCNC takes it in the old unit, GRBL in the new one: 25 times as fast or slow.
+                self._say(
+                    'feed beside a change of units: unknown, as controllers differ; give F alone'
+                )
+                state.lose_feed()
         if ms:
             self._machine(ms)
         if line.names or line.calls or line.strange:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import Array, dot_products
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
 
@@ -74,11 +74,10 @@ class NodePlan:
 
 def own_curvature(geometry: PathGeometry) -> Array:
     """Return the curvature at both ends of every piece as the piece itself has it, (m, 2)."""
-    tangent = geometry.derivative(1)[:, [0, -1]]
-    bend = geometry.derivative(2)[:, [0, -1]]
-    square = (tangent * tangent).sum(axis=2)
-    along = (tangent * bend).sum(axis=2)
-    across = np.maximum((bend * bend).sum(axis=2) - along**2 / square, 0.0)
+    tangent, bend = geometry.end_derivatives()
+    square = dot_products(tangent, tangent)
+    along = dot_products(tangent, bend)
+    across = np.maximum(dot_products(bend, bend) - along**2 / square, 0.0)
     return np.asarray(np.sqrt(across) / square)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import Array, dot_products, vector_lengths
 
 SMOOTH_TURN = 1e-6
 """Turns above this are corners [rad]; rounding of doubles stays far below."""
@@ -100,8 +100,8 @@ class PathGeometry:
                 f'expected points, tangent and curvature of one shape, but found {point.shape}, '
                 f'{along.shape} and {bend.shape}'
             )
-        size = np.linalg.norm(along, axis=1, keepdims=True)
-        chord = np.linalg.norm(np.diff(point, axis=0), axis=1)
+        size = vector_lengths(along)[:, np.newaxis]
+        chord = vector_lengths(np.diff(point, axis=0))
         if not (size > 0.0).all() or not (chord > 0.0).all():
             raise ValueError(
                 'expected tangents that are not zero and neighbours that differ, but found '
@@ -110,7 +110,7 @@ class PathGeometry:
             )
         along = along / size
         if arc_length is None:
-            half = 0.25 * chord * (_size(bend[:-1]) + _size(bend[1:]))
+            half = 0.25 * chord * (vector_lengths(bend[:-1]) + vector_lengths(bend[1:]))
             half = np.minimum(half, 1.0)
             length = chord * np.arcsin(half) / np.where(half > 1e-4, half, 1.0)
             length = np.where(half > 1e-4, length, chord * (1.0 + half**2 / 6.0))
@@ -139,9 +139,19 @@ class PathGeometry:
 
     def derivative(self, order: int) -> Array:
         """Return Bernstein coefficients of a derivative, shape (m, 6 - order, d)."""
+        return self._derivative(self.coefficient, order)
+
+    def end_derivatives(self) -> tuple[Array, Array]:
+        """Return the first and second derivatives at both ends, each of shape (m, 2, d)."""
+        ends = self.coefficient[:, [0, 1, 2]], self.coefficient[:, [-3, -2, -1]]
+        first, last = (self._derivative(end, 1) for end in ends)
+        bends = [self._derivative(end, 2) for end in ends]
+        return np.stack([first[:, 0], last[:, 1]], axis=1), np.concatenate(bends, axis=1)
+
+    def _derivative(self, coefficient: Array, order: int) -> Array:
         length = np.diff(self.node)[:, np.newaxis, np.newaxis]
         # Differences first: they are nearly exact, quotients are not.
-        found = np.diff(self.coefficient, order, axis=1)
+        found = np.diff(coefficient, order, axis=1)
         return np.asarray(found * (perm(_DEGREE, order) / length**order))
 
     def evaluate(self, arc_length: ArrayLike, order: int = 0) -> Array:
@@ -181,22 +191,22 @@ class PathGeometry:
         derivatives = [self.derivative(order) for order in (1, 2, 3)]
         share = np.linspace(0.0, 1.0, _PROBES)
         one, two, three = (
-            np.einsum('kb,mbd->mkd', bernstein(_DEGREE - 1 - order, share), derivative)
+            _probed(bernstein(_DEGREE - 1 - order, share), derivative)
             for order, derivative in enumerate(derivatives)
         )
-        speed = np.maximum(np.linalg.norm(one, axis=2), 1e-9)
-        rise = (one * two).sum(axis=2) / speed
-        bend = ((two * two).sum(axis=2) + (one * three).sum(axis=2) - rise**2) / speed
+        speed = np.maximum(vector_lengths(one), 1e-9)
+        rise = dot_products(one, two) / speed
+        bend = (dot_products(two, two) + dot_products(one, three) - rise**2) / speed
         path = [
-            np.linalg.norm(derivatives[0], axis=2).max(axis=1),
-            1.1 * np.abs(rise).max(axis=1),
-            1.1 * np.abs(bend).max(axis=1),
+            vector_lengths(derivatives[0]).max(axis=1),
+            1.1 * np.abs(rise).max(axis=0),
+            1.1 * np.abs(bend).max(axis=0),
         ]
         found = [
             np.column_stack([along, np.abs(derivative).max(axis=1)])
             for along, derivative in zip(path, derivatives, strict=True)
         ]
-        return np.stack(found), speed.max(axis=1) > 1.02 * speed.min(axis=1)
+        return np.stack(found), speed.max(axis=0) > 1.02 * speed.min(axis=0)
 
     def part(self, begin: int, end: int) -> PathGeometry:
         """Return the segments from `begin` up to, without, `end`; arc length starts anew."""
@@ -222,6 +232,18 @@ class PathGeometry:
         stop = np.zeros(len(node), bool)
         stop[first] = self.stop
         return PathGeometry(found, node, stop)
+
+
+def _probed(weight: Array, coefficient: Array) -> Array:
+    """Return what weights (k, b) make of coefficients (m, b, d): values (k, m, d).
+
+    In memory the long axis comes last: so all sums run along it.
+    """
+    column = np.ascontiguousarray(np.moveaxis(coefficient, 0, -1))
+    found = weight[:, :1, np.newaxis] * column[0]
+    for number in range(1, len(column)):
+        found += weight[:, number, np.newaxis, np.newaxis] * column[number]
+    return np.moveaxis(found, -1, 1)
 
 
 def bernstein(degree: int, share: Array) -> Array:
@@ -289,7 +311,7 @@ def _checked(values: ArrayLike, name: str) -> Array:
 
 def _spline_shape(point: Array) -> tuple[Array, Array]:
     """Return directions and curvature vectors of the cubic spline through points, (n, d) each."""
-    chord = np.linalg.norm(np.diff(point, axis=0), axis=1)
+    chord = vector_lengths(np.diff(point, axis=0))
     if not (chord > 0.0).all():
         raise ValueError(
             f'points: expected neighbours that differ, but found {int((chord <= 0.0).sum())} '
@@ -301,18 +323,14 @@ def _spline_shape(point: Array) -> tuple[Array, Array]:
     )
     spline = CubicSpline(np.append(0.0, np.cumsum(chord)), point, bc_type=ends)
     first, second = spline(spline.x, 1), spline(spline.x, 2)
-    size = np.linalg.norm(first, axis=1, keepdims=True)
+    size = vector_lengths(first)[:, np.newaxis]
     along = first / size
     across = second - (second * along).sum(axis=1, keepdims=True) * along
     return along, np.asarray(across / size**2)
 
 
-def _size(vector: Array) -> Array:
-    return np.asarray(np.linalg.norm(vector, axis=1))
-
-
 def turn_angles(before: Array, after: Array) -> Array:
     """Return angles between directions (m, d) [rad], exact also where they are small; (m,)."""
-    a = before / np.linalg.norm(before, axis=1, keepdims=True)
-    b = after / np.linalg.norm(after, axis=1, keepdims=True)
-    return np.asarray(2.0 * np.arctan2(_size(b - a), _size(b + a)))
+    a = before / vector_lengths(before)[:, np.newaxis]
+    b = after / vector_lengths(after)[:, np.newaxis]
+    return np.asarray(2.0 * np.arctan2(vector_lengths(b - a), vector_lengths(b + a)))

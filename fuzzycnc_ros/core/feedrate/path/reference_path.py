@@ -28,7 +28,7 @@ from itertools import islice, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import Array, dot_products, vector_lengths
 from fuzzycnc_ros.core.feedrate.gcode.segments import DwellSegment, Segment
 from fuzzycnc_ros.core.feedrate.path.path_geometry import (
     SMOOTH_TURN,
@@ -229,27 +229,27 @@ def _rounded(
     point = base.point + kink * part[0] + ease[0]
     velocity = (base.tangent + ease[1]) * rate + kink * part[1]
     bend = (base.bend + ease[2]) * rate**2 + (base.tangent + ease[1]) * gain + kink * part[2]
-    speed = np.linalg.norm(velocity, axis=2, keepdims=True)
+    speed = vector_lengths(velocity)[..., np.newaxis]
     tangent = velocity / speed
-    bend = (bend - (bend * tangent).sum(axis=2, keepdims=True) * tangent) / speed**2
+    bend = (bend - dot_products(bend, tangent)[..., np.newaxis] * tangent) / speed**2
     for at in (0, -1):  # where the path goes on, to the last digit
         point[:, at], tangent[:, at] = base.point[:, at], base.tangent[:, at]
         bend[:, at] = base.bend[:, at]
     coefficient, length = _pieces(point, tangent, bend)
-    return _Rounding(coefficient, length, np.linalg.norm(bend, axis=2), point, place)
+    return _Rounding(coefficient, length, vector_lengths(bend), point, place)
 
 
 def _pieces(point: Array, tangent: Array, bend: Array) -> tuple[Array, Array]:
     """Return quintics through nodes (k, n + 1, 3), and their lengths (k, n)."""
-    chord = np.linalg.norm(np.diff(point, axis=1), axis=2)
-    curvature = np.linalg.norm(bend, axis=2)
+    chord = vector_lengths(np.diff(point, axis=1))
+    curvature = vector_lengths(bend)
     half = np.minimum(0.25 * chord * (curvature[:, :-1] + curvature[:, 1:]), 1.0)
     length = chord * (1.0 + half**2 / 6.0)
     weight = bernstein(4, 0.5 * (1.0 + _NODE))
     for _ in range(2):  # the length of a quintic hardly depends on the one it is made with
         coefficient = _between(point, tangent, bend, length)
         velocity = 5.0 * np.einsum('gb,knbd->kngd', weight, np.diff(coefficient, axis=2))
-        length = 0.5 * np.linalg.norm(velocity, axis=3) @ _WEIGHT
+        length = 0.5 * vector_lengths(velocity) @ _WEIGHT
     return _between(point, tangent, bend, length), length
 
 
@@ -272,13 +272,13 @@ def _distance_bound(shapes: Shapes, index: NDArray[np.intp], made: _Rounding) ->
         ahead = np.full(place.shape, bool(side))
         for _ in range(2):  # towards the nearest points of the path, on this side
             base = _beside(shapes, index, place, ahead)
-            place = place + ((node - base.point) * base.tangent).sum(axis=2)
+            place = place + dot_products(node - base.point, base.tangent)
             place = np.maximum(place, 0.0) if side else np.minimum(place, 0.0)
             place = np.maximum.accumulate(place, axis=1)
         base = _beside(shapes, index, place, ahead)
         path = _between(base.point, base.tangent, base.bend, np.diff(place, axis=1))
         pieces = slice(0, middle) if side == 0 else slice(middle, None)
-        away = np.linalg.norm(made.coefficient[:, pieces] - path, axis=3)
+        away = vector_lengths(made.coefficient[:, pieces] - path)
         found = np.maximum(found, away.max(axis=(1, 2)))
     return found
 
@@ -323,7 +323,7 @@ def _jump(shapes: Shapes, index: NDArray[np.intp]) -> Array:
     """Return the jumps of the curvature vector at junctions [1/m], shape (k,)."""
     before = shapes.frame(index, shapes.length[index])
     after = shapes.frame(index + 1, np.zeros(len(index)))
-    return np.asarray(np.linalg.norm(after.bend - before.bend, axis=1))
+    return np.asarray(vector_lengths(after.bend - before.bend))
 
 
 def _ease(place: Array, reach: Array) -> tuple[Array, Array, Array]:
@@ -413,7 +413,7 @@ def _assemble(shapes: Shapes, head: float, blend: float, easing: float, *, last:
     halt = shapes.halt[1:] | (shapes.rapid[1:] != shapes.rapid[:-1])
     corner = turn > SMOOTH_TURN
     blended = corner & ~halt & (blend > 0.0) & (turn <= REVERSAL_ANGLE)
-    jump = np.linalg.norm(after.bend - before.bend, axis=1)
+    jump = vector_lengths(after.bend - before.bend)
     eased = ~corner & ~halt & (jump > _JUMP)
     reach = np.zeros(len(joint))
     straight = (shapes.kind[:-1] == LINE) & (shapes.kind[1:] == LINE)
@@ -613,7 +613,7 @@ class ReferencePath:
             Programmed feed all along [m/s]; inf for none.
         """
         count = len(geometry.coefficient)
-        bend = np.linalg.norm(geometry.derivative(2), axis=2)
+        bend = vector_lengths(geometry.derivative(2))
         stop = geometry.stop.copy()
         stop[[0, -1]] = True
         return cls(
@@ -859,7 +859,7 @@ class PathBuilder:
             )
         line = [given[k].line for k in placed]
         before = np.concatenate([start[:1] if self._end is None else [self._end[1]], end[:-1]])
-        gap = np.linalg.norm(start - before, axis=1)
+        gap = vector_lengths(start - before)
         if (gap > _GAP).any():
             at = int(np.argmax(gap > _GAP))
             former = line[at - 1] if at or self._end is None else self._end[0]

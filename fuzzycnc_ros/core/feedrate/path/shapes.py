@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import Array, dot_products, vector_lengths
 from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, NurbsSegment, Segment
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.path_geometry import (
@@ -94,7 +94,7 @@ class _CurveStretch:
         for _ in range(3 if len(between) else 0):
             at = found[between]
             excess = self.curve.arc_length(at) - self.offset - place[between]
-            speed = np.linalg.norm(self.curve.derivative(at), axis=1)
+            speed = vector_lengths(self.curve.derivative(at))
             step = excess / np.maximum(speed, 1e-30)
             row = np.clip(np.searchsorted(self.place, place[between]), 1, len(self.node) - 1)
             found[between] = np.clip(at - step, self.node[row - 1], self.node[row])
@@ -137,16 +137,16 @@ def _frames(curve: NurbsCurve, u: Array, low: float, high: float) -> tuple[Array
     inside = np.clip(u, low, np.nextafter(high, low))
     point = curve.point(np.clip(u, low, high))
     first, second = curve.derivative(inside, 1), curve.derivative(inside, 2)
-    speed = np.linalg.norm(first, axis=1)
+    speed = vector_lengths(first)
     mean = curve.length / (curve.domain[1] - curve.domain[0])
     still = np.flatnonzero(speed <= _ASIDE * mean)
     if len(still):
         away = np.where(inside[still] < 0.5 * (low + high), 1.0, -1.0) * (high - low) * 1e-3
         first[still] = curve.derivative(inside[still] + away, 1)
         second[still] = curve.derivative(inside[still] + away, 2)
-        speed[still] = np.linalg.norm(first[still], axis=1)
+        speed[still] = vector_lengths(first[still])
     tangent = first / speed[:, np.newaxis]
-    along = (second * tangent).sum(axis=1, keepdims=True)
+    along = dot_products(second, tangent)[:, np.newaxis]
     return point, tangent, (second - along * tangent) / speed[:, np.newaxis] ** 2
 
 
@@ -160,8 +160,8 @@ def _edges(curve: NurbsCurve) -> Array:
     _, before, bend = _frames(curve, inner, first, last)
     left = [_frames(curve, np.array([u]), first, u) for u in inner.tolist()]
     ahead, behind = before, np.concatenate([one[1] for one in left])
-    jump = np.linalg.norm(bend - np.concatenate([one[2] for one in left]), axis=1)
-    size = np.linalg.norm(bend, axis=1)
+    jump = vector_lengths(bend - np.concatenate([one[2] for one in left]))
+    size = vector_lengths(bend)
     rough = (turn_angles(behind, ahead) > SMOOTH_TURN) | (jump > _JUMP * size + 1e-9)
     return np.concatenate([[first], inner[rough], [last]])
 
@@ -206,8 +206,8 @@ def _pieces_needed(curve: NurbsCurve, begin: Array, end: Array, low: float, high
         np.repeat(length, 2)[:-1],
     )[::2]
     found = np.einsum('kb,mbd->mkd', bernstein(5, _TRIED), piece)
-    off = np.linalg.norm(found - point[:, 1:-1], axis=2).max(axis=1)
-    curvature = np.linalg.norm(bend, axis=2)
+    off = vector_lengths(found - point[:, 1:-1]).max(axis=1)
+    curvature = vector_lengths(bend)
     inner = curvature.max(axis=1)
     ends = np.maximum(curvature[:, 0], curvature[:, -1])
     turn = inner * length
@@ -234,7 +234,7 @@ class Frame:
     @property
     def curvature(self) -> Array:
         """Size of the curvature vector, shape (k,) [1/m]."""
-        return np.asarray(np.linalg.norm(self.bend, axis=-1))
+        return np.asarray(vector_lengths(self.bend))
 
 
 @dataclass(frozen=True)
@@ -329,9 +329,9 @@ class Shapes:
             excess = _arc_length(number, share) - place
             share = np.clip(share - excess / _arc_speed(number, share), 0.0, 1.0)
         point, first, second = _arc_derivatives(number, share)
-        speed = np.linalg.norm(first, axis=1, keepdims=True)
+        speed = vector_lengths(first)[:, np.newaxis]
         tangent = first / speed
-        along = (second * tangent).sum(axis=1, keepdims=True)
+        along = dot_products(second, tangent)[:, np.newaxis]
         return Frame(point, tangent, (second - along * tangent) / speed**2)
 
     def _curves(self, index: NDArray[np.intp], place: Array) -> Frame:
@@ -377,18 +377,20 @@ def make_shapes(
     rapid = np.array([segment.rapid for segment in segments], dtype=bool)
     feed = np.array([_feed(segment) for segment in segments], dtype=float)
     kind = np.full(count, LINE, dtype=np.int8)
-    length = np.linalg.norm(end - start, axis=1)
+    length = vector_lengths(end - start)
     arc = np.zeros((count, 17))
     curve = np.full(count, None, dtype=object)
     stretches: dict[int, list[_CurveStretch]] = {}
+    bent: list[ArcSegment] = []
     for k, segment in enumerate(segments):
         if isinstance(segment, ArcSegment):
             kind[k] = ARC
-            arc[k] = _arc_numbers(segment, start[k], end[k])
+            bent.append(segment)
         elif isinstance(segment, NurbsSegment):
             kind[k] = CURVE
             stretches[k] = _curve_stretches(segment, start[k])
     arcs = np.flatnonzero(kind == ARC)
+    arc[arcs] = _arc_numbers(bent, start[arcs], end[arcs])
     length[arcs] = _arc_length(arc[arcs], np.ones(len(arcs)))
     shapes = Shapes(kind, start, end, length, owner, feed, rapid, halt, rest, arc, curve)
     return _with_stretches(shapes, stretches) if stretches else shapes
@@ -417,38 +419,42 @@ def _feed(segment: Segment) -> float:
     return math.inf if segment.rapid or segment.feed is None else segment.feed
 
 
-def _arc_numbers(segment: ArcSegment, start: Array, end: Array) -> Array:
+def _arc_numbers(segments: Sequence[ArcSegment], start: Array, end: Array) -> Array:
     """Return axes (3), centre (2), radius, its change, angle, sweep, height, rise, misfits (6).
 
-    The misfits are what the ends are off the formula, spread over the arc.
+    One row for each arc.  The misfits are what the ends (k, 3) are off the formula, spread over
+    the arc.
     """
-    first, second, across = segment.axes
-    low, high = segment.radii
-    angle = math.atan2(
-        segment.start[second] - segment.centre[1], segment.start[first] - segment.centre[0]
-    )
-    height = segment.start[across]
-    # A change of the radius within the digits of the coordinates is none.
-    change = high - low if abs(high - low) > 1e-14 + 1e-12 * low else 0.0
-    number = np.zeros(17)
-    number[:11] = (
-        *segment.axes,
-        *segment.centre,
-        low,
-        change,
-        angle,
-        segment.sweep,
-        height,
-        segment.end[across] - height,
-    )
-    point, _, _ = _arc_derivatives(np.stack([number, number]), np.array([0.0, 1.0]))
-    misfit = np.stack([start, end]) - point
-    if not np.linalg.norm(misfit[1]) <= _ARC_MISFIT:
-        raise ValueError(
-            f'line {segment.line}: expected an arc that ends where its centre and angle lead, but '
-            f'found its end {1e3 * np.linalg.norm(misfit[1]):.6g} mm away from there'
+    number = np.zeros((len(segments), 17))
+    for row, segment in zip(number, segments, strict=True):
+        first, second, across = segment.axes
+        low, high = segment.radii
+        angle = math.atan2(
+            segment.start[second] - segment.centre[1], segment.start[first] - segment.centre[0]
         )
-    number[11:] = misfit.ravel()
+        height = segment.start[across]
+        # A change of the radius within the digits of the coordinates is none.
+        change = high - low if abs(high - low) > 1e-14 + 1e-12 * low else 0.0
+        row[:11] = (
+            *segment.axes,
+            *segment.centre,
+            low,
+            change,
+            angle,
+            segment.sweep,
+            height,
+            segment.end[across] - height,
+        )
+    begin, _, _ = _arc_derivatives(number, np.zeros(len(number)))
+    finish, _, _ = _arc_derivatives(number, np.ones(len(number)))
+    number[:, 11:14], number[:, 14:] = start - begin, end - finish
+    away = vector_lengths(number[:, 14:])
+    if not (away <= _ARC_MISFIT).all():
+        at = int(np.argmin(away <= _ARC_MISFIT))
+        raise ValueError(
+            f'line {segments[at].line}: expected an arc that ends where its centre and angle '
+            f'lead, but found its end {1e3 * away[at]:.6g} mm away from there'
+        )
     return number
 
 

@@ -24,6 +24,7 @@ from fuzzycnc_ros.core.thermal.fit.regressor import (
     ThermalRegressor,
     check_sample_count,
     check_training,
+    run_labels,
 )
 from fuzzycnc_ros.core.thermal.recursions.base import Recursion, check_interval
 from fuzzycnc_ros.core.thermal.recursions.grey import (
@@ -116,6 +117,7 @@ class GreyModel(ThermalRegressor):
         y: ArrayLike,
         *,
         runs: ArrayLike | None = None,
+        groups: ArrayLike | None = None,
         use: ArrayLike | None = None,
     ) -> 'GreyModel':
         """Fit drivers (n, p) to the target (n,).
@@ -128,8 +130,9 @@ class GreyModel(ThermalRegressor):
         y : array_like, shape (n,)
             Target [m].  The stable form ignores NaN; the others cannot accumulate over it and
             leave out runs that were not measured at all.
-        runs : array_like, shape (n,), optional
-            Label of the run that each sample belongs to; each accumulates from its own start.
+        runs, groups : array_like, shape (n,), optional
+            Label of the run that each sample belongs to, by either word; each accumulates from
+            its own start.
         use : array_like of bool, shape (n,), optional
             Samples whose equations are fitted; the others only drive accumulation and lags, as
             judging on held-out stretches of one run needs it.  All, if absent.
@@ -144,6 +147,7 @@ class GreyModel(ThermalRegressor):
             raise ValueError(
                 f'kind: expected one of {", ".join(self.kinds())}, but found {self.kind!r}'
             )
+        runs = run_labels(runs, groups)
         if X is None:
             if self.kind not in ('classical', 'derived') or runs is not None:
                 raise ValueError(
@@ -169,6 +173,7 @@ class GreyModel(ThermalRegressor):
         X: ArrayLike,  # noqa: N803
         *,
         runs: ArrayLike | None = None,
+        groups: ArrayLike | None = None,
         initial: float = 0.0,
     ) -> Array:
         """Return the target of whole runs, each from its own start.
@@ -177,8 +182,8 @@ class GreyModel(ThermalRegressor):
         ----------
         X : array_like, shape (n, p)
             Drivers [K].
-        runs : array_like, shape (n,), optional
-            Label of the run that each sample belongs to; one run if absent.
+        runs, groups : array_like, shape (n,), optional
+            Label of the run that each sample belongs to, by either word; one run if absent.
         initial : float
             First value y(1) of each run [m]; 0 for rises.  The stable form is anchored at zero
             and has none.
@@ -188,6 +193,7 @@ class GreyModel(ThermalRegressor):
         ndarray, shape (n,)
             Target [m]; infinite or NaN where the classical form has diverged.
         """
+        runs = run_labels(runs, groups)
         if initial == 0.0:
             return super().predict(X, runs=runs)
         if self.kind == 'stable':

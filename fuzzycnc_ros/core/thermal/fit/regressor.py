@@ -35,6 +35,7 @@ class ThermalRegressor(RegressionEstimator):
         y: ArrayLike,
         *,
         runs: ArrayLike | None = None,
+        groups: ArrayLike | None = None,
     ) -> _Self:
         """Learn from recorded samples and return the estimator.
 
@@ -47,6 +48,8 @@ class ThermalRegressor(RegressionEstimator):
         runs : array_like, shape (n,), optional
             Label of the run that each sample belongs to; lags, delays and history start anew with
             each run.  One run if absent.
+        groups : array_like, shape (n,), optional
+            The same by scikit-learn's word.
 
         Raises
         ------
@@ -55,22 +58,28 @@ class ThermalRegressor(RegressionEstimator):
         ImportError
             If the estimator needs scikit-learn and that is not installed.
         """
-        self._fit(*check_training(self, X, y, runs))
+        self._fit(*check_training(self, X, y, run_labels(runs, groups)))
         return self
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         """Learn `recursion_` from checked rises (n, p), target (n,) and the rows of each run."""
         raise NotImplementedError
 
-    def predict(self, X: ArrayLike, *, runs: ArrayLike | None = None) -> Array:  # noqa: N803
+    def predict(
+        self,
+        X: ArrayLike,  # noqa: N803
+        *,
+        runs: ArrayLike | None = None,
+        groups: ArrayLike | None = None,
+    ) -> Array:
         """Return the thermal error of whole runs, each from its own start.
 
         Parameters
         ----------
         X : array_like, shape (n, p)
             Rises [K].
-        runs : array_like, shape (n,), optional
-            Label of the run that each sample belongs to; one run if absent.
+        runs, groups : array_like, shape (n,), optional
+            Label of the run that each sample belongs to, by either word; one run if absent.
 
         Returns
         -------
@@ -79,9 +88,8 @@ class ThermalRegressor(RegressionEstimator):
         """
         check_fitted(self, 'recursion_')
         rise = check_features(self, X, reset=False)
-        return np.concatenate(
-            [self.recursion_.run(rise[rows])[:, 0] for rows in run_slices(runs, len(rise))]
-        )
+        slices = run_slices(run_labels(runs, groups), len(rise))
+        return np.concatenate([self.recursion_.run(rise[rows])[:, 0] for rows in slices])
 
     def start(self: _Self) -> _Self:
         """Begin a new run for `step` and return the estimator."""
@@ -122,6 +130,19 @@ class ThermalRegressor(RegressionEstimator):
         if not hasattr(self, '_stream'):
             self.start()
         return self._stream
+
+
+def run_labels(runs: ArrayLike | None, groups: ArrayLike | None) -> ArrayLike | None:
+    """Return the labels of runs, given by one word or by scikit-learn's.
+
+    Raises
+    ------
+    ValueError
+        If both are given.
+    """
+    if runs is not None and groups is not None:
+        raise ValueError('groups: expected runs or groups, which mean the same, but found both')
+    return groups if runs is None else runs
 
 
 def check_training(

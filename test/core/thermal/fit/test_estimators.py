@@ -188,3 +188,18 @@ assert (column == expected).all()
         [sys.executable, '-c', program], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize('estimator', [LagRidge(), GreyModel('classical')])
+def test_groups_are_runs_by_another_word(estimator):
+    rng = np.random.default_rng(0)
+    rise, runs = rng.normal(size=(80, 2)).cumsum(axis=0), np.repeat(['monday', 'tuesday'], 40)
+    target = rise @ [1e-6, 2e-6]
+    by_runs = estimator.fit(rise, target, runs=runs).predict(rise, runs=runs)
+    by_groups = estimator.fit(rise, target, groups=runs).predict(rise, groups=runs)
+    np.testing.assert_array_equal(by_groups, by_runs)
+    assert not np.array_equal(estimator.predict(rise), by_runs)
+    with pytest.raises(ValueError, match='runs or groups'):
+        estimator.fit(rise, target, runs=runs, groups=runs)
+    with pytest.raises(ValueError, match='runs or groups'):
+        estimator.predict(rise, runs=runs, groups=runs)
