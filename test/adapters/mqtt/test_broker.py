@@ -4,6 +4,7 @@
 
 import gc
 import re
+import signal
 
 import pytest
 
@@ -115,6 +116,21 @@ def test_reports_wait_for_a_broker_that_is_away_and_the_newest_are_kept(serve, c
 def test_a_broker_is_back_in_time():
     """Figures, not the clock: what stands between the return of a broker and the connection."""
     assert connection.BACK_OFF_MAX + connection.CONNECT_TIMEOUT < BACK_MAX
+
+
+@needs_broker
+def test_a_broker_that_hangs_is_noticed_and_goes_on(serve, connect):
+    broker = serve()
+    link = connect(broker, 'keep_alive: 1\n')
+    until(link, Level.OK)
+    for _ in range(2):
+        broker.send(signal.SIGSTOP)
+        link.publish('meanwhile')
+        until(link, Level.ERROR, 'connection lost')
+        broker.send(signal.SIGCONT)
+        until(link, Level.OK)
+    wait(lambda: link.turn() or link.sent == 2, 'both confirmations')
+    assert link.health().values['waiting'] == '0'
 
 
 @needs_broker

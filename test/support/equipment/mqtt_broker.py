@@ -74,6 +74,11 @@ class MqttBroker:
             self._process.wait(TIMEOUT)
             self._process = None
 
+    def send(self, number: int) -> None:
+        """Send it a signal."""
+        assert self._process is not None
+        self._process.send_signal(number)
+
     def listen(self, topic: str = '#') -> list[tuple[str, str]]:
         """Return what is published from now on, as it comes."""
         heard: list[tuple[str, str]] = []
