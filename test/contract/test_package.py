@@ -70,8 +70,8 @@ DISTRIBUTION_OF_MODULE = {
     'sklearn': 'scikit-learn',
     'yaml': 'pyyaml',
 }
-# The documented pip extras `bags`, `modbus` and `opcua`
-WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard', 'pymodbus', 'asyncua', 'pydantic', 'paho'}
+# The documented pip extras `bags`, `modbus`, `opcua` and `mqtt`
+WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard', 'pymodbus', 'asyncua', 'pydantic', 'paho-mqtt'}
 OPTIONAL = {'pandas'}  # imported by one function of the Python doors alone
 
 
@@ -266,7 +266,7 @@ def test_package_data_is_installed(setup_arguments):
 
 def test_the_guide_names_the_extras_without_rosdep_keys():
     text = (ROOT / 'docs' / 'how-to' / 'integration.md').read_text()
-    assert 'fuzzycnc_ros[bags,modbus,opcua]' in text
+    assert 'fuzzycnc_ros[bags,modbus,opcua,mqtt]' in text
     assert all(name in text for name in WITHOUT_KEY)
 
 

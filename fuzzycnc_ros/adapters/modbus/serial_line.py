@@ -79,6 +79,8 @@ class _Line:
 
     async def ask(self, device: ModbusRtuDevice, block: Block) -> Any:
         """Return the answer of a unit to a request for a block."""
+        late = _LATE.get((self._port, device.unit), 0.0)
+        await asyncio.sleep(max(late - time.monotonic(), 0.0))
         async with self._lock:
             await asyncio.sleep(max(self._heard_at + self._gap - time.monotonic(), 0.0))
             if self.gone:
@@ -110,6 +112,7 @@ class _Line:
         except (asyncio.TimeoutError, TimeoutError, ModbusException) as error:
             if self.gone:
                 raise LinkError(self._lost()) from error
+            _LATE[self._port, device.unit] = time.monotonic() + device.timeout
             text = f'no answer from unit {device.unit} within {device.timeout:g} s'
             if self._heard:
                 text += (
@@ -146,6 +149,9 @@ class _Line:
         return f'{self._port} has gone; is the adapter plugged in?'
 
 
+_LATE: dict[tuple[str, int], float] = {}
+"""Until when the last answer that a unit of a port has missed may still come [s]: that to the next
+request would look the same."""
 _LINES: dict[tuple[asyncio.AbstractEventLoop, str], _Line] = {}
 """Lines in use: a port can be opened once, by all units on it together."""
 

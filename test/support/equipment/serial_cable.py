@@ -17,6 +17,10 @@ OTHER_MASTER = bytes.fromhex('010300000001')
 """What another master asks: one holding register of unit 1, from register 0 on."""
 
 
+LATE = 0.55
+"""Time that late answers take [s]."""
+
+
 class SerialServer(ModbusServer):
     """Units with holding and input registers on a serial line.
 
@@ -59,8 +63,8 @@ class Cable:
     fault : str
         `` none; `unplugged` the adapter is pulled out and its file gone; `held` it is plugged in
         anew and another program has its port; `silent` nothing comes back; `garbled` answers come
-        as with another baud rate or parity; `noise` bytes come all the time; `late` an answer
-        comes with the next request only; `master` another master asks too, and everybody hears it
+        as with another baud rate or parity; `noise` bytes come all the time; `late` answers
+        come after `LATE`; `master` another master asks too, and everybody hears it
         and its answers.
     """
 
@@ -69,7 +73,6 @@ class Cable:
         self._random = random.Random(1)
         self._words, self._units = words, units
         self.fault = ''
-        self._kept = b''
 
     async def start(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -119,10 +122,14 @@ class Cable:
     def _answer(self) -> None:
         data = os.read(self._far, 1024)
         if self.fault == 'late':
-            data, self._kept = self._kept, data
+            self._loop.call_later(LATE, self._pass, data)
+            return
         if self.fault == 'garbled':
             data = bytes(self._random.randrange(256) for _ in data)
-        if self.fault not in ('silent', 'unplugged') and data:
+        self._pass(data)
+
+    def _pass(self, data: bytes) -> None:
+        if self.fault not in ('silent', 'unplugged'):
             os.write(self._near, data)
 
     async def _disturb(self) -> None:
