@@ -17,7 +17,7 @@ OTHER_MASTER = bytes.fromhex('010300000001')
 """What another master asks: one holding register of unit 1, from register 0 on."""
 
 
-LATE = 0.55
+LATE = 0.35
 """Time that late answers take [s]."""
 
 
