@@ -9,6 +9,7 @@ from setuptools import find_packages, setup
 package_name = 'fuzzycnc_ros'
 nodes = [
     'compensator',
+    'dashboard',
     'deformation_compensator',
     'feedrate_scheduler',
     'linuxcnc_bridge',
@@ -33,7 +34,7 @@ device_files = ['pydantic>=2.7', 'pyyaml']
 modbus = ['pymodbus>=3.10', 'pyserial', *device_files]
 mqtt = ['paho-mqtt>=2.1', *device_files]
 opcua = ['asyncua>=1.1.5', 'cryptography', *device_files]
-page = ['jinja2', 'starlette', 'uvicorn', 'websockets']
+page = ['cryptography', 'starlette', 'uvicorn>=0.35', 'websockets']
 executables = ['fuzzycnc', *nodes]
 
 
@@ -58,6 +59,7 @@ setup(
             'machine_file/built_in/*.yaml',
             'ros/*.xml',
             'studies/page/templates/*',
+            'web/static/*',
             'web/vendor/*/*',
         ]
     },
@@ -66,6 +68,7 @@ setup(
         ('share/' + package_name, ['package.xml']),
         ('share/' + package_name + '/params', sorted(glob('params/*.*'))),
         ('share/' + package_name + '/launch', sorted(glob('launch/*.launch.py'))),
+        ('share/' + package_name + '/layouts', sorted(glob('layouts/*.*'))),
         ('share/' + package_name + '/linuxcnc', sorted(glob('linuxcnc/*.*'))),
         *(wrappers() if 'bdist_wheel' in sys.argv else []),  # colcon puts its own there
     ],

@@ -31,6 +31,7 @@ from fuzzycnc_ros.ros.bring_up import (
     ADDED,
     BANNER,
     LAUNCH_ARGUMENTS,
+    PAGE,
     TAKEOVER,
     TIME_SOURCES,
     GraphError,
@@ -103,7 +104,8 @@ class Process:
         if context.is_shutdown:
             return []
         code = event.returncode
-        if self.spec.name in TIME_SOURCES or (code == REFUSED and not self.restarts):
+        refused = code == REFUSED and not self.restarts and self.spec.name != PAGE
+        if self.spec.name in TIME_SOURCES or refused:
             if code:
                 raise GraphError(f'{self.title} ended with code {code}')
             return [Shutdown(reason=f'{self.title} is over')]

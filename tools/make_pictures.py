@@ -35,19 +35,25 @@ from fuzzycnc_ros.simulation.servo.positioning import position  # noqa: E402
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples  # noqa: E402
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet  # noqa: E402
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack  # noqa: E402
-from fuzzycnc_ros.studies.page.drawing import INK, MUTED, plot_style  # noqa: E402
+from fuzzycnc_ros.studies.page.drawing import (  # noqa: E402
+    AFTER,
+    BEFORE,
+    INK,
+    MUTED,
+    PALETTE,
+    plot_style,
+)
 from fuzzycnc_ros.studies.page.html import to_inline_svg  # noqa: E402
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift  # noqa: E402
 
-BEFORE, AFTER = '#d9772b', '#2b7fd4'
-"""Colours of a machine as it is, and with fuzzycnc; both are legible on light and dark."""
-
-THEME = """<style>
-svg { --ink: #14181d; --muted: #56616d; --faint: #8f99a5; --grid: #d5dae0; --accent: #2a74c4; }
-@media (prefers-color-scheme: dark) {
-  svg { --ink: #e8ecf1; --muted: #a3adb9; --faint: #76818e; --grid: #39424c; --accent: #6aa8ea; }
-}
-text { font-family: system-ui, sans-serif !important; }
+LIGHT, DARK = (
+    ' '.join(f'--{name}: {colours[number]};' for name, colours in PALETTE.items())
+    for number in range(2)
+)
+THEME = f"""<style>
+svg {{ {LIGHT} }}
+@media (prefers-color-scheme: dark) {{ svg {{ {DARK} }} }}
+text {{ font-family: system-ui, sans-serif !important; }}
 MOTION</style>"""
 
 DRAWN = """@media (prefers-reduced-motion: no-preference) {

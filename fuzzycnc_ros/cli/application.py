@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import import_module
+from types import MappingProxyType
 from typing import Annotated, Any
 
 import typer
@@ -109,13 +110,22 @@ class Application:
         Subcommands by name.
     watching : collection of str
         Commands that watch over nodes, and so must never wait for the reader of their output.
+    alone : mapping of str to str
+        Options whose value may be left out, as typer has none, and what it then is; where it is
+        given an equals sign has to stand before it.
     """
 
     def __init__(
-        self, name: str, text: str, commands: Commands, watching: Collection[str] = ()
+        self,
+        name: str,
+        text: str,
+        commands: Commands,
+        watching: Collection[str] = (),
+        alone: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.name = name
         self._watching = watching
+        self._alone = alone
 
         class InOrder(TyperGroup):
             """Lists commands in their order, under headings, and loads one when it is used."""
@@ -183,6 +193,7 @@ class Application:
             if words[:1] == ['--version']:
                 say(f'{self.name} {__version__}')
                 return 0
+            words = [self._with_value(word) for word in words]
             words = with_their_units(words)
             code = self.typer(words or ['--help'], prog_name=self.name, standalone_mode=False)
             flush()
@@ -196,6 +207,10 @@ class Application:
         if code == INTERRUPTED:  # newer versions of typer return it themselves
             print('interrupted', file=sys.stderr)
         return code if isinstance(code, int) else 0
+
+    def _with_value(self, word: str) -> str:
+        """Return an option that stands alone with the value that it then has."""
+        return f'{word}={self._alone[word]}' if word in self._alone else word
 
     def main(self) -> None:
         """Run the command line of this process."""

@@ -92,6 +92,11 @@ COMMANDS: Commands = {
         'fuzzycnc_ros.cli.live.operate',
         'Operate a running machine: status, activate, set limits, reference and probe.',
     ),
+    'watch': Later(
+        'Run',
+        'fuzzycnc_ros.cli.live.watch:watch',
+        'Watch a running machine in the terminal: state, offsets, sensors, alarms.',
+    ),
     'record': Later(
         'Run',
         'fuzzycnc_ros.cli.bags.record:record',
@@ -155,7 +160,13 @@ COMMANDS: Commands = {
 }
 """The subcommands in the order of the help, by jobs; nothing is imported for the help."""
 
-APPLICATION = Application('fuzzycnc', HELP, COMMANDS, watching=('demo', 'up', 'record'))
+APPLICATION = Application(
+    'fuzzycnc',
+    HELP,
+    COMMANDS,
+    watching=('demo', 'up', 'record', 'watch'),
+    alone={'--page': '0'},  # the usual port,
+)
 run = APPLICATION.run
 
 

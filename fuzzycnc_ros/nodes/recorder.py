@@ -10,6 +10,7 @@ import re
 import struct
 from collections.abc import Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from rclpy.node import Node
@@ -264,6 +265,7 @@ class RecorderNode(PlainNode[RecorderConfig]):
         progress = self._thread.progress()
         self._publish_progress(progress, self._newest or self.node.get_clock().now().nanoseconds)
         values = {
+            'bag': Path(self._config.output).name,
             'received': str(progress.received),
             'written': str(progress.written),
             'lost': str(progress.lost),

@@ -9,13 +9,14 @@ Names are relative to the machine, `~/` to the node, or absolute.
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from fuzzycnc_ros.components.report.machine_report import SOURCES
+from fuzzycnc_ros.components.dashboard.machine_view import SOURCES
+from fuzzycnc_ros.components.report.machine_report import SOURCES as REPORTED
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.runtime.component import Component
 
-RECORDER, PLAYER, OPERATOR = 'recorder', 'player', 'operator'
+RECORDER, PLAYER, OPERATOR, DASHBOARD = 'recorder', 'player', 'operator', 'dashboard'
 MQTT = 'mqtt_publisher'
-TOOLS = (RECORDER, PLAYER, OPERATOR, MQTT)
+TOOLS = (RECORDER, PLAYER, OPERATOR, DASHBOARD, MQTT)
 """Nodes without a component; `operator` is that of `fuzzycnc operate`."""
 PRETENDERS = ('simulated_machine', 'simulated_body', PLAYER)
 """What plays a machine: of no use beside a real one, and trusted with its topics."""
@@ -111,8 +112,19 @@ def access_of(node: str) -> Access:
     if node == MQTT:
         return Access(
             publish=('/diagnostics', *own),
-            subscribe=(*SOURCES, '/clock', '/diagnostics'),
+            subscribe=(*REPORTED, '/clock', '/diagnostics'),
             reply=PARAMETERS,
+        )
+    if node == DASHBOARD:
+        managed = [name for name, item in COMPONENTS.items() if item.MANAGED]
+        return Access(
+            publish=('displacement', 'node_event', '/diagnostics', *own),
+            subscribe=(*SOURCES, 'node_configuration', '/clock', '/diagnostics'),
+            reply=PARAMETERS,
+            request=(
+                'set_thermal_reference',
+                *(f'{name}/{call}' for name in managed for call in ('change_state', 'get_state')),
+            ),
         )
     raise ValueError(
         f'expected a node among {", ".join((*COMPONENTS, *TOOLS))} but found {node!r}'

@@ -22,6 +22,8 @@ BODY = 'simulated_body'
 """Makes the time of a real controller without hardware; it starts last, too."""
 TIME_SOURCES = (MACHINE, BODY, 'player')
 """Nodes that make machine time: a run is over when its one ends, and cannot be resumed."""
+PAGE = 'dashboard'
+"""Serves the live page of all machines; nobody waits for it, and it may fail alone."""
 RIVALS = (
     frozenset(TIME_SOURCES),
     frozenset({MACHINE, 'linuxcnc_bridge', 'opcua_bridge'}),
@@ -142,6 +144,20 @@ def node_specs(
         }
         specs.append(NodeSpec(MACHINE, machine))
     return specs
+
+
+def page_spec(port: int, record: Path | None = None) -> NodeSpec:
+    """Return the node of the live page, which stands outside of all machines.
+
+    Parameters
+    ----------
+    port : int
+        Port to serve it at.
+    record : Path, optional
+        Bag of the run; those beside it are offered on the page.
+    """
+    bags = {} if record is None else {'bags': str(record.absolute().parent)}
+    return NodeSpec(PAGE, {'port': port, **bags})
 
 
 def parameter_files(folder: Path | None, named: str = '') -> list[Path]:
@@ -282,6 +298,7 @@ LAUNCH_ARGUMENTS = {
         'false', 'Use the model even where it left more than no compensation', switch=True
     ),
     'record': LaunchArgument('', 'New bag to record everything into; empty: none'),
+    'page': LaunchArgument('', 'Port of the live page of all machines; empty: none'),
     'nodes': LaunchArgument('', 'Nodes in place of those of thermal compensation'),
     'params_dir': LaunchArgument(
         '', 'Folder with parameter files <node>.yaml; empty: those of the package'
@@ -393,7 +410,17 @@ def launched(given: Mapping[str, str], params: Path, log: Path) -> list[Launched
                 spec = replace(spec, parameters={**spec.parameters, **clock})
             read = files or [params / f'{spec.name}.yaml']
             items.append(Launched(machine, spec, tuple(read), clock_remapping(machines)))
+    if given['page']:
+        bag = Path(given['record']) if given['record'] else None
+        page = page_spec(_port(given['page']), bag)
+        items.append(Launched('', page, tuple(files or [params / f'{PAGE}.yaml']), ()))
     return items
+
+
+def _port(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and 0 < int(text) < 1 << 16):
+        raise GraphError(f'page: expected a port from 1 to 65535 but found {text!r}')
+    return int(text)
 
 
 def _words(text: str) -> list[str]:

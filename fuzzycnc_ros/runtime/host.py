@@ -218,3 +218,55 @@ class MqttPublisherConfig(ExecutorConfig):
     broker_file: str = param(
         '', '-', 'File that says where the broker is and how the way to it is secured; required'
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DashboardConfig(ExecutorConfig):
+    """Parameters of `dashboard`."""
+
+    listen: str = param(
+        '127.0.0.1',
+        '-',
+        'Address to serve the page at; any that other computers reach is served encrypted, and '
+        'acting then needs the token',
+    )
+    port: int = param(
+        8642, '-', 'Port to serve the page at; 0 takes a free one', low=0, high=65535
+    )
+    hosts: tuple[str, ...] = param(
+        (), '-', 'Further names of this computer by which browsers may ask for the page'
+    )
+    interval: float = param(
+        1.0, 's', 'Time between two views of a machine on the page', low=0.2, high=60.0
+    )
+    bags: str = param(
+        '',
+        '-',
+        'Folder of bags: recordings started on the page go there, its bags can be taken from the '
+        'page and tell what was before its own memory; empty for none',
+    )
+    state_directory: str = param(
+        '',
+        '-',
+        'Directory of certificate and token that are made at the first start; empty takes '
+        '~/.fuzzycnc/dashboard',
+    )
+    token_file: str = param(
+        '',
+        '-',
+        'File with the token that acting needs, also where the page is served to this computer '
+        'alone; empty: one of its own where others reach the page, none where they do not',
+    )
+    certificate: str = param(
+        '',
+        '-',
+        'File with a certificate in PEM; empty: one of its own where others reach the page',
+    )
+    private_key: str = param('', '-', 'File with the key of the certificate in PEM')
+    forget_after: float = param(
+        86400.0,
+        's',
+        'Time after which a machine without data is no longer shown',
+        low=60.0,
+        high=1e7,
+    )

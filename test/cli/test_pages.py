@@ -35,6 +35,7 @@ ELSEWHERE = {
 GIVEN = {
     'docs/how-to/scaling.md': ['examples', 'model', 'archive'],
     'docs/how-to/integration.md': ['model'],
+    'docs/how-to/live-page.md': ['model'],
     'docs/explanation/methods/servo.md': ['axis'],
     'docs/tutorials/try-it.md': ['demo'],
 }
@@ -45,6 +46,7 @@ LONG = {
     'docs/explanation/methods/feedrate.md',
     'docs/explanation/methods/servo.md',
     'docs/how-to/integration.md',
+    'docs/how-to/live-page.md',
     'docs/how-to/scaling.md',
     'docs/how-to/security.md',
     'docs/reference/bags.md',

@@ -107,7 +107,10 @@ LOADED_ON_USE = {
     'rosbags',
     'serial',
     'sklearn',
+    'starlette',
     'typer',
+    'uvicorn',
+    'websockets',
     'yaml',
 }
 IMPURE = {
@@ -267,7 +270,7 @@ for name in sys.argv[1:]:
     importlib.import_module('fuzzycnc_ros.nodes.' + name)
 on_use = (
     'asyncua', 'jinja2', 'matplotlib', 'mcap', 'paho', 'pydantic', 'pymodbus', 'rich', 'rosbags',
-    'serial', 'sklearn', 'typer',
+    'serial', 'sklearn', 'starlette', 'typer', 'uvicorn', 'websockets',
 )
 print(*[name for name in on_use if name in sys.modules])
 """

@@ -11,6 +11,7 @@ PRINTS = {
     'cli/progress_lines.py': 'progress',
     'cli/application.py': 'errors',
     'ros/run.py': 'errors of nodes',
+    'nodes/dashboard.py': 'where the page is, and the token at its first start',
     'nodes/player.py': 'JSON',
     'nodes/recorder.py': 'what came of a recording',
     'nodes/simulated_body.py': 'JSON',

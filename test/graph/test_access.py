@@ -19,6 +19,7 @@ from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.access import (
     ACTIONS,
+    DASHBOARD,
     MQTT,
     OPERATOR,
     PLAYER,
@@ -185,6 +186,13 @@ def test_the_publisher_to_a_broker_has_what_it_needs(created, tmp_path):
         set(),
         set(),
     ]
+
+
+def test_the_page_has_what_it_needs(created):
+    pytest.importorskip('starlette')
+    has = created(DASHBOARD, port=0)
+    assert denied(has, allowed(DASHBOARD)) == set()
+    assert allowed(DASHBOARD)[1] - has[1] == {'/clock'}
 
 
 def test_the_operator_may_create_what_it_creates_and_ask_every_node(created):

@@ -145,7 +145,7 @@ def compare(
         say(line)
     if report is not None:
         facts = {
-            'Axis': 'lathe, simulated: 286 mm/s at full duty, grating of 0.625 um, noise 0.1 um',
+            'Axis': 'lathe, simulated: 286 mm/s at full duty, grating of 0.625 µm, noise 0.1 µm',
             'Control period': '1 ms',
             'Profile': '200 mm/s, 1.5 m/s², 30 m/s³',
             'Random moves': f'{moves} with moderate and {moves} with hard friction',

@@ -4,7 +4,6 @@
 
 import json
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +25,7 @@ from fuzzycnc_ros.cli.options import OptionalNumber, given
 from fuzzycnc_ros.cli.quantities import TIMES, number_in
 from fuzzycnc_ros.ros.bring_up import GraphError, machine_name
 from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
+from fuzzycnc_ros.ros.recording import recorder_command
 
 STOP_TIMEOUT = 30.0
 """Time [s] that the recorder gets to close its bag."""
@@ -75,7 +75,9 @@ def record(
     check_folder(json_file)
     check_ros('recording')
     prepare_environment()
-    code = _run_recorder(_arguments(out, machine, topics, lockstep), out, duration)
+    code = _run_recorder(
+        recorder_command(out, machine, topics=topics, lockstep=lockstep), out, duration
+    )
     if code == 0 and json_file is not None:
         write_json(json_file, _figures(out))
     if code == 0:
@@ -87,18 +89,8 @@ def record(
         raise typer.Exit(code)
 
 
-def _arguments(out: Path, machine: str, topics: str, lockstep: bool) -> list[str]:
-    parameters = {'output': str(out), 'topics': topics, 'lockstep': lockstep}
-    arguments = ['--ros-args', '-r', f'__ns:=/{machine}']
-    for name, value in parameters.items():
-        # JSON is YAML: a bag named 2024 stays a text.
-        arguments += ['-p', f'{name}:={json.dumps(value)}']
-    return arguments
-
-
-def _run_recorder(arguments: list[str], bag: Path, duration: float | None) -> int:
+def _run_recorder(command: list[str], bag: Path, duration: float | None) -> int:
     """Run the node as a process of its own, and hand it every wish to end."""
-    command = [sys.executable, '-m', 'fuzzycnc_ros.nodes.recorder', *arguments]
     # Its own session: a Ctrl-C at the terminal must reach it once, from here.
     process = subprocess.Popen(command, start_new_session=True, preexec_fn=child_set_up())
     wished = False

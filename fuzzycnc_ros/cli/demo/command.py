@@ -15,6 +15,7 @@ from fuzzycnc_ros.cli.demo.pattern import pattern
 from fuzzycnc_ros.cli.demo.shift import whole_shift
 from fuzzycnc_ros.cli.demo.steps import Play, play, renewed
 from fuzzycnc_ros.cli.demo.thermal import thermal
+from fuzzycnc_ros.cli.live.page_process import Page
 from fuzzycnc_ros.cli.programs.program_files import program_lines
 from fuzzycnc_ros.cli.terminal import Terminal
 from fuzzycnc_ros.ros.bring_up import BANNER, GraphError
@@ -47,6 +48,7 @@ def demo(
             'a plate that comes with the package.',
         ),
     ] = None,
+    page: Page = None,
 ) -> None:
     """Watch a simulated mill warm up for two shifts while its thermal error is compensated.
 
@@ -76,6 +78,8 @@ def demo(
     the spindle, which heats the simulated mill; needs LinuxCNC on this computer:
 
         fuzzycnc demo --scenario linuxcnc --out build/linuxcnc
+
+    With --page the live page of the machines is served meanwhile, and stays until Ctrl-C.
     """
     if program is not None and scenario is not Scenario.shift:
         raise GraphError('--program: expected --scenario shift, which alone cuts a program')
@@ -84,6 +88,8 @@ def demo(
     console.print(BANNER, style='yellow')
     with renewed(out):
         if scenario is Scenario.linuxcnc:
+            if page is not None:
+                raise GraphError('--page: expected a scenario with a graph of its own')
             linuxcnc_demo(console, out, seed)
             return
         run: dict[Scenario, Play] = {
@@ -92,7 +98,7 @@ def demo(
             Scenario.pattern: pattern,
             Scenario.shift: partial(whole_shift, program=text),
         }
-        play(run[scenario], console, out, seed)
+        play(run[scenario], console, out, seed, page)
 
 
 def _checked_program(path: Path) -> str:

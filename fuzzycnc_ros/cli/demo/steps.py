@@ -6,9 +6,10 @@ import fcntl
 import json
 import os
 import shutil
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TimeElapsedColumn
 from fuzzycnc_ros.cli.console import show
 from fuzzycnc_ros.cli.live.free_domain import own_domain
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
+from fuzzycnc_ros.cli.live.page_process import page_beside
 from fuzzycnc_ros.cli.progress_lines import progress_lines
 from fuzzycnc_ros.cli.terminal import Description
 from fuzzycnc_ros.ros.bring_up import GraphError, NodeSpec
@@ -143,7 +145,7 @@ Play = Callable[[Path, int, Steps], Outcome]
 """Runs into an empty folder with a seed of all measuring noise, and tells its steps."""
 
 
-def play(scenario: Play, console: Console, out: Path, seed: int) -> Any:
+def play(scenario: Play, console: Console, out: Path, seed: int, page: int | None = None) -> Any:
     """Run a scenario on a ROS domain of its own, write down and show what came of it.
 
     Parameters
@@ -156,6 +158,8 @@ def play(scenario: Play, console: Console, out: Path, seed: int) -> Any:
         The demo's folder, which is empty.
     seed : int
         Seed of all measuring noise.
+    page : int, optional
+        Port of the live page, which then stays until somebody wishes it to end.
 
     Returns
     -------
@@ -167,10 +171,21 @@ def play(scenario: Play, console: Console, out: Path, seed: int) -> Any:
     GraphError
         If a node fails, or the demo proves nothing.
     """
+    own_domain()
+    with page_beside(console, page, out / 'bag', out / 'log'):
+        result = _played(scenario, console, out, seed)
+        if page is not None:
+            console.print('the live page stays until Ctrl-C')
+            with suppress(KeyboardInterrupt):
+                signal.pause()
+    return result
+
+
+def _played(scenario: Play, console: Console, out: Path, seed: int) -> Any:
+    """Run a scenario, write down and show what came of it; return the figures."""
     from fuzzycnc_ros.studies.page.html import render_page
 
     started = time.monotonic()
-    own_domain()
     with progress_of(console) as progress:
         found = scenario(out, seed, progress)
         with progress.step('wrote the report'):

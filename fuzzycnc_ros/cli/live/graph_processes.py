@@ -27,7 +27,7 @@ COMPOSED = 'composed'
 def parameter_file(folder: Path, namespace: str, specs: Sequence[NodeSpec]) -> Path:
     """Write the parameters of all nodes as one ROS parameter file; return its path."""
     content = {
-        f'{namespace}/{spec.name}': {'ros__parameters': dict(spec.parameters)}
+        f'{namespace.rstrip("/")}/{spec.name}': {'ros__parameters': dict(spec.parameters)}
         for spec in specs
         if spec.parameters
     }

@@ -235,34 +235,15 @@ def probe(
     if deviation is not None:
         spread = quantity('--deviation', deviation, LENGTHS, example='1um')
     check_ros('operate')
-    import numpy as np
-
     from fuzzycnc_ros.cli.live.operator_client import Operator
-    from fuzzycnc_ros.runtime.records import Displacement
+    from fuzzycnc_ros.ros.probing import check_unprobed, probe_record
 
     with Operator(machine, patience=PATIENCE) as operator:
         operator.pause(LISTENING)
-        for topic, what in (
-            ('/clock', 'it is a simulated machine'),
-            ('clock', 'it is a simulated machine'),
-            ('displacement', 'another node does'),
-        ):
-            if operator.has_publisher(topic):
-                raise GraphError(
-                    f'{machine}: expected a machine whose displacement nobody else publishes '
-                    f'but found that {what}'
-                )
+        check_unprobed(machine, operator.has_publisher)
         applied = _applied(operator)
         includes = applied is not None and bool(applied.offset.any())
-        record = Displacement(
-            stamp=time.time_ns(),
-            frame_id=f'{machine}/workpiece',
-            axis=tuple(found),
-            channel=tuple(found),
-            displacement=np.array(list(found.values())),
-            standard_deviation=np.full(len(found), spread),
-            includes_compensation=includes,
-        )
+        record = probe_record(machine, found, spread, compensated=includes)
         try:
             readers = operator.publish(record, 'displacement')
         except GraphError as error:

@@ -13,6 +13,7 @@ import typer
 from fuzzycnc_ros.cli.completion import node_names, some_of
 from fuzzycnc_ros.cli.console import check_folder, check_ros, words, write_json
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
+from fuzzycnc_ros.cli.live.page_process import Page, page_beside
 from fuzzycnc_ros.cli.live.supervision_run import check_free, supervise
 from fuzzycnc_ros.cli.options import DUTIES
 from fuzzycnc_ros.cli.terminal import Terminal
@@ -116,6 +117,7 @@ def up(
             'nodes, but not the end of this command.'
         ),
     ] = None,
+    page: Page = None,
     network: Annotated[
         bool, typer.Option(help='Let other hosts of the network find the graph.')
     ] = False,
@@ -141,6 +143,10 @@ def up(
     For a real machine whose temperatures and state are published by other nodes:
 
         fuzzycnc up --machine mill_1 --model mill_1.json --params /etc/fuzzycnc
+
+    The same with a page for the browser of this computer, at the port given or 8642:
+
+        fuzzycnc up --machine mill_1 --model mill_1.json --page
 
     Two machines, all nodes of each in one process:
 
@@ -199,7 +205,8 @@ def up(
             presence = stack.enter_context(Presence())
             check_free(monitor, presence, dict(zip(machines, plans, strict=True)))
         console.print(BANNER, style='yellow', soft_wrap=True)
-        outcome = supervise(console, monitor, graphs, plans)
+        with page_beside(console, page, record):
+            outcome = supervise(console, monitor, graphs, plans)
     outcome['wall_s'] = round(time.monotonic() - started, 3)
     console.print(
         f'ended after {outcome["wall_s"]:.0f} s'

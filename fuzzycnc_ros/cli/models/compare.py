@@ -199,9 +199,12 @@ def compare(
     bad = (*read.bad, *failed)
     say_bad(bad)
     if report is not None:
+        from fuzzycnc_ros.studies.page.recorded import recording_facts
         from fuzzycnc_ros.studies.thermal.comparison_page import comparison_page
 
+        unread = {item.bag.name for item in read.bad}
         facts = {
+            **recording_facts([b.path for b in find_bags(bags) if b.name not in unread]),
             'Runs': ', '.join(run.name for run in runs),
             'Sampling interval': f'{interval:g} s',
             'Spindle speed': f'not used, {no_speed}' if no_speed else 'used where named',

@@ -102,7 +102,10 @@ def curve(
     for line in lines:
         say(line)
     if report is not None:
+        from fuzzycnc_ros.studies.page.recorded import recording_facts
+
         facts = {
+            **recording_facts(bags),
             'Runs': ', '.join(run.name for run in runs),
             'Sampling interval': f'{interval:g} s',
             'Seed': str(seed),

@@ -132,8 +132,13 @@ def evaluate(
     for text in problem_lines(trained):
         say(text)
     if report is not None:
+        from fuzzycnc_ros.studies.page.recorded import recording_facts
+
+        bad = {item.bag.name for item in found.bad}
+        used = [bag for bag in find_bags(bags) if bag.name not in bad]
         pages = [item.page for item in found.results if item.page is not None]
-        _write_report(report, pages, lines, trained, document, probed)
+        facts = recording_facts([bag.path for bag in used])
+        _write_report(report, pages, lines, trained, document, probed, facts)
     write_json(json_file, _document(found, model, trained, document))
     if found.bad:
         raise typer.Exit(1)
@@ -274,7 +279,7 @@ def _page(model: 'ThermalModel', run: 'ThermalRun', result: 'Evaluation') -> 'Co
         },
         default='default',
         standard_deviation=model.standard_deviation(rise),
-        in_domain=model.in_domain(rise),
+        in_domain=model.in_domain(rise) & (not result.warm),  # as the figure in the remarks
     )
 
 
@@ -285,6 +290,7 @@ def _write_report(
     model: 'ThermalModel',
     text: str,
     probed: 'Sequence[ProbedEvaluation]',
+    facts: dict[str, str],
 ) -> None:
     from fuzzycnc_ros.studies.shift.shift_report import shift_report
     from fuzzycnc_ros.studies.thermal.probed import probed_section
@@ -297,5 +303,6 @@ def _write_report(
         title='A thermal model, judged on recorded runs',
         sections=[probed_section(item) for item in probed],
         judged=lines,
+        facts=facts,
     )
     write_report(path, report_page(data))

@@ -280,7 +280,7 @@ def _write_report(
     loop = machine.contouring
     facts = {
         'Program': figures.program,
-        'Tolerance': f'{1e6 * figures.tolerance:g} um',
+        'Tolerance': f'{1e6 * figures.tolerance:g} µm',
         'Contour constant of the loop': f'{loop.contour_constant:.4g} s²',
         'Position loop': f'{loop.position_gain:g} 1/s',
         'Velocity loop': f'{loop.velocity_bandwidth:g} rad/s',

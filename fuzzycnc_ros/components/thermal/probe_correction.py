@@ -127,6 +127,7 @@ class ProbeCorrection:
         for number, name in enumerate(self._channel):
             values[f'offset {name} [um]'] = f'{1e6 * offset[number]:.2f}'
             values[f'gain {name} [%]'] = f'{100.0 * gain[number]:.1f}'
+            values[f'cusum {name} [-]'] = f'{self._alarm.sums[:, number].max():.3g}'
         what = self._kind if self._filter is not None else 'adaptation'
         text = f'{what}: {self._used} probes used'
         level = Level.WARN if self._rejection else Level.OK

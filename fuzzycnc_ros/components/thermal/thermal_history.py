@@ -129,6 +129,8 @@ class ModelHistory:
     def _forget(self) -> None:
         """Drop the history."""
         self.prediction: Prediction | None = None
+        self.distance = float('nan')
+        """How far the newest sample is from the training, 1 at the border of the domain [-]."""
         self.remainder = Fade(np.zeros(len(self.model.channel)))
         """What is left of a model from which this one has taken over [m]; fades to zero."""
         self._recursion = self.model.start()
@@ -171,12 +173,12 @@ class ModelHistory:
             self.correction.pause()
             return
         stamp = heard.sample.stamp
-        distance = float(self.model.distance(self._vector))
+        self.distance = float(self.model.distance(self._vector))
         error, deviation = self.correction.apply(
             stamp,
             error,
             self.model.standard_deviation(self._vector),
-            distance,
+            self.distance,
             heard.probes,
             self.config.correction_time,
         )

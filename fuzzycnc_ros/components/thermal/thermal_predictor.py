@@ -391,7 +391,8 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         if history.reason is not Reason.NONE:
             items = [Health('prediction', Level.ERROR, history.detail)]
         else:
-            items = [Health('prediction', Level.OK, f'predicting with {history.label}')]
+            values = {'distance [-]': f'{history.distance:.3g}'}
+            items = [Health('prediction', Level.OK, f'predicting with {history.label}', values)]
         items += history.health()
         if history.prediction is not None and history.prediction.outside:
             items.append(Health('domain', Level.WARN, history.prediction.outside))

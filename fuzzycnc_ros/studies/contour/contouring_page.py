@@ -5,18 +5,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import (
-    ACCENT,
+    AFTER,
     FAINT,
     INK,
-    SECOND,
-    WARNING,
-    add_legend,
+    LIMIT,
+    MEASURED,
     new_figure,
     plot_style,
 )
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 
-PIECES = 4000
+PIECES = 2000
 """Pieces in which a path is drawn at most, about: more make a page large and slow, not better."""
 
 
@@ -82,96 +82,138 @@ def contouring_page(
         tables=(contouring_table(paths),),
     )
     rest = [Section(f'Path {path.name}', figures=tuple(_figures(path))) for path in paths]
-    return Page(title=title, summary=summary, sections=(first, *rest), facts=facts)
+    window = 'from the first sample on a path to the end of its run-out'
+    return Page(
+        title=title,
+        summary=summary,
+        sections=(first, *rest),
+        facts={'Judged': window, **facts},
+    )
 
 
 def _figures(path: FollowedPath) -> Iterator[Figure]:
     yield Figure(
         f'{path.name}: where the error is',
-        'The path of the tool, coloured by its contour error. A good schedule leaves about the '
-        'same error everywhere it is limited by the tolerance, and less where the limits of the '
-        'axes hold it back.',
-        plot_error_path(path),
+        'The path of the tool, coloured by its contour error: blue within the tolerance, red '
+        'beyond it. A good schedule leaves about the same error everywhere it is limited by the '
+        'tolerance, and less where the limits of the axes hold it back.',
+        error_path_picture(path),
     )
     yield Figure(
         f'{path.name}: feed and speed',
         'The feed that the scheduler asks for (thin), the speed within the limits of path and '
         'axes (thick), and the speed of the tool itself, later by the delay of the axes.',
-        plot_speed(path),
+        speed_chart(path),
     )
     yield Figure(
         f'{path.name}: contour error over time',
         'The dashed line is the tolerance that the feed was chosen for.',
-        plot_error(path),
+        error_chart(path),
     )
 
 
-def plot_error_path(path: FollowedPath) -> Any:
-    """Plot the path of the tool in its first two axes, coloured by contour error."""
+def error_path_picture(path: FollowedPath) -> Picture:
+    """Draw the path of the tool in its first two axes, coloured by contour error."""
     on = path.time >= 0.0
-    point, error = path.position[on][:, :2], path.error[on]
+    return path_picture(path.position[on][:, :2], path.error[on], path.axis[:2], path.tolerance)
+
+
+def path_picture(
+    point: Floats, error: Floats, axis: Sequence[str], tolerance: float = np.nan
+) -> Picture:
+    """Draw a path coloured by its error: blue within the tolerance, red beyond it.
+
+    Parameters
+    ----------
+    point : ndarray, shape (n, 2)
+        Places of the tool [m]; NaN where the path is interrupted.
+    error : ndarray, shape (n,)
+        Error there [m].
+    axis : sequence of str, length 2
+        Names of the axes.
+    tolerance : float
+        Largest error wanted [m]; NaN if none was named.
+    """
     # Of a long path each piece shows the largest error of a few samples.
     begin = np.arange(0, max(len(error) - 1, 1), 1 + len(error) // PIECES)
     error = np.maximum(np.maximum.reduceat(error, begin), np.append(error[begin[1:]], error[-1]))
     point = point[np.append(begin, len(point) - 1)]
+    colors = require('matplotlib.colors')
+    within = colors.LinearSegmentedColormap.from_list('within', ['#a9cdf2', '#1b5aa6'])
+    beyond = colors.LinearSegmentedColormap.from_list('beyond', ['#d2691e', LIMIT])
+    largest = 1e6 * float(error.max(initial=1e-9))
+    bound = 1e6 * tolerance if np.isfinite(tolerance) else largest
+    top = bound if largest <= bound else max(largest, 1.2 * bound)
+    share = bound / top
+    steps = np.linspace(0.0, 1.0, 256)
+    shades = np.where(
+        (steps <= share)[:, np.newaxis],
+        within(np.minimum(steps / share, 1.0)),
+        beyond(np.clip((steps - share) / max(1.0 - share, 1e-9), 0.0, 1.0)),
+    )
     with plot_style():
         figure = new_figure(5.6)
         axes = figure.subplots()
         ends = np.stack([point[:-1], point[1:]], axis=1)
         lines = require('matplotlib.collections').LineCollection(
-            1e3 * ends, cmap='turbo', linewidths=1.6, capstyle='round'
+            1e3 * ends,
+            cmap=colors.ListedColormap(shades),
+            norm=colors.Normalize(0.0, top),
+            linewidths=1.8,
+            capstyle='round',
         )
         lines.set_array(1e6 * error)
         axes.add_collection(lines)
         axes.autoscale_view()
         axes.set_aspect('equal', adjustable='datalim')
-        axes.set_xlabel(f'{path.axis[0]} [mm]')
-        axes.set_ylabel(f'{path.axis[1]} [mm]')
-        figure.colorbar(lines, ax=axes, label='contour error [µm]', shrink=0.8, pad=0.02)
-        return figure
+        axes.set_xlabel(f'{axis[0]} [mm]')
+        axes.set_ylabel(f'{axis[1]} [mm]')
+        bar = figure.colorbar(lines, ax=axes, label='contour error [µm]', shrink=0.8, pad=0.02)
+        if np.isfinite(tolerance):
+            bar.ax.axhline(bound, color=INK, linewidth=1.2)
+            bar.ax.annotate(
+                'tolerance', (0.0, bound), xycoords=('axes fraction', 'data'), xytext=(-3.0, 0.0),
+                textcoords='offset points', ha='right', va='center', fontsize=7.5, color=INK,
+            )  # fmt: skip
+        return Picture(
+            figure,
+            {
+                f'{axis[0]} [mm]': 1e3 * point[1:, 0],
+                f'{axis[1]} [mm]': 1e3 * point[1:, 1],
+                'contour error [µm]': 1e6 * error,
+            },
+        )
 
 
-def plot_speed(path: FollowedPath) -> Any:
-    """Plot the scheduled feed, the speed within the limits and that of the tool over time."""
+def speed_chart(path: FollowedPath) -> Chart:
+    """Declare the scheduled feed, the speed within the limits and that of the tool over time."""
     on = path.time >= 0.0
     time = path.time[on]
     told = np.gradient(path.reference[on], time, axis=0)
-    with plot_style():
-        figure = new_figure(3.4)
-        axes = figure.subplots()
-        handles, labels = [], []
-        if path.schedule is not None:
-            # Where the commanded point is, so that feeds by place become feeds by time
-            step = np.linalg.norm(np.diff(path.reference[on], axis=0), axis=1)
-            way = np.append(0.0, np.cumsum(step))
-            feed = np.interp(way, path.schedule.arc_length, path.schedule.feed)
-            handles += axes.plot(time, 1e3 * feed, color=FAINT, linewidth=0.8)
-            labels.append('scheduled feed')
-        handles += axes.plot(time, 1e3 * np.linalg.norm(told, axis=1), color=ACCENT)
-        labels.append('speed within the limits')
-        actual = np.linalg.norm(path.velocity[on], axis=1)
-        handles += axes.plot(time, 1e3 * actual, color=SECOND, linewidth=0.8)
-        labels.append('speed of the tool')
-        axes.set_xlabel('time [s]')
-        axes.set_ylabel('speed [mm/s]')
-        axes.set_ylim(bottom=0.0)
-        add_legend(figure, handles, labels)
-        return figure
+    series = []
+    if path.schedule is not None:
+        # Where the commanded point is, so that feeds by place become feeds by time
+        step = np.linalg.norm(np.diff(path.reference[on], axis=0), axis=1)
+        way = np.append(0.0, np.cumsum(step))
+        feed = np.interp(way, path.schedule.arc_length, path.schedule.feed)
+        series.append(Series('scheduled feed', 1e3 * feed, FAINT, 0.8))
+    series += [
+        Series('speed within the limits', 1e3 * np.linalg.norm(told, axis=1), AFTER),
+        Series(
+            'speed of the tool', 1e3 * np.linalg.norm(path.velocity[on], axis=1), MEASURED, 0.8
+        ),
+    ]
+    panel = Panel(time, Axis('speed', 'mm/s', low=0.0), series)
+    return Chart(Axis('time', 's'), [panel], height=3.4)
 
 
-def plot_error(path: FollowedPath) -> Any:
-    """Plot the contour error over time."""
+def error_chart(path: FollowedPath) -> Chart:
+    """Declare the contour error over time."""
     on = path.time >= 0.0
-    with plot_style():
-        figure = new_figure(3.0)
-        axes = figure.subplots()
-        handles = axes.plot(path.time[on], 1e6 * path.error[on], color=INK, linewidth=0.9)
-        labels = ['contour error']
-        if np.isfinite(path.tolerance):
-            handles.append(axes.axhline(1e6 * path.tolerance, color=WARNING, linestyle='--'))
-            labels.append('tolerance')
-        axes.set_xlabel('time [s]')
-        axes.set_ylabel('contour error [µm]')
-        axes.set_ylim(bottom=0.0)
-        add_legend(figure, handles, labels)
-        return figure
+    series = Series('contour error', 1e6 * path.error[on], MEASURED, 0.9)
+    rules = []
+    if np.isfinite(path.tolerance):
+        rules.append(Rule(1e6 * path.tolerance, LIMIT, 'tolerance', (6.0, 3.0)))
+    top = max(1e6 * float(path.error[on].max()), *(rule.at for rule in rules), 1e-9)
+    axis = Axis('contour error', 'µm', low=0.0, high=1.1 * top)
+    return Chart(Axis('time', 's'), [Panel(path.time[on], axis, [series], rules=rules)])

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros import __version__
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fit.refinement import Progress
@@ -19,9 +18,9 @@ from fuzzycnc_ros.simulation.thermal.grinder_runs import record_flux_case, recor
 from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS, Rival
 from fuzzycnc_ros.studies.page.document import shown_as, to_document
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, tied
 from fuzzycnc_ros.studies.thermal.comparison import MARK, best_of, refusal_line
-from fuzzycnc_ros.studies.thermal.comparison_page import plot_residuals
+from fuzzycnc_ros.studies.thermal.comparison_page import residuals_picture
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
 
 NOISES = (0.0, 0.02, 0.05, 0.10)
@@ -293,7 +292,14 @@ def _table(result: TrialResult) -> Table:
     for column, heading in enumerate(headings, start=1):
         rms = {model: scores[heading].rms for model, scores in result.scores.items()}
         if heading not in seen:
-            strong |= {(models.index(best), column) for best in best_of(rms, result.problems)}
+            texts = {
+                model: f'{1e6 * value:.2f}'
+                for model, value in rms.items()
+                if model not in result.problems
+            }
+            strong |= {
+                (models.index(best), column) for best in tied(texts, best_of(rms, result.problems))
+            }
     return Table(
         title=f'Grinder, {result.title}: residual rms/max [µm]',
         columns=(
@@ -328,7 +334,11 @@ def grinder_page(comparison: GrinderComparison) -> Page:
             )
             for table, result in zip(tables, comparison.trials, strict=True)
         ],
-        facts={'Noise seed': str(comparison.seed), 'fuzzycnc': __version__},
+        facts={
+            'Machine': 'simulated grinder',
+            'Judged': 'whole runs, each from a cold start',
+            'Noise seed': str(comparison.seed),
+        },
     )
 
 
@@ -347,9 +357,9 @@ def _bars(result: TrialResult) -> Figure:
     note = f' {", ".join(seen)} are training runs.' if seen else ''
     return Figure(
         f'Grinder, {result.title}: what each model leaves',
-        'Bars show the root mean square residual; the shorter, the better. Yellow: not to be '
-        f'trusted. A bar that fades across the whole panel has diverged.{note}',
-        plot_residuals(
+        'The root mean square residual; the further left, the better. Yellow: not to be trusted. '
+        f'Dots instead of bars: the axis is logarithmic. An arrow: diverged.{note}',
+        residuals_picture(
             columns,
             {
                 name: np.array([scores[column].rms for column in columns])

@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all plots share: matplotlib figures without pyplot and its global state.
 
-Every figure is made inside `plot_style`, which sets type sizes and colours.  The neutral colours
-are also the marks by which `fuzzycnc_ros.studies.page.html` makes a figure follow the page's
-theme.
+Every figure is made inside `plot_style`, which sets type sizes and colours.  A colour has one
+meaning on all pages, and is also the mark by which a figure follows the page's theme.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import ceil
 from typing import Any
@@ -17,16 +16,45 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.studies.page.requirement import require
 
-INK, MUTED, FAINT, GRID = '#14181d', '#56616d', '#8f99a5', '#e3e7ec'
-"""Neutral colours: text and measurements, labels, background curves, grid lines."""
+PALETTE: Mapping[str, tuple[str, str]] = {
+    'ink': ('#14181d', '#e8ecf1'),
+    'muted': ('#56616d', '#a3adb9'),
+    'faint': ('#8f99a5', '#76818e'),
+    'grid': ('#e3e7ec', '#2c343d'),
+    'before': ('#d9772b', '#ee9550'),
+    'after': ('#2a74c4', '#6aa8ea'),
+    'other': ('#8d5fc4', '#b48fe6'),
+    'another': ('#2e9e74', '#4cc498'),
+    'limit': ('#c2395b', '#f07a97'),
+    'caution': ('#d99a1c', '#f0bf5a'),
+}
+"""Colours by name, each on a light and on a dark page."""
 
-ACCENT, SECOND, THIRD, WARNING = '#2a74c4', '#d9772b', '#8d5fc4', '#d99a1c'
-"""Colours of the model in use, two others, and what calls for attention."""
+INK, MUTED, FAINT, GRID = (PALETTE[name][0] for name in ('ink', 'muted', 'faint', 'grid'))
+"""Neutral colours: text, labels, background curves, grid lines."""
+
+MEASURED = INK
+"""What was measured, or told by a sensor, without anything done to it."""
+
+BEFORE, AFTER = PALETTE['before'][0], PALETTE['after'][0]
+"""A machine as it is, and with what this package does: the model, controller or feed in use."""
+
+OTHER, ANOTHER = PALETTE['other'][0], PALETTE['another'][0]
+"""What is drawn beside the one in use for comparison."""
+
+LIMIT = PALETTE['limit'][0]
+"""A limit, a tolerance, and what lies beyond it."""
+
+WARNING = PALETTE['caution'][0]
+"""What calls for attention: not to be trusted, outside the training."""
+
+THEME: Mapping[str, str] = {light: f'--{name}' for name, (light, _) in PALETTE.items()}
+"""Colour -> variable of the page's style sheet, which follows the reader's theme."""
 
 CLUSTER_COLOURS = (
-    '#2a74c4',
-    '#d9772b',
-    '#2e9e74',
+    AFTER,
+    BEFORE,
+    ANOTHER,
     '#b84a8f',
     '#a9891b',
     '#6a62cc',
@@ -35,6 +63,7 @@ CLUSTER_COLOURS = (
     '#6f9130',
     '#94735c',
 )
+"""Colours of clusters, tracks and methods, which have no order."""
 
 _STYLE = {
     'axes.axisbelow': True,
@@ -81,11 +110,11 @@ def plot_style() -> Iterator[None]:
 
 
 def time_axis(time: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
-    """Return time since the first row in the unit that reads best, and its label."""
+    """Return time since the first row in the unit that reads best, and that unit."""
     elapsed = time - time[0]
     if elapsed[-1] > 7200.0:
-        return elapsed / 3600.0, 'time [h]'
-    return elapsed / 60.0, 'time [min]'
+        return elapsed / 3600.0, 'h'
+    return elapsed / 60.0, 'min'
 
 
 def new_figure(height: float) -> Any:

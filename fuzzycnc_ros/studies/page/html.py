@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pages of sections with tables, remarks and figures, as self-contained HTML.
 
-Figures are SVG text inside the page and follow its light or dark theme.
+A declared figure is drawn by the page's own script, and zoomed into; on paper and without scripts
+its SVG stands in its place.  Both follow the light or dark theme.
 """
 
+import json
 import re
 import warnings
 from collections.abc import Mapping, Sequence
@@ -13,18 +15,19 @@ from importlib.resources import files
 from io import StringIO
 from typing import Any, NamedTuple
 
+from fuzzycnc_ros import __version__
 from fuzzycnc_ros.core.names import visible
-from fuzzycnc_ros.studies.page.drawing import ACCENT, FAINT, GRID, INK, MUTED, plot_style
+from fuzzycnc_ros.studies.page.chart import Chart, Picture
+from fuzzycnc_ros.studies.page.drawing import PALETTE, THEME, plot_style
+from fuzzycnc_ros.studies.page.paper import drawn
 from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.page.table import Table
+from fuzzycnc_ros.web import vendored
 
-_THEME = {
-    INK: '--ink',
-    MUTED: '--muted',
-    FAINT: '--faint',
-    GRID: '--grid',
-    ACCENT: '--accent',
-}
+HEADER = ('Recorded', 'Machine', 'Axis', 'Bag', 'Program', 'Judged')
+"""Facts that stand at the top of a page, in this order."""
+
+_TAG = re.compile(r'<[^>]*>')
 _DECIMALS = re.compile(r'(\d\.\d\d)\d+')
 _IDENTITY = re.compile(r'(\bid="|url\(#|xlink:href="#)')
 _SIZE = re.compile(r' width="[^"]*" height="[^"]*"| height="[^"]*" width="[^"]*"')
@@ -43,7 +46,7 @@ class Figure:
 
     title: str
     caption: str
-    plot: Any
+    plot: Chart | Picture
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,7 @@ class _NumberedFigure:
     title: str
     caption: str
     svg: str
+    data: str
 
     @property
     def anchor(self) -> str:
@@ -102,7 +106,7 @@ class Page:
     sections : sequence of Section
         Its parts.
     facts : mapping of str to str
-        Provenance, shown as a table.
+        Provenance, shown as a table; those of `HEADER` stand at the top of the page instead.
     notes : sequence of str
         What is to be known of the whole page.
     template : str
@@ -137,12 +141,19 @@ def render_page(page: Page) -> str:
         loader=jinja2.FunctionLoader(_source),
     )
     sections = _with_numbers(page.sections)
+    header = {name: page.facts[name] for name in HEADER if name in page.facts}
+    figures = [figure for section in sections for figure in section.figures]
     text = environment.get_template(page.template).render(
         title=page.title,
+        name=re.sub(r'[^a-z0-9]+', '-', page.title.lower()).strip('-'),
+        palette=PALETTE,
+        style=vendored('uplot/uPlot.min.css') if figures else '',
+        scripts=[vendored('uplot/uPlot.iife.min.js'), _source('charts.js')] if figures else [],
+        header={**header, 'fuzzycnc': __version__},
         summary=page.summary,
         sections=sections,
-        figures=[figure for section in sections for figure in section.figures],
-        facts=page.facts,
+        figures=figures,
+        facts={name: fact for name, fact in page.facts.items() if name not in header},
         notes=page.notes,
         **page.values,
     )
@@ -157,15 +168,24 @@ def _source(name: str) -> str:
 
 def _with_numbers(sections: Sequence[Section]) -> list[Section]:
     """Return sections with their figures drawn and numbered through."""
-    drawn, number = [], 0
+    numbered, number = [], 0
     for section in sections:
         figures: list[Any] = []
         for figure in section.figures:
             number += 1
-            svg = to_inline_svg(figure.plot, f'f{number}')
-            figures.append(_NumberedFigure(number, figure.title, figure.caption, svg))
-        drawn.append(replace(section, figures=figures))
-    return drawn
+            plot = figure.plot
+            on_paper = drawn(plot) if isinstance(plot, Chart) else plot.figure
+            svg = to_inline_svg(on_paper, f'f{number}')
+            data = _script_text(plot.document())
+            figures.append(_NumberedFigure(number, figure.title, figure.caption, svg, data))
+        numbered.append(replace(section, figures=figures))
+    return numbered
+
+
+def _script_text(document: Any) -> str:
+    """Return a document as JSON that may stand in a script element."""
+    text = json.dumps(document, ensure_ascii=False, separators=(',', ':'), allow_nan=False)
+    return text.replace('<', '\\u003c')
 
 
 def to_inline_svg(figure: Any, name: str) -> str:
@@ -182,8 +202,8 @@ def to_inline_svg(figure: Any, name: str) -> str:
     Returns
     -------
     str
-        SVG element without size, so that the page sets its width; neutral colours and the
-        accent are the page's CSS variables, numbers have two decimals.
+        SVG element without size, so that the page sets its width; colours that have a meaning
+        are the page's CSS variables, places have two decimals.
     """
     stream = StringIO()
     for item in figure.findobj(require('matplotlib.text').Text):
@@ -198,6 +218,8 @@ def to_inline_svg(figure: Any, name: str) -> str:
     svg = text[text.index('<svg') :]
     head, body = svg.split('>', 1)
     svg = _SIZE.sub('', head) + '>' + re.sub(r'<metadata>.*?</metadata>', '', body, flags=re.S)
-    for colour, variable in _THEME.items():
+    for colour, variable in THEME.items():
         svg = svg.replace(colour, f'var({variable})')
-    return _IDENTITY.sub(rf'\g<1>{name}-', _DECIMALS.sub(r'\1', svg)).strip()
+    # Text keeps its decimals: it is read.
+    svg = _TAG.sub(lambda tag: _DECIMALS.sub(r'\1', tag[0]), svg)
+    return _IDENTITY.sub(rf'\g<1>{name}-', svg).strip()

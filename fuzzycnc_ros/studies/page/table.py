@@ -2,13 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """A table once, shown in the terminal, as plain text, as Markdown and in HTML."""
 
+from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass, replace
 from itertools import groupby, zip_longest
 from textwrap import wrap
-from typing import Any
+from typing import Any, TypeVar
 
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.studies.page.requirement import require
+
+Key = TypeVar('Key', bound=Hashable)
 
 TEXT_MIN = 20
 """Characters that a cell of text keeps beside each other if it has so many."""
@@ -51,6 +54,8 @@ class Table:
         Rows that stand out, such as the model in use.
     warning : frozenset of (int, int)
         Row and column of the cells that warn; numbers among them are marked in plain text too.
+    strong_means, highlight_means, warning_means : str
+        What these marks stand for, as a page says below the table.
 
     Raises
     ------
@@ -73,6 +78,9 @@ class Table:
     strong: frozenset[tuple[int, int]] = frozenset()
     highlight: frozenset[int] = frozenset()
     warning: frozenset[tuple[int, int]] = frozenset()
+    strong_means: str = 'best of its column, all that are equal as shown'
+    highlight_means: str = 'in use, or the automatic choice'
+    warning_means: str = 'worse than no compensation'
 
     def __post_init__(self) -> None:
         for number, row in enumerate(self.rows):
@@ -212,6 +220,18 @@ class Table:
     def _markdown_cell(self, row: int, column: int) -> str:
         text = _escaped(self.marked(row, column))
         return f'**{text}**' if (row, column) in self.strong else text
+
+
+def tied(texts: Mapping[Key, str], best: Collection[Key]) -> list[Key]:
+    """Return the keys whose text is that of one of the best: what looks equal is marked alike.
+
+    Examples
+    --------
+    >>> tied({'mlp': '2.4', 'arma': '2.4', 'lag_ridge': '2.5'}, ['mlp'])
+    ['mlp', 'arma']
+    """
+    shown = {texts[key] for key in best}
+    return [key for key, text in texts.items() if text in shown]
 
 
 def _escaped(text: str) -> str:

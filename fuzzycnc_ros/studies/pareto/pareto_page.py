@@ -7,18 +7,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import (
-    ACCENT,
+    AFTER,
+    BEFORE,
     CLUSTER_COLOURS,
     FAINT,
     INK,
+    LIMIT,
     MUTED,
-    SECOND,
-    new_figure,
-    plot_style,
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, tied
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.pareto.pareto import Pareto
@@ -38,17 +40,23 @@ LABELS: Mapping[str, str] = {
 }
 """Methods for people."""
 
-_LINES: Mapping[str, tuple[str, Any, str]] = {
-    'constant': (MUTED, '-', 's'),
-    'fuzzy': (SECOND, '-', 'D'),
-    'log_fuzzy': (ACCENT, '-', 'o'),
-    'normal_acceleration': (CLUSTER_COLOURS[2], '-', '^'),
-    'chord_error': (CLUSTER_COLOURS[3], (0, (1, 3)), 'x'),
-    'look_ahead': (CLUSTER_COLOURS[4], (1.5, (1, 3)), '+'),
-    'jerk_limited': (CLUSTER_COLOURS[7], '-', 'v'),
-    'refined': (INK, (0, (4, 2)), ''),
+BEST = (
+    'least time, as shown, of the methods that can be used on any path; the refined one is a '
+    'bound and does not compete'
+)
+"""What is marked in the table."""
+
+_LINES: Mapping[str, tuple[str, tuple[float, ...]]] = {
+    'constant': (MUTED, ()),
+    'fuzzy': (BEFORE, ()),
+    'log_fuzzy': (AFTER, ()),
+    'normal_acceleration': (CLUSTER_COLOURS[2], ()),
+    'chord_error': (CLUSTER_COLOURS[3], (1.0, 3.0)),
+    'look_ahead': (CLUSTER_COLOURS[4], (2.0, 4.0)),
+    'jerk_limited': (CLUSTER_COLOURS[7], ()),
+    'refined': (INK, (4.0, 2.0)),
 }
-"""Colour, dashes and marker; what nearly coincides is drawn as points on a line."""
+"""Colour and dashes; what nearly coincides is drawn as points on a dotted line."""
 
 
 def millimetres(length: float) -> str:
@@ -69,23 +77,27 @@ def pareto_table(pareto: Pareto, knobs: Mapping[str, str]) -> Table:
     columns = [Column('Method', numeric=False), Column('turned by', numeric=False)]
     columns += [Column(f'{millimetres(error)} mm', 'time [s] at') for error in pareto.errors]
     names = list(pareto.methods)
-    rows, strong = [], set()
+    rows = []
     for name in names:
         times = [pareto.methods[name].at_error[error] for error in pareto.errors]
         cells = ['-' if time is None else f'{time:.2f}' for time in times]
         rows.append((name, knobs[name], *cells))
-    for column, error in enumerate(pareto.errors, start=2):
+    strong = set()
+    for column in range(2, len(columns)):
         # the bound is refined on the very path, so it does not compete
-        known = {
-            row: pareto.methods[name].at_error[error]
-            for row, name in enumerate(names)
-            if name != REFINED and pareto.methods[name].at_error[error] is not None
+        competing = {
+            row: cells[column]
+            for row, (name, cells) in enumerate(zip(names, rows, strict=True))
+            if name != REFINED and cells[column] != '-'
         }
-        if known:
-            strong.add((min(known, key=lambda row: known[row] or 0.0), column))
+        if competing:
+            least = min(competing, key=lambda row: float(competing[row]))
+            strong |= {(row, column) for row in tied(competing, [least])}
     highlight = frozenset({names.index(DEFAULT)} if DEFAULT in names else ())
     title = f'Time at equal largest contour error: {pareto.path}'
-    return Table(title, tuple(columns), tuple(rows), frozenset(strong), highlight)
+    return Table(
+        title, tuple(columns), tuple(rows), frozenset(strong), highlight, strong_means=BEST
+    )
 
 
 def pareto_lines(pareto: Pareto) -> list[str]:
@@ -137,63 +149,31 @@ def pareto_document(pareto: Pareto) -> dict[str, Any]:
     }
 
 
-def plot_pareto(pareto: Pareto) -> Any:
-    """Plot time against largest contour error, both logarithmic."""
-    with plot_style():
-        figure = new_figure(5.2)
-        axes = figure.subplots()
-        axes.set_xscale('log')
-        axes.set_yscale('log')
-        shown = [name for name in pareto.methods if pareto.methods[name].points]
-        # the default lies on top
-        for name in sorted(shown, key=lambda name: name == DEFAULT):
-            points = pareto.methods[name].points
-            colour, dashes, marker = _LINES[name]
-            axes.plot(
-                [1e3 * point.error for point in points],
-                [point.duration for point in points],
-                color=colour,
-                linestyle=dashes,
-                marker=marker,
-                markersize=6.0 if marker in ('x', '+') else 4.0,
-                linewidth=2.2 if name == DEFAULT else 1.2,
-                label=LABELS[name],
+def pareto_chart(pareto: Pareto) -> Chart:
+    """Declare time against largest contour error, both logarithmic."""
+    shown = [name for name in pareto.methods if pareto.methods[name].points]
+    series = []
+    # the default lies on top
+    for name in sorted(shown, key=lambda name: name == DEFAULT):
+        points = sorted(pareto.methods[name].points, key=lambda point: point.error)
+        colour, dashes = _LINES[name]
+        series.append(
+            Series(
+                LABELS[name],
+                np.array([point.duration for point in points]),
+                colour,
+                width=2.2 if name == DEFAULT else 1.2,
+                dashes=dashes,
+                kind='both',
+                x=np.array([1e3 * point.error for point in points]),
             )
-        for error in pareto.errors:
-            axes.axvline(1e3 * error, color=FAINT, linewidth=0.7, linestyle=(0, (2, 3)))
-        axes.axhline(pareto.limits.duration, color=MUTED, linewidth=0.8, linestyle=(0, (6, 3)))
-        axes.annotate(
-            f'full feed within the path acceleration, {pareto.limits.duration:.2f} s',
-            (0.005, pareto.limits.duration),
-            xycoords=('axes fraction', 'data'),
-            xytext=(0.0, 3.0),
-            textcoords='offset points',
-            fontsize=7.5,
-            color=MUTED,
         )
-        _plain_ticks(axes.xaxis, axes.get_xlim())
-        _plain_ticks(axes.yaxis, axes.get_ylim())
-        axes.set_xlabel('largest contour error [mm]')
-        axes.set_ylabel('time [s]')
-        handles, labels = axes.get_legend_handles_labels()
-        wanted = [labels.index(LABELS[name]) for name in shown]
-        # every curve falls, so that this corner is free
-        axes.legend(
-            [handles[i] for i in wanted],
-            [labels[i] for i in wanted],
-            loc='upper right',
-            ncol=2,
-            columnspacing=1.6,
-        )
-        return figure
-
-
-def _plain_ticks(axis: Any, limits: tuple[float, float]) -> None:
-    """Mark a logarithmic axis at 1, 2 and 5 of each decade, in plain numbers."""
-    ticks = [step * 10.0**power for power in range(-7, 5) for step in (1, 2, 5)]
-    ticks = [tick for tick in ticks if limits[0] <= tick <= limits[1]]
-    axis.set_ticks(ticks, [f'{tick:g}' for tick in ticks])
-    axis.set_ticks([], minor=True)
+    rules = [Rule(1e3 * error, FAINT, '', (2.0, 3.0), upright=True) for error in pareto.errors]
+    limits = pareto.limits.duration
+    name = f'full feed within the path acceleration, {limits:.2f} s'
+    rules.append(Rule(limits, LIMIT, name, (6.0, 3.0)))
+    panel = Panel(np.empty(0), Axis('time', 's', 'log'), series, rules=rules)
+    return Chart(Axis('largest contour error', 'mm', 'log'), [panel], height=5.2)
 
 
 def pareto_page(
@@ -207,7 +187,7 @@ def pareto_page(
         'Refinement needs a machine that measures its error on this very path, and shows what '
         'can be had. Chord error and look-ahead lie on normal acceleration where neither the '
         'chord nor the path acceleration limits them.',
-        plot_pareto(pareto),
+        pareto_chart(pareto),
     )
     return Page(
         title='What a contour tolerance costs in time',
@@ -217,5 +197,5 @@ def pareto_page(
             Section('At equal largest contour error', tables=[table], remarks=remarks),
             Section('Over all errors', figures=[figure]),
         ],
-        facts=facts,
+        facts={'Machine': 'simulated', 'Judged': f'the whole of {pareto.path}', **facts},
     )

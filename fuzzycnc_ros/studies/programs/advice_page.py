@@ -9,8 +9,11 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Rule, Series
 from fuzzycnc_ros.studies.page.document import shown_as
-from fuzzycnc_ros.studies.page.drawing import ACCENT, INK, MUTED, new_figure, plot_style
+from fuzzycnc_ros.studies.page.drawing import AFTER, LIMIT
 from fuzzycnc_ros.studies.page.html import Figure, Page, Remark, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 
@@ -84,15 +87,15 @@ class AdviceFigures:
         where = 'on LinuxCNC' if best.measured else 'on the simulated controller'
         if not self.kept:
             return Remark(
-                f'nothing that was tried keeps {MICRO * self.tolerance:g} um; the least error '
-                f'{where} leaves {best.name}: {error:.1f} um in {time:.2f} s',
+                f'nothing that was tried keeps {MICRO * self.tolerance:g} µm; the least error '
+                f'{where} leaves {best.name}: {error:.1f} µm in {time:.2f} s',
                 warning=True,
             )
         if self.best == 0:
-            return Remark(f'leave it as it is: {error:.1f} um {where} in {time:.2f} s')
+            return Remark(f'leave it as it is: {error:.1f} µm {where} in {time:.2f} s')
         return Remark(
-            f'recommended: {best.name}: {error:.1f} um {where} in {time:.2f} s, as it is '
-            f'{MICRO * first.judged.error:.1f} um in {first.judged.duration:.2f} s'
+            f'recommended: {best.name}: {error:.1f} µm {where} in {time:.2f} s, as it is '
+            f'{MICRO * first.judged.error:.1f} µm in {first.judged.duration:.2f} s'
         )
 
 
@@ -106,8 +109,8 @@ def advice_table(figures: AdviceFigures) -> Table:
     measured = any(row.measured for row in figures.rows)
     names = ['simulated', 'LinuxCNC'] if measured else ['simulated']
     for name in names:
-        columns += [Column('time [s]', name), Column('largest [um]', name), Column('rms', name)]
-    columns += [Column('at corners', 'largest [um]'), Column('elsewhere', 'largest [um]')]
+        columns += [Column('time [s]', name), Column('largest [µm]', name), Column('rms', name)]
+    columns += [Column('at corners', 'largest [µm]'), Column('elsewhere', 'largest [µm]')]
     rows: list[tuple[str, ...]] = []
     warning = set()
     for index, row in enumerate(figures.rows):
@@ -118,10 +121,11 @@ def advice_table(figures: AdviceFigures) -> Table:
             cells += _triple(one)
         cells += [_micro(row.judged.corner_error), _micro(row.judged.smooth_error)]
         rows.append(tuple(cells))
-    title = f'{figures.program}: contour error of {MICRO * figures.tolerance:g} um at most'
+    title = f'{figures.program}: contour error of {MICRO * figures.tolerance:g} µm at most'
     return Table(
         title, tuple(columns), tuple(rows), highlight=frozenset({figures.best}),
-        warning=frozenset(warning),
+        warning=frozenset(warning), highlight_means='recommended',
+        warning_means='beyond the tolerance',
     )  # fmt: skip
 
 
@@ -196,30 +200,37 @@ def advice_page(figures: AdviceFigures, facts: Mapping[str, str], notes: Sequenc
                     Figure(
                         'Time against largest contour error',
                         'Each remedy by its number in the table; the dashed line is the '
-                        'tolerance, the ring what is recommended.',
-                        _plot(figures),
+                        'tolerance.',
+                        _chart(figures),
                     )
                 ],
             )
         ],
-        facts=facts,
+        facts={
+            'Machine': 'LinuxCNC, and a simulated controller'
+            if any(row.measured for row in figures.rows)
+            else 'a simulated controller',
+            'Judged': 'while cutting',
+            **facts,
+        },
     )
 
 
-def _plot(figures: AdviceFigures) -> Any:
-    with plot_style():
-        figure = new_figure(3.6)
-        axes = figure.subplots()
-        for number, row in enumerate(figures.rows, start=1):
-            error, time = MICRO * row.judged.error, row.judged.duration
-            kept = row.judged.error <= figures.tolerance
-            axes.plot(error, time, 'o', color=ACCENT if kept else MUTED, markersize=6)
-            if number == figures.best + 1:
-                axes.plot(error, time, 'o', mfc='none', mec=INK, markersize=13)
-            axes.annotate(
-                str(number), (error, time), xytext=(7, 5), textcoords='offset points', color=INK
-            )
-        axes.axvline(MICRO * figures.tolerance, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
-        axes.set(xscale='log', xlabel='largest contour error [um]', ylabel='time [s]')
-        axes.margins(0.12)
-        return figure
+def _chart(figures: AdviceFigures) -> Chart:
+    """Declare time against largest contour error, remedies by their numbers."""
+    order = sorted(range(len(figures.rows)), key=lambda row: figures.rows[row].judged.error)
+    judged = [figures.rows[row].judged for row in order]
+    error = np.array([MICRO * one.error for one in judged])
+    time = np.array([one.duration for one in judged])
+    kept = np.array([one.error <= figures.tolerance for one in judged])
+    text = [f'{row + 1}, recommended' if row == figures.best else str(row + 1) for row in order]
+    series = [
+        Series(
+            'beyond the tolerance', np.where(kept, np.nan, time), LIMIT, kind='dots', text=text
+        ),
+        Series('keeps the tolerance', np.where(kept, time, np.nan), AFTER, kind='dots', text=text),
+    ]
+    name = f'tolerance {MICRO * figures.tolerance:g} µm'
+    rule = Rule(MICRO * figures.tolerance, LIMIT, name, (6.0, 3.0), upright=True)
+    panel = Panel(error, Axis('time', 's'), series, rules=[rule])
+    return Chart(Axis('largest contour error', 'µm', 'log'), [panel], height=3.6)

@@ -72,6 +72,10 @@ class Drive:
         Time since the start, without what lies between the paths [s].
     speed, acceleration, jerk : ndarray, shape (n,)
         Along the path, of the reference [m/s, m/s^2, m/s^3].
+    place : ndarray, shape (n, axes)
+        Where the tool was [m]; NaN at the end of each run.
+    contour_error : ndarray, shape (n,)
+        Its distance from the path [m]; at the end of each run the largest of the run-out.
     duration : float
         Time of the programmed motion [s].
     error : float
@@ -84,6 +88,8 @@ class Drive:
     speed: Array
     acceleration: Array
     jerk: Array
+    place: Array
+    contour_error: Array
     duration: float
     error: float
     error_away: float
@@ -190,6 +196,8 @@ def drive_paths(
         np.concatenate([drive.speed for drive in drives]),
         np.concatenate([drive.acceleration for drive in drives]),
         np.concatenate([drive.jerk for drive in drives]),
+        np.concatenate([drive.place for drive in drives]),
+        np.concatenate([drive.contour_error for drive in drives]),
         float(start[-1]),
         max(drive.error for drive in drives),
         max(away, default=np.nan),
@@ -278,11 +286,16 @@ def _drive_run(
     error = _contour(geometry).distance(position, delayed, reach).distance
     stopped = time[np.searchsorted(reference_way, np.append(0.0, stops) - 1e-12)]
     near = _soon_after(time, stopped, AFTER_STOP * machine.delay)
+    last = len(way) - 1
+    place = position[: len(way)].copy()
+    place[last] = np.nan
     return Drive(
         time[: len(way)],
         speed,
         rise,
         np.gradient(rise, period) if len(rise) > 1 else np.zeros(len(rise)),
+        place,
+        np.append(error[:last], error[last:].max()),
         duration,
         float(error.max()),
         float(error[~near].max()) if not near.all() else np.nan,

@@ -1,10 +1,10 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A scheduled part program: table, remarks, document, plots and page."""
+"""A scheduled part program: table, remarks, document, figures and page."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Note
-from fuzzycnc_ros.studies.page.drawing import ACCENT, MUTED, add_legend, new_figure, plot_style
+from fuzzycnc_ros.studies.contour import contouring_page
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series
+from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, LIMIT, new_figure, plot_style
 from fuzzycnc_ros.studies.page.html import Figure, Page, Remark, Section
 from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.page.table import Column, Table
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
 
 MINUTE = 60.0
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +209,9 @@ def schedule_table(figures: ScheduleFigures) -> Table:
     if settings.override != 1.0:
         title += f', override {100.0 * settings.override:g} %'
     warning = frozenset() if figures.kept else frozenset({(1, len(columns) - 1)})
-    return Table(title, columns, tuple(rows), warning=warning)
+    return Table(
+        title, columns, tuple(rows), warning=warning, warning_means='the tolerance is not kept'
+    )
 
 
 def schedule_document(figures: ScheduleFigures) -> dict[str, Any]:
@@ -310,7 +316,7 @@ def schedule_page(
             if trace.stride > 1
             else 'Rapids and blocks that keep their feed are left out.'
         ),
-        plot_path(trace),
+        path_picture(trace),
     )
     sections = [
         Section(
@@ -333,7 +339,7 @@ def schedule_page(
         summary=f'{figures.program}, scheduled by {label} for a contour error of no more than '
         f'{1e3 * figures.tolerance:g} mm.',
         sections=sections,
-        facts=facts,
+        facts={'Judged': f'{stretch}, on the simulated machine', **facts},
     )
 
 
@@ -350,11 +356,19 @@ def _methods_section(
     if chosen is not None:
         plots.append(
             Figure(
+                'Where the error is',
+                f'The path of the tool on {stretch}, scheduled by {label}, coloured by its '
+                'contour error: blue within the tolerance, red beyond it.',
+                error_picture(chosen, figures.tolerance),
+            )
+        )
+        plots.append(
+            Figure(
                 'Motion over time',
                 f'Along the path, on {stretch}: the reference that the machine is given, within '
-                'its limits. Without a limit of jerk the acceleration jumps. Where there are too '
-                'many samples, a band spans the values about each moment.',
-                plot_motion(chosen, own, (label, 'as programmed')),
+                'its limits, and how far the tool is from the path. Without a limit of jerk the '
+                'acceleration jumps.',
+                motion_chart(chosen, own, (label, 'as programmed'), figures.tolerance),
             )
         )
     return Section(
@@ -391,14 +405,18 @@ def _millimetres(error: float) -> str:
 FLAT = 0.02
 """Extent of an axis, as a share of the largest one, below which a path counts as flat."""
 
-COLUMNS = 1500
-"""Columns into which a curve over time is gathered."""
+SHALLOW = 0.25
+"""Share of the other axes below which the height of a view from the side is enlarged."""
 
 _AXES = 'XYZ'
 
 
-def plot_path(trace: PathTrace) -> Any:
-    """Plot a path coloured by feed: in its plane, or from above and from the side."""
+def path_picture(trace: PathTrace) -> Picture:
+    """Draw a path coloured by feed: in its plane, or from above and below that from the side.
+
+    A part that is shallow beside its length is drawn higher than it is in the view from the
+    side, by a factor that stands at the axis.
+    """
     ends, feed = trace.edges
     extent = np.ptp(ends.reshape(-1, 3), axis=0)
     flat = extent < FLAT * extent.max()
@@ -408,66 +426,76 @@ def plot_path(trace: PathTrace) -> Any:
     else:
         views = [(0, 1), (0, 2)]
     with plot_style():
-        figure = new_figure(6.0 if len(views) == 1 else 5.0)
-        panels = list(figure.subplots(1, len(views), squeeze=False).flat)
+        figure = new_figure(6.0 if len(views) == 1 else 7.6)
+        shares = (1.0,) if len(views) == 1 else (2.2, 1.0)
+        panels = list(
+            figure.subplots(
+                len(views), 1, squeeze=False, gridspec_kw={'height_ratios': shares}
+            ).flat
+        )
         colours = require('matplotlib.colors').Normalize(
             0.0, max(1e3 * MINUTE * float(feed.max()), 1e-9)
         )
         for axes, view in zip(panels, views, strict=True):
             lines = require('matplotlib.collections').LineCollection(
-                1e3 * ends[:, :, view], norm=colours, cmap='turbo', linewidths=1.3
+                1e3 * ends[:, :, view], norm=colours, cmap='viridis', linewidths=1.3
             )
             lines.set_array(1e3 * MINUTE * feed)
             axes.add_collection(lines)
-            axes.set_aspect('equal', adjustable='datalim')
+            across, up = extent[view[0]], extent[view[1]]
+            enlarged = 1.0
+            if view == (0, 2) and up < SHALLOW * across:
+                enlarged = float(f'{SHALLOW * across / up:.1g}')
+            axes.set_aspect(enlarged, adjustable='datalim')
             axes.autoscale_view()
             axes.set_xlabel(f'{_AXES[view[0]]} [mm]')
-            axes.set_ylabel(f'{_AXES[view[1]]} [mm]')
+            note = f', drawn {enlarged:g} times as high' if enlarged > 1.0 else ''
+            axes.set_ylabel(f'{_AXES[view[1]]} [mm]{note}')
         figure.colorbar(lines, ax=panels, label='feed [mm/min]', shrink=0.8, pad=0.02)
-        return figure
+        names = [(side, axis) for side in ('from', 'to') for axis in _AXES]
+        columns = {
+            f'{side} {axis} [mm]': values
+            for (side, axis), values in zip(names, 1e3 * ends.reshape(-1, 6).T, strict=True)
+        }
+        return Picture(figure, {**columns, 'feed [mm/min]': 1e3 * MINUTE * feed})
 
 
-def plot_motion(chosen: Drive, programmed: Drive | None, names: tuple[str, str]) -> Any:
-    """Plot feed, acceleration and jerk along the path over time, with those as programmed."""
-    quantities = (
-        ('feed\n[mm/min]', 'speed', 1e3 * MINUTE),
-        ('acceleration\n[m/s²]', 'acceleration', 1.0),
-        ('jerk\n[m/s³]', 'jerk', 1.0),
+def error_picture(drive: Drive, tolerance: float) -> Picture:
+    """Draw where a tool was in the two axes that it moved most, coloured by contour error."""
+    extent = np.nanmax(drive.place, axis=0) - np.nanmin(drive.place, axis=0)
+    view = sorted(np.argsort(-extent, kind='stable')[:2])
+    names = [_AXES[axis] for axis in view]
+    return contouring_page.path_picture(
+        drive.place[:, view], drive.contour_error, names, tolerance
     )
-    drives = [(programmed, MUTED, names[1])] if programmed is not None else []
-    drives.append((chosen, ACCENT, names[0]))
-    with plot_style():
-        figure = new_figure(5.4)
-        panels = list(figure.subplots(3, 1, sharex=True, height_ratios=(2, 1, 1)).flat)
-        handles = []
-        for drive, colour, _ in drives:
-            for axes, (_, name, unit) in zip(panels, quantities, strict=True):
-                time, low, high = envelope(drive.time, unit * getattr(drive, name))
-                if low is high:
-                    (line,) = axes.plot(time, low, color=colour, linewidth=1.0)
-                else:
-                    line = axes.fill_between(
-                        time, low, high, color=colour, linewidth=0.6, alpha=0.75
-                    )
-            handles.append(line)
-        for axes, (label, *_) in zip(panels, quantities, strict=True):
-            axes.set_ylabel(label)
-        panels[0].set_ylim(bottom=0.0)
-        panels[-1].set_xlabel('time [s]')
-        figure.align_ylabels(panels)
-        add_legend(figure, handles, [name for *_, name in drives])
-        return figure
 
 
-def envelope(
-    time: NDArray[np.float64], values: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return times with the least and the largest value about each; the same where few."""
-    if len(time) <= 2 * COLUMNS:
-        return time, values, values
-    first = np.linspace(0, len(time), COLUMNS, endpoint=False).astype(int)
-    return (
-        time[first],
-        np.minimum.reduceat(values, first),
-        np.maximum.reduceat(values, first),
+def motion_chart(
+    chosen: Drive, programmed: Drive | None, names: tuple[str, str], tolerance: float
+) -> Chart:
+    """Declare feed, acceleration, jerk and contour error over time, with those as programmed."""
+    drives = [(programmed, BEFORE, names[1])] if programmed is not None else []
+    drives.append((chosen, AFTER, names[0]))
+    x = chosen.time
+
+    def panel(axis: Axis, values: Callable[[Drive], Floats], **options: Any) -> Panel:
+        series = [
+            Series(name, values(drive), colour, 1.0, x=None if drive.time is x else drive.time)
+            for drive, colour, name in drives
+        ]
+        return Panel(x, axis, series, **options)
+
+    kept = Rule(1e6 * tolerance, LIMIT, 'tolerance', (6.0, 3.0))
+    top = 1.1e6 * max(tolerance, *(float(drive.contour_error.max()) for drive, *_ in drives))
+    error = Axis('contour error', 'µm', low=0.0, high=top)
+    feed = Axis('feed', 'mm/min', low=0.0)
+    return Chart(
+        Axis('time', 's'),
+        [
+            panel(feed, lambda drive: 1e3 * MINUTE * drive.speed, share=1.5),
+            panel(error, lambda drive: 1e6 * drive.contour_error, share=1.5, rules=[kept]),
+            panel(Axis('acceleration', 'm/s²'), lambda drive: drive.acceleration),
+            panel(Axis('jerk', 'm/s³'), lambda drive: drive.jerk),
+        ],
+        height=1.7,
     )

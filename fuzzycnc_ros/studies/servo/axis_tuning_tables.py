@@ -27,9 +27,9 @@ def axis_tuning_table(found: AxisTuning, axis: str) -> Table:
     """Return the controllers, the winner standing out."""
     columns = (
         Column('Controller', numeric=False),
-        Column('rms', 'following error [um]'),
-        Column('largest', 'following error [um]'),
-        Column('at rest [um]'),
+        Column('rms', 'following error [µm]'),
+        Column('largest', 'following error [µm]'),
+        Column('at rest [µm]'),
         Column('gave up'),
         Column('against the best'),
     )

@@ -132,7 +132,7 @@ def loop_table(loops: Mapping[str, LoopFit]) -> Table:
     columns += [
         Column(f'{meaning} [{unit}]') for meaning, unit, _ in (_MEANING[name] for name in _LOOP)
     ]
-    columns += [Column('contour constant [s²]'), Column('error, unseen half [um]')]
+    columns += [Column('contour constant [s²]'), Column('error, unseen half [µm]')]
     rows = []
     for axis, loop in loops.items():
         known = {one.name: one for one in loop.parameters}

@@ -22,7 +22,7 @@ DRAWN = {
     '-50': '-50 mm, with friction',
     'load +10 %': 'load of +10 % of the drive at 2 s',
     'sine': 'sine of 10 mm, 0.5 Hz',
-    '20 um': 'step of 20 um',
+    '20 um': 'step of 20 µm',
 }
 """Cases that are drawn, and what they are called."""
 
@@ -43,7 +43,7 @@ def moves_table(comparison: ServoComparison) -> Table:
         ]
         rows.append((LABELS[name], *cells))
     return Table(
-        'Moves: within 2 um for good after [s] / overshoot [um] / error after 2 s [um]',
+        'Moves: within 2 µm for good after [s] / overshoot [µm] / error after 2 s [µm]',
         tuple(columns),
         tuple(rows),
         highlight=_highlight(comparison),
@@ -55,10 +55,10 @@ def others_table(comparison: ServoComparison) -> Table:
     kinds = ('moderate', 'hard') if comparison.moves else ()
     columns = (
         Column('Controller', numeric=False),
-        Column('load: dip [um] / back after [s]'),
-        Column('sine: max / rms [um]'),
-        Column('circle: rms [um]'),
-        *(Column(f'{kind}: within 1 um / 2 um [%] / max [um]') for kind in kinds),
+        Column('load: dip [µm] / back after [s]'),
+        Column('sine: max / rms [µm]'),
+        Column('circle: rms [µm]'),
+        *(Column(f'{kind}: within 1 µm / 2 µm [%] / max [µm]') for kind in kinds),
     )
     rows = []
     for name, figures in comparison.figures.items():
@@ -87,7 +87,7 @@ def comparison_remarks(comparison: ServoComparison) -> list[str]:
     """Return what a reader of the tables has to know."""
     lines = [
         'lathe axis, friction of 2 % of the drive and 3 % at breakaway where nothing else is '
-        'said; - : never within 2 um. Moves without friction are waited for up to 40 s, the '
+        'said; - : never within 2 µm. Moves without friction are waited for up to 40 s, the '
         'others 4 s',
         'sine and circle are fed forward by those that can: not by those as published and on '
         'fixed published scales',
@@ -131,7 +131,7 @@ def comparison_page(
     facts: Mapping[str, str],
 ) -> Page:
     """Return the page of a comparison."""
-    from fuzzycnc_ros.studies.servo.positioning_page import plot_cases
+    from fuzzycnc_ros.studies.servo.positioning_page import cases_chart
 
     drawn = {
         name: found.runs
@@ -143,10 +143,9 @@ def comparison_page(
         courses = Figure(
             'Error over time',
             'Reference less true position, of the controllers that settle with friction; the '
-            'errors of others would hide theirs. Linear within the 2 um that count as settled, '
-            'which are shaded, logarithmic beyond. Where there are many points, a band spans the '
-            'least and the largest error about each moment.',
-            plot_cases(drawn, DRAWN, SINCE),
+            'errors of others would hide theirs. Linear within the 2 µm that count as settled, '
+            'which are shaded, logarithmic beyond.',
+            cases_chart(drawn, DRAWN, SINCE),
         )
         sections.append(Section('Courses', figures=[courses]))
     return Page(
@@ -154,7 +153,7 @@ def comparison_page(
         summary='All controllers on the same simulated axis, with the same noise. All are tuned '
         'on it by the same means, but those as published; small differences mean nothing.',
         sections=sections,
-        facts=facts,
+        facts={'Machine': 'simulated', 'Judged': 'each case from its start to its end', **facts},
     )
 
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A move of an axis: table, document, plots, page."""
+"""A move of an axis: table, document, figures, page."""
 
 from __future__ import annotations
 
@@ -10,22 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fuzzycnc_ros.studies.page.chart import Axis, Band, Chart, Panel, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import (
-    ACCENT,
+    AFTER,
     CLUSTER_COLOURS,
     FAINT,
-    GRID,
-    INK,
-    MUTED,
-    add_legend,
-    new_figure,
-    panel_grid,
-    plot_style,
+    LIMIT,
+    MEASURED,
+    OTHER,
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.programs.program_page import envelope
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.arrays import Array
@@ -73,9 +68,9 @@ def positioning_table(run: PositioningRun, name: str, title: str) -> Table:
     since = STEADY_SHARE * _length(run)
     columns = (
         Column('Controller', numeric=False),
-        Column('within 2 um after [s]'),
-        Column('overshoot [um]'),
-        Column(f'error after {since:.3g} s [um]'),
+        Column('within 2 µm after [s]'),
+        Column('overshoot [µm]'),
+        Column(f'error after {since:.3g} s [µm]'),
         Column('largest duty [%]'),
     )
     row = (
@@ -100,7 +95,7 @@ def positioning_remarks(run: PositioningRun) -> list[str]:
     left = abs(float(run.target - run.position[-1]))
     if not isfinite(run.settle(TOLERANCE)):
         return [
-            f'not settled: {microns(left)}{"" if left >= 1e-3 else " um"} from the target after '
+            f'not settled: {microns(left)}{"" if left >= 1e-3 else " µm"} from the target after '
             f'{_length(run):g} s'
         ]
     return []
@@ -137,10 +132,10 @@ def positioning_page(
     """Return the page of a move."""
     course = Figure(
         'Position, error and duty over time',
-        'Error: reference less true position; linear within the band of 2 um that counts as '
+        'Error: reference less true position; linear within the band of 2 µm that counts as '
         'settled, logarithmic beyond. The sensor sees it in counts and with noise. Duty is the '
         'share of the full drive.',
-        plot_run(run),
+        run_chart(run),
     )
     return Page(
         title='One move of an axis',
@@ -149,41 +144,57 @@ def positioning_page(
             Section('Figures', tables=[table], remarks=positioning_remarks(run)),
             Section('Course', figures=[course]),
         ],
-        facts=facts,
+        facts={'Machine': 'simulated', 'Judged': f'0 to {_length(run):g} s', **facts},
     )
 
 
 BAND = 2.0
 """Error within which an axis is settled [um]; the scale is linear there."""
 
-
-def plot_run(run: PositioningRun) -> Any:
-    """Plot position, error on a symmetric logarithmic scale, and duty."""
-    with plot_style():
-        figure = new_figure(6.4)
-        place, error, duty = figure.subplots(3, 1, sharex=True, height_ratios=(2, 2, 1))
-        place.plot(run.time, 1e3 * run.reference, color=MUTED, linewidth=1.0)
-        place.plot(run.time, 1e3 * run.position, color=ACCENT)
-        place.set_ylabel('position\n[mm]')
-        wrong = 1e6 * run.error
-        _error_axis(error, [wrong])
-        _course(error, run.time, wrong, ACCENT, 1.4)
-        error.set_ylabel('error\n[um]')
-        _course(duty, run.time, 100.0 * run.duty, INK, 0.8)
-        duty.set_ylabel('duty\n[%]')
-        duty.set_xlabel('time [s]')
-        figure.align_ylabels([place, error, duty])
-        lines = place.get_lines()
-        add_legend(figure, lines, ['reference', 'true position'])
-        return figure
+_ERROR = Axis(
+    'error',
+    'µm',
+    'symlog',
+    linear_to=BAND,
+    ticks=(
+        *(-(10.0**n) for n in range(6, 0, -1)),
+        *(-BAND, 0.0, BAND),
+        *(10.0**n for n in range(1, 7)),
+    ),
+)
 
 
-def plot_cases(
+def run_chart(run: PositioningRun) -> Chart:
+    """Declare position, error on a symmetric logarithmic scale, and duty."""
+    return Chart(
+        Axis('time', 's'),
+        [
+            Panel(
+                run.time,
+                Axis('position', 'mm'),
+                [
+                    Series('reference', 1e3 * run.reference, OTHER, 1.0),
+                    Series('true position', 1e3 * run.position, AFTER),
+                ],
+            ),
+            _error_panel(run.time, [Series('error', 1e6 * run.error, AFTER)]),
+            Panel(
+                run.time,
+                Axis('duty', '%'),
+                [Series('duty', 100.0 * run.duty, MEASURED, 0.8)],
+                share=0.5,
+            ),
+        ],
+        height=2.6,
+    )
+
+
+def cases_chart(
     runs: Mapping[str, Mapping[str, PositioningRun]],
     cases: Mapping[str, str],
     since: Mapping[str, float],
-) -> Any:
-    """Plot the errors of controllers on cases, one panel each.
+) -> Chart:
+    """Declare the errors of controllers on cases, one panel each.
 
     Parameters
     ----------
@@ -194,73 +205,46 @@ def plot_cases(
     since : mapping of str to float
         Time at which a panel begins [s]; 0 for those that are missing.
     """
-    with plot_style():
-        figure, panels = panel_grid(len(cases), columns=2, height=2.7)
-        handles: dict[str, Any] = {}
-        for axes, (case, label) in zip(panels, cases.items(), strict=True):
-            first = since.get(case, 0.0)
-            drawn = []
-            for number, (name, made) in enumerate(runs.items()):
-                run = made[case]
-                part = run.time >= first
-                wrong = 1e6 * run.error[part]
-                drawn.append(wrong)
-                colour = ACCENT if name == DEFAULT else CLUSTER_COLOURS[1 + number]
-                handles[name] = _course(
-                    axes, run.time[part], wrong, colour, 1.8 if name == DEFAULT else 1.0
-                )
-            _error_axis(axes, drawn)
-            axes.set_title(label)
-            axes.set_xlabel('time [s]')
-        for axes in panels[::2]:
-            axes.set_ylabel('error [um]')
-        add_legend(figure, list(handles.values()), [LABELS[name] for name in handles])
-        return figure
+    panels = []
+    for case, label in cases.items():
+        time = next(iter(runs.values()))[case].time
+        part = time >= since.get(case, 0.0)
+        series = [
+            Series(
+                LABELS[name],
+                1e6 * made[case].error[part],
+                AFTER if name == DEFAULT else CLUSTER_COLOURS[1 + number],
+                1.8 if name == DEFAULT else 1.0,
+            )
+            for number, (name, made) in enumerate(runs.items())
+        ]
+        panels.append(_error_panel(time[part], series, label))
+    return Chart(Axis('time', 's'), panels, columns=2, height=2.7)
 
 
-def plot_radius(course: Mapping[float, float], marked: Mapping[float, float]) -> Any:
-    """Plot the spectral radius of the loop over factors on the axis' gain."""
-    with plot_style():
-        figure = new_figure(2.8)
-        axes = figure.subplots()
-        axes.plot(list(course), list(course.values()), color=ACCENT)
-        axes.plot(list(marked), list(marked.values()), 'o', color=ACCENT, markersize=4.0)
-        axes.axhline(1.0, color=INK, linewidth=0.8, linestyle=(0, (6, 3)))
-        axes.annotate(
-            'begins to swing', (0.01, 1.0), xycoords=('axes fraction', 'data'),
-            xytext=(0.0, 3.0), textcoords='offset points', fontsize=7.5, color=MUTED,
-        )  # fmt: skip
-        axes.set_xlabel('gain of the axis, as multiple of the nominal one')
-        axes.set_ylabel('largest magnitude\nof an eigenvalue')
-        return figure
+def radius_chart(course: Mapping[float, float], marked: Mapping[float, float]) -> Chart:
+    """Declare the spectral radius of the loop over factors on the axis' gain."""
+    gain, radius = np.array(list(course)), np.array(list(course.values()))
+    panel = Panel(
+        gain,
+        Axis('largest magnitude of an eigenvalue'),
+        [
+            Series('spectral radius', radius, AFTER),
+            Series(
+                'in the table',
+                np.array([marked[factor] for factor in sorted(marked)]),
+                AFTER,
+                kind='dots',
+                x=np.array(sorted(marked)),
+            ),
+        ],
+        rules=[Rule(1.0, LIMIT, 'begins to swing', (6.0, 3.0))],
+    )
+    return Chart(Axis('gain of the axis, as multiple of the nominal one'), [panel], height=2.8)
 
 
-def _course(axes: Any, time: Array, values: Array, colour: str, width: float) -> Any:
-    """Draw values over time, gathered where there are many."""
-    when, low, high = envelope(time, values)
-    if low is high:
-        (line,) = axes.plot(when, low, color=colour, linewidth=width)
-        return line
-    axes.fill_between(when, low, high, color=colour, linewidth=0.4, alpha=0.7)
-    (line,) = axes.plot(when, 0.5 * (low + high), color=colour, linewidth=width)
-    return line
-
-
-def _error_axis(axes: Any, values: Sequence[Array]) -> None:
-    """Make the y axis one of errors [um]: linear within the band, decades beyond."""
-    axes.set_yscale('symlog', linthresh=BAND, linscale=0.7)
-    axes.axhspan(-BAND, BAND, color=GRID, alpha=0.7, linewidth=0.0, zorder=0)
-    axes.axhline(0.0, color=FAINT, linewidth=0.6, zorder=0)
-    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
-    ticks = [0.0, BAND, -BAND]
-    ticks += [sign * 10.0**power for power in range(1, 6) for sign in (1.0, -1.0)]
-    bottom, top = min(1.6 * low, -1.5 * BAND), max(1.6 * high, 1.5 * BAND)
-    shown = sorted(tick for tick in ticks if bottom <= tick <= top)
-    axes.set_ylim(bottom, top)
-    axes.yaxis.set_major_locator(require('matplotlib.ticker').FixedLocator(shown))
-    axes.yaxis.set_major_formatter(require('matplotlib.ticker').FuncFormatter(_plain))
-    axes.yaxis.set_minor_locator(require('matplotlib.ticker').NullLocator())
-
-
-def _plain(value: float, _: int) -> str:
-    return f'{np.round(value, 6):,g}' if abs(value) < 1e6 else f'{value:.0e}'
+def _error_panel(time: Array, series: Sequence[Series], title: str = '') -> Panel:
+    """Return a panel of errors [um]: linear within the band, decades beyond."""
+    ends = np.full(len(time), BAND)
+    band = Band(f'within {BAND:g} µm', -ends, ends, FAINT)
+    return Panel(time, _ERROR, series, title, bands=[band])

@@ -80,7 +80,7 @@ def stability_table(report: StabilityReport, title: str) -> Table:
     swing = 'none'
     if report.limit_cycle:
         size = microns(report.limit_cycle)
-        size += '' if report.limit_cycle >= 1e-3 else ' um'
+        size += '' if report.limit_cycle >= 1e-3 else ' µm'
         swing = f'{size} at {report.limit_cycle_frequency / (2.0 * pi):.1f} Hz'
     rows = [
         ('gain of the error at the target', f'{1e-3 * report.error_gain:.4g} 1/mm'),
@@ -107,20 +107,20 @@ def stability_page(
     facts: Mapping[str, str],
 ) -> Page:
     """Return the page of a loop; `course` is its spectral radius over many gains."""
-    from fuzzycnc_ros.studies.servo.positioning_page import plot_radius
+    from fuzzycnc_ros.studies.servo.positioning_page import radius_chart
 
     figure = Figure(
         'Spectral radius over the gain of the axis',
         'Largest magnitude of an eigenvalue of the sampled loop near the target, axis and '
         'observer together. Below 1 it settles; the lower, the faster.',
-        plot_radius(course, report.spectral_radius),
+        radius_chart(course, report.spectral_radius),
     )
     return Page(
         title='What a position loop has to spare',
         summary='Near the target the controller is linear; farther out the describing function '
         'stands for the contracted surface.',
         sections=[Section('Margins', tables=[table]), Section('Gain', figures=[figure])],
-        facts=facts,
+        facts={'Judged': 'the linear loop near the target', **facts},
     )
 
 

@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fuzzycnc_ros import __version__
 from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fingerprint import recognised_in
-from fuzzycnc_ros.core.thermal.fit import sensor_count_curve
+from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.studies.page.html import Remark, Section
@@ -70,24 +69,24 @@ def shift_report(
         Further parts of the page.
     """
     in_use = by_channel(dict(zip(model.channel, model.default, strict=True)))
-    names = ', '.join(run.name for run in runs)
+    spans = '; '.join(_span(run) for run in runs)
     return ReportData(
         title=title,
         runs=runs,
-        summary=summary or f'Trained on {", ".join(model.runs)}; judged on {names}.',
-        sensor_count_curve=count_curve(calibration, runs, len(model.inputs)),
+        summary=summary or f'Trained on {", ".join(model.runs)}; judged on {spans}.',
+        sensor_count_curve=count_curve(calibration, runs, model),
         latency=latency,
         judged=[item for run in runs for item in judged_remarks(run, model)]
         if judged is None
         else judged,
         facts={
+            'Judged': spans,
             **(facts or {}),
             'Training runs': ', '.join(model.runs),
             'Sensors that the model reads': ', '.join(model.inputs),
             'Model in use': in_use,
             'Sampling interval': f'{model.interval:g} s',
             'Model hash': text_hash(model_text)[:16],
-            'fuzzycnc': __version__,
         },
         notes=[
             *notes,
@@ -120,6 +119,10 @@ def judged_remarks(run: CompensationRun, model: ThermalModel) -> list[Remark]:
     ]
 
 
+def _span(run: CompensationRun) -> str:
+    return f'{run.name} from {run.time[0]:,.0f} to {run.time[-1]:,.0f} s'
+
+
 def _recorded(run: CompensationRun, axis: Sequence[str]) -> ThermalRun:
     return ThermalRun(
         name=run.name,
@@ -129,26 +132,54 @@ def _recorded(run: CompensationRun, axis: Sequence[str]) -> ThermalRun:
         channel=run.channel,
         axis=tuple(axis),
         displacement=run.measured,
+        spindle_speed=run.spindle_speed,
     )
 
 
 def count_curve(
-    calibration: Sequence[ThermalRun], runs: Sequence[CompensationRun], chosen_count: int
+    calibration: Sequence[ThermalRun], runs: Sequence[CompensationRun], model: ThermalModel
 ) -> SensorCountCurve | None:
     """Return the sensor-count curve on the first run, None where it cannot be had.
 
-    It needs calibration runs, and a held-out run whose sensors all read to the end.
+    It needs calibration runs, and a held-out run whose sensors all read to the end.  Each point
+    is the kind of model that is in use, trained anew on so many sensors; a channel that stays
+    uncompensated has none.
     """
     held_out = next((run for run in runs if np.isfinite(run.temperature).all()), None)
-    if not calibration or held_out is None:
+    in_use = [name for name in dict.fromkeys(model.default) if name != UNCOMPENSATED]
+    if not calibration or held_out is None or not in_use:
         return None
     counts = tuple(n for n in SENSOR_COUNTS if n <= len(held_out.sensor))
-    unseen = _recorded(held_out, calibration[0].axis)
-    points = sensor_count_curve(calibration, unseen, counts=counts)
+    unseen = _recorded(held_out, model.axis)
+    points = [_largest(calibration, unseen, model, in_use, count) for count in counts]
     return SensorCountCurve(
         count=counts,
         channel=held_out.channel,
-        residual_max=np.array([point.largest for point in points]),
+        residual_max=np.array(points),
         run=held_out.name,
-        chosen_count=chosen_count,
+        model=by_channel(dict(zip(model.channel, model.default, strict=True))),
+        chosen_count=len(model.inputs),
     )
+
+
+def _largest(
+    calibration: Sequence[ThermalRun],
+    unseen: ThermalRun,
+    model: ThermalModel,
+    in_use: Sequence[str],
+    count: int,
+) -> list[float]:
+    """Return the largest residual of each channel with so many sensors [m]."""
+    trained = train_model(
+        calibration,
+        model=in_use[0],
+        interval=model.interval,
+        sensors='clusters',
+        n_clusters=count,
+        candidates=in_use,
+    )
+    largest = evaluate(trained, unseen).largest
+    return [
+        float(largest[name][c]) if name in largest and name != UNCOMPENSATED else np.nan
+        for c, name in enumerate(model.default)
+    ]

@@ -5,26 +5,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fuzzycnc_ros.studies.contour.contouring_page import plot_error_path, plot_speed
+from fuzzycnc_ros.studies.contour.contouring_page import error_path_picture, speed_chart
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import (
-    ACCENT,
-    FAINT,
+    AFTER,
+    BEFORE,
     INK,
-    MUTED,
-    SECOND,
-    WARNING,
+    LIMIT,
+    MEASURED,
     add_legend,
     new_figure,
     plot_style,
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.soft.foam_page import plot_tracks
-from fuzzycnc_ros.studies.soft.pattern_page import AFTER, BEFORE, pattern_table
+from fuzzycnc_ros.studies.soft import pattern_page
+from fuzzycnc_ros.studies.soft.foam_page import tracks_picture
+from fuzzycnc_ros.studies.soft.pattern_page import pattern_table
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.contour.contouring import FollowedPath
@@ -104,16 +105,16 @@ def shift_page(
         figures=(
             Figure(
                 'Where the error of each part comes from',
-                'Pairs of bars: the left, paler one before, the right one after. What is left '
-                'after compensation comes from the axes, where friction holds them back.',
-                plot_sources(before, after),
+                'Pairs of bars: the left one before, the right one after; strong what comes from '
+                'heat, pale what comes from the axes. What is left after compensation comes from '
+                'the axes, where friction holds them back.',
+                sources_picture(before, after),
             ),
             Figure(
                 'Thermal error over the shift',
-                'Grey is what the machine measures without compensation, blue what the offsets '
-                'in force leave of it; both of the worst channel. The bands show the spindle '
-                'at work, the dotted lines the jobs.',
-                plot_shift(after),
+                'Orange is what the machine measures without compensation, blue what the offsets '
+                'in force leave of it; both of the worst channel. The dotted lines are the jobs.',
+                shift_chart(after),
             ),
         ),
     )
@@ -134,12 +135,12 @@ def shift_page(
             Figure(
                 'The track',
                 'Where the stitches are to lie, and where they lie once the sheet has relaxed.',
-                plot_tracks(
+                tracks_picture(
                     {
-                        patterns[AFTER].name: (
-                            patterns[AFTER].nominal,
-                            patterns[BEFORE].stitched,
-                            patterns[AFTER].stitched,
+                        patterns[pattern_page.AFTER].name: (
+                            patterns[pattern_page.AFTER].nominal,
+                            patterns[pattern_page.BEFORE].stitched,
+                            patterns[pattern_page.AFTER].stitched,
                         )
                     }
                 ),
@@ -152,82 +153,83 @@ def shift_page(
         'between, while a second machine stitches a pattern on a foam sheet; live over DDS, in '
         'lock-step.',
         sections=(jobs, *cut, soft),
-        facts=facts,
+        facts={
+            'Machine': 'a mill and a quilter, both simulated',
+            'Judged': f'{len(after.jobs)} jobs, each from its start to its end',
+            **facts,
+        },
     )
 
 
-def plot_sources(before: WholeShift, after: WholeShift) -> object:
-    """Plot the error of each job as stacked bars by source, before and after."""
+def sources_picture(before: WholeShift, after: WholeShift) -> Picture:
+    """Draw the error of each job as stacked bars by source, before and after."""
+    columns: dict[str, Any] = {
+        'job': [job.name for job in after.jobs],
+        'at [h]': [job.start / 3600.0 for job in after.jobs],
+    }
     with plot_style():
         figure = new_figure(3.6)
         axes = figure.subplots()
         place = np.arange(len(after.jobs), dtype=np.float64)
         handles, labels = [], []
-        for shift, name, offset, alpha in (
-            (before, 'before', -0.2, 0.45),
-            (after, 'after', 0.2, 1.0),
+        for shift, name, offset, colour in (
+            (before, 'before', -0.2, BEFORE),
+            (after, 'after', 0.2, AFTER),
         ):
             thermal = np.array([1e6 * job.left for job in shift.jobs])
             own = np.array([1e6 * job.own for job in shift.jobs])
-            look = {'width': 0.36, 'alpha': alpha}
+            look = {'width': 0.36, 'color': colour}
             handles += [
-                axes.bar(place + offset, thermal, color=SECOND, **look)[0],
-                axes.bar(place + offset, own, bottom=thermal, color=ACCENT, **look)[0],
+                axes.bar(place + offset, thermal, **look)[0],
+                axes.bar(place + offset, own, bottom=thermal, alpha=0.45, **look)[0],
             ]
             labels += [f'thermal, {name}', f'axes, {name}']
+            columns |= {f'thermal, {name} [µm]': thermal, f'axes, {name} [µm]': own}
         names = [f'{_short(job.name)}\n{job.start / 3600.0:.1f} h' for job in after.jobs]
         axes.set_xticks(place, names)
         axes.set_ylabel('part error [µm]')
         axes.grid(visible=False, axis='x')
         add_legend(figure, handles, labels)
-        return figure
+        return Picture(figure, columns)
 
 
-def plot_shift(shift: WholeShift) -> object:
-    """Plot thermal error, what is left of it, and the jobs over the shift."""
+def shift_chart(shift: WholeShift) -> Chart:
+    """Declare thermal error, what is left of it, and the jobs over the shift."""
     run = shift.thermal
     measured, left = np.abs(run.measured), np.abs(run.residual())
     known = np.isfinite(measured).all(axis=1) & np.isfinite(left).all(axis=1)
-    hours = run.time / 3600.0
-    with plot_style():
-        figure = new_figure(3.4)
-        axes = figure.subplots()
-        top = 1.08e6 * measured[known].max()
-        handles, labels = [], []
-        if run.spindle_speed is not None:
-            share = np.abs(run.spindle_speed) / max(float(np.abs(run.spindle_speed).max()), 1.0)
-            band = axes.fill_between(hours, 0.0, 0.15 * top * share, color=FAINT, alpha=0.25, lw=0)
-            handles.append(band)
-            labels.append('spindle speed')
-        lines = (
-            (measured, MUTED, 'without compensation'),
-            (left, ACCENT, 'left'),
-        )
-        for values, colour, label in lines:
-            handles += axes.plot(hours[known], 1e6 * values[known].max(axis=1), color=colour)
-            labels.append(label)
-        handles.append(axes.axhline(5.0, color=WARNING, linestyle='--', linewidth=1.0))
-        labels.append('5 µm')
-        for job in shift.jobs:
-            axes.axvline(job.start / 3600.0, color=INK, linestyle=':', linewidth=0.7)
-        axes.set_xlabel('time [h]')
-        axes.set_ylabel('thermal error [µm]')
-        axes.set_ylim(0.0, top)
-        add_legend(figure, handles, labels)
-        return figure
+    hours = run.time[known] / 3600.0
+    top = 1.08e6 * measured[known].max()
+    rules = [Rule(5.0, LIMIT, '5 µm', (6.0, 3.0))]
+    rules += [Rule(job.start / 3600.0, INK, '', (1.0, 2.0), upright=True) for job in shift.jobs]
+    panel = Panel(
+        hours,
+        Axis('thermal error', 'µm', low=0.0, high=top),
+        [
+            Series('before: without compensation', 1e6 * measured[known].max(axis=1), BEFORE),
+            Series('after: left', 1e6 * left[known].max(axis=1), AFTER),
+        ],
+        rules=rules,
+    )
+    panels = [panel]
+    if run.spindle_speed is not None:
+        rpm = np.abs(run.spindle_speed[known]) * 60.0 / (2.0 * np.pi)
+        speed = Series('spindle speed', rpm, MEASURED, kind='steps')
+        panels.append(Panel(hours, Axis('speed', 'rpm', low=0.0), [speed], share=0.5))
+    return Chart(Axis('time', 'h'), panels, height=3.0)
 
 
 def _path_figures(path: FollowedPath) -> Iterator[Figure]:
     yield Figure(
         f'{path.name}: where the error is',
         'The path of the tool, rapids included, coloured by its contour error.',
-        plot_error_path(path),
+        error_path_picture(path),
     )
     yield Figure(
         f'{path.name}: feed and speed',
         'The feed that the scheduler asks for (thin), the speed within the limits of path and '
         'axes (thick), and the speed of the slides.',
-        plot_speed(path),
+        speed_chart(path),
     )
 
 

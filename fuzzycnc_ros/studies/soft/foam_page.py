@@ -9,20 +9,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Series
 from fuzzycnc_ros.studies.page.drawing import (
-    ACCENT,
+    AFTER,
+    ANOTHER,
+    BEFORE,
     CLUSTER_COLOURS,
     FAINT,
     MUTED,
-    SECOND,
+    OTHER,
     add_legend,
-    new_figure,
     panel_grid,
     plot_style,
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.soft.foam_comparison import METHODS, NONE, NTS, PUBLISHED_MEANS
+from fuzzycnc_ros.studies.soft.foam_comparison import (
+    METHODS,
+    NONE,
+    NTS,
+    PUBLISHED,
+    PUBLISHED_MEANS,
+    STS,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,6 +40,13 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.simulation.soft.foam_tracks import TrackQuality
     from fuzzycnc_ros.studies.soft.foam_comparison import FoamComparison, TrackFigures
     from fuzzycnc_ros.studies.soft.foam_training import FoamTraining
+
+_COLOURS = {
+    METHODS[NONE]: BEFORE,
+    METHODS[STS]: OTHER,
+    METHODS[NTS]: AFTER,
+    METHODS[PUBLISHED]: ANOTHER,
+}
 
 _STARTS = {NONE: 'from nothing', NTS: 'from the model (NTS)'}
 
@@ -155,7 +171,7 @@ def comparison_page(found: FoamComparison, facts: Mapping[str, str]) -> Page:
                     'The first run of each track without compensation, and with the default one. '
                     'The relaxed sheet shows what was dragged along: sides lean, and the figure '
                     'does not close.',
-                    plot_tracks(
+                    tracks_picture(
                         {
                             name: (
                                 track.nominal,
@@ -171,9 +187,10 @@ def comparison_page(found: FoamComparison, facts: Mapping[str, str]) -> Page:
                     'First runs. Offsets that pile up along the track as published straighten '
                     'the angles and carry the figure away; offsets that fade, as the drift does, '
                     'keep it in its place.',
-                    plot_deviation(
+                    deviation_chart(
                         {name: _way(track) for name, track in shown.items()},
                         {name: _deviations(track) for name, track in shown.items()},
+                        _COLOURS,
                     ),
                 ),
             ],
@@ -193,7 +210,7 @@ def comparison_page(found: FoamComparison, facts: Mapping[str, str]) -> Page:
                     'Angle error over the cycles',
                     'Each cycle takes 70\u00a0% of the deviations of one recorded run into the '
                     'offsets.',
-                    plot_learning(
+                    learning_chart(
                         {
                             title: {name: t.learning[start] for name, t in shown.items()}
                             for start, title in _STARTS.items()
@@ -209,7 +226,11 @@ def comparison_page(found: FoamComparison, facts: Mapping[str, str]) -> Page:
         'relaxes. A T-S fuzzy neural network learns from samples how far; the path is shifted by '
         'that much beforehand.',
         sections=sections,
-        facts=facts,
+        facts={
+            'Machine': 'simulated foam sheets',
+            'Judged': f'all stitches of {found.runs} runs of each track',
+            **facts,
+        },
     )
 
 
@@ -229,7 +250,7 @@ def training_table(found: FoamTraining) -> Table:
         f'Error on held-out samples, rms of both axes [mm per 50 mm]; {found.folds} parts, '
         f'{found.groups} groups'
     )
-    return Table(title, columns, tuple(rows), highlight=frozenset({0}))
+    return Table(title, columns, tuple(rows), highlight=frozenset({0}), highlight_means='in use')
 
 
 def coverage_table(found: FoamTraining) -> Table:
@@ -289,12 +310,15 @@ def training_page(found: FoamTraining, lines: Sequence[str], facts: Mapping[str,
                     Figure(
                         'Predicted over needed compensation',
                         'Each sample predicted by a model that was trained without its group.',
-                        plot_predictions(found.needed, used.predicted),
+                        predictions_chart(found.needed, used.predicted),
                     )
                 ],
             ),
         ],
-        facts=facts,
+        facts={
+            'Judged': f'{len(found.needed)} samples, each held out once',
+            **facts,
+        },
     )
 
 
@@ -313,8 +337,8 @@ def _range(low: float, high: float) -> str:
     return f'{low:.3g}' if low == high else f'{low:.3g} to {high:.3g}'
 
 
-def plot_tracks(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Any:
-    """Plot tracks as they are meant, and stitched before and after compensation.
+def tracks_picture(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Picture:
+    """Draw tracks as they are meant, and stitched before and after compensation.
 
     Parameters
     ----------
@@ -322,26 +346,38 @@ def plot_tracks(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Any:
         Nominal points, stitches without and with compensation, each of shape (n + 1, 2) [m], by
         the title of the panel.
     """
+    names = ('nominal', 'before', 'after')
+    columns: dict[str, list[Any]] = {'track': []}
+    columns |= {f'{name} {axis} [mm]': [] for name in names for axis in 'XY'}
     with plot_style():
         figure, panels = panel_grid(len(tracks), columns=min(2, len(tracks)), height=2.9)
         handles: list[Any] = []
-        for axes, (title, (nominal, before, after)) in zip(panels, tracks.items(), strict=True):
+        for axes, (title, points) in zip(panels, tracks.items(), strict=True):
+            nominal, before, after = points
             handles = [
                 axes.plot(*(1e3 * nominal.T), color=MUTED, linewidth=0.9)[0],
-                axes.plot(*(1e3 * before.T), 'o', color=SECOND, markersize=1.8)[0],
-                axes.plot(*(1e3 * after.T), 'o', color=ACCENT, markersize=1.8)[0],
+                axes.plot(*(1e3 * before.T), 'o', color=BEFORE, markersize=1.8)[0],
+                axes.plot(*(1e3 * after.T), 'o', color=AFTER, markersize=1.8)[0],
             ]
             axes.set_aspect('equal', adjustable='datalim')
             axes.set_title(title)
             axes.set_xlabel('X [mm]')
+            columns['track'] += [title] * len(nominal)
+            for name, place in zip(names, points, strict=True):
+                for number, axis in enumerate('XY'):
+                    columns[f'{name} {axis} [mm]'] += list(1e3 * place[:, number])
         for axes in panels[::2]:
             axes.set_ylabel('Y [mm]')
         add_legend(figure, handles, ['nominal', 'stitched before', 'stitched after'])
-        return figure
+        return Picture(figure, columns)
 
 
-def plot_deviation(way: Mapping[str, Array], deviation: Mapping[str, Mapping[str, Array]]) -> Any:
-    """Plot how far stitches lie from their places along the track.
+def deviation_chart(
+    way: Mapping[str, Array],
+    deviation: Mapping[str, Mapping[str, Array]],
+    colours: Mapping[str, str],
+) -> Chart:
+    """Declare how far stitches lie from their places along the track.
 
     Parameters
     ----------
@@ -349,26 +385,27 @@ def plot_deviation(way: Mapping[str, Array], deviation: Mapping[str, Mapping[str
         Way along the nominal track [m], by the title of the panel.
     deviation : mapping
         Distances [m] by title and method.
+    colours : mapping
+        Colour of each method.
     """
-    with plot_style():
-        figure, panels = panel_grid(len(way), columns=min(2, len(way)), height=2.3)
-        handles: dict[str, Any] = {}
-        for axes, (title, place) in zip(panels, way.items(), strict=True):
-            for number, (name, distance) in enumerate(deviation[title].items()):
-                (handles[name],) = axes.plot(
-                    1e3 * place, 1e3 * distance, color=CLUSTER_COLOURS[number], linewidth=1.2
-                )
-            axes.set_ylim(bottom=0.0)
-            axes.set_title(title)
-            axes.set_xlabel('way along the track [mm]')
-        for axes in panels[::2]:
-            axes.set_ylabel('distance from\nits place [mm]')
-        add_legend(figure, list(handles.values()), list(handles))
-        return figure
+    panels = [
+        Panel(
+            1e3 * place,
+            Axis('distance from its place', 'mm', low=0.0),
+            [
+                Series(name, 1e3 * distance, colours[name], 1.2)
+                for name, distance in deviation[title].items()
+            ],
+            title,
+        )
+        for title, place in way.items()
+    ]
+    columns = min(2, len(panels))
+    return Chart(Axis('way along the track', 'mm'), panels, columns=columns, height=2.3)
 
 
-def plot_learning(courses: Mapping[str, Mapping[str, Sequence[TrackQuality]]]) -> Any:
-    """Plot the angle error over the cycles of learning.
+def learning_chart(courses: Mapping[str, Mapping[str, Sequence[TrackQuality]]]) -> Chart:
+    """Declare the angle error over the cycles of learning.
 
     Parameters
     ----------
@@ -376,36 +413,41 @@ def plot_learning(courses: Mapping[str, Mapping[str, Sequence[TrackQuality]]]) -
         Qualities before each cycle and after the last one, by what learning began with and by
         the track.
     """
-    with plot_style():
-        figure = new_figure(2.8)
-        panels = list(figure.subplots(1, len(courses), sharey=True, squeeze=False).flat)
-        handles: dict[str, Any] = {}
-        for axes, (title, tracks) in zip(panels, courses.items(), strict=True):
-            for number, (name, course) in enumerate(tracks.items()):
-                errors = [float(np.degrees(quality.angle_error)) for quality in course]
-                (handles[name],) = axes.plot(
-                    errors, 'o-', color=CLUSTER_COLOURS[number], markersize=3.0
-                )
-            axes.set_title(title)
-            axes.set_xlabel('cycles of learning')
-            axes.set_xticks(range(len(course)))
-            axes.set_ylim(bottom=0.0)
-        panels[0].set_ylabel('angle error [deg]')
-        add_legend(figure, list(handles.values()), list(handles))
-        return figure
+    top = max(
+        float(np.degrees(quality.angle_error))
+        for tracks in courses.values()
+        for course in tracks.values()
+        for quality in course
+    )
+    panels, cycles = [], np.empty(0)
+    for title, tracks in courses.items():
+        cycles = np.arange(len(next(iter(tracks.values()))), dtype=np.float64)
+        series = [
+            Series(
+                name,
+                np.degrees([quality.angle_error for quality in course]),
+                CLUSTER_COLOURS[number],
+                kind='both',
+            )
+            for number, (name, course) in enumerate(tracks.items())
+        ]
+        axis = Axis('angle error', 'deg', low=0.0, high=1.08 * top)
+        panels.append(Panel(cycles, axis, series, title))
+    x_axis = Axis('cycles of learning', ticks=tuple(cycles))
+    return Chart(x_axis, panels, columns=len(panels), height=2.5)
 
 
-def plot_predictions(needed: Array, predicted: Array) -> Any:
-    """Plot predicted over needed compensations, shape (k, 2) [mm per 50 mm], held out."""
-    with plot_style():
-        figure = new_figure(3.2)
-        panels = figure.subplots(1, 2)
-        for number, (axes, name) in enumerate(zip(panels, 'XY', strict=True)):
-            both = np.concatenate([needed[:, number], predicted[:, number]])
-            ends = [float(both.min()), float(both.max())]
-            axes.plot(ends, ends, color=FAINT, linewidth=0.8)
-            axes.plot(needed[:, number], predicted[:, number], 'o', color=ACCENT, markersize=2.4)
-            axes.set_title(name)
-            axes.set_xlabel('needed [mm per 50 mm]')
-        panels[0].set_ylabel('predicted\n[mm per 50 mm]')
-        return figure
+def predictions_chart(needed: Array, predicted: Array) -> Chart:
+    """Declare predicted over needed compensations, shape (k, 2) [mm per 50 mm], held out."""
+    unit = 'mm per 50 mm'
+    panels = []
+    for number, name in enumerate('XY'):
+        order = np.argsort(needed[:, number], kind='stable')
+        x, y = needed[order, number], predicted[order, number]
+        ends = np.array([min(x[0], y.min()), max(x[-1], y.max())])
+        series = [
+            Series('predicted as needed', ends, FAINT, 0.8, x=ends),
+            Series('predicted', y, AFTER, kind='dots'),
+        ]
+        panels.append(Panel(x, Axis('predicted', unit), series, name))
+    return Chart(Axis('needed', unit), panels, columns=2, height=3.0)

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fuzzycnc_ros.studies.page import drawing
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.soft.foam_comparison import NONE, PUBLISHED, PUBLISHED_MEANS
-from fuzzycnc_ros.studies.soft.foam_page import plot_deviation, plot_tracks
+from fuzzycnc_ros.studies.soft.foam_page import deviation_chart, tracks_picture
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.soft.pattern import StitchedPattern
@@ -24,6 +25,8 @@ fitted to the run before, and compensated."""
 
 PUBLISHED_OF = {BEFORE: PUBLISHED_MEANS[NONE], AFTER: PUBLISHED_MEANS[PUBLISHED]}
 """Published averages beside each: angle error [deg], straightness [mm], time of a side [s]."""
+
+_COLOURS = {BEFORE: drawing.BEFORE, TRAINED: drawing.OTHER, AFTER: drawing.AFTER}
 
 _RUNS = {BEFORE: 'no compensation', TRAINED: 'model as trained', AFTER: 'compensated'}
 
@@ -104,14 +107,15 @@ def pattern_page(runs: Mapping[str, StitchedPattern], facts: Mapping[str, str]) 
             Figure(
                 'The track',
                 'Where the stitches are to lie, and where they lie once the sheet has relaxed.',
-                plot_tracks({name: (after.nominal, before.stitched, after.stitched)}),
+                tracks_picture({name: (after.nominal, before.stitched, after.stitched)}),
             ),
             Figure(
                 'Deviation along the track',
                 'Distance of each stitch from its nominal place.',
-                plot_deviation(
+                deviation_chart(
                     {name: way},
                     {name: {_RUNS[key]: run.deviation for key, run in runs.items()}},
+                    {_RUNS[key]: colour for key, colour in _COLOURS.items()},
                 ),
             ),
         ),
@@ -121,5 +125,9 @@ def pattern_page(runs: Mapping[str, StitchedPattern], facts: Mapping[str, str]) 
         summary='A parallelogram, stitched live over DDS on the simulated foam sheet: as drawn, '
         'and shifted beforehand by what a T-S fuzzy neural network expects the sheet to do.',
         sections=(section,),
-        facts=facts,
+        facts={
+            'Machine': 'simulated foam sheet',
+            'Judged': f'all stitches of {name}, once the sheet has relaxed',
+            **facts,
+        },
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.studies.page.html import Remark
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, tied
 from fuzzycnc_ros.studies.thermal.judged import (
     DEFAULT,
     loss_remarks,
@@ -74,15 +74,21 @@ def residual_table(
     cells, strong = [], set()
     for name in rows:
         pairs = zip(rms[name], largest[name], strict=True)
-        values = [micrometres(value) for pair in pairs for value in pair]
-        cells.append((marked_label(name, refused), *values))
+        texts = [micrometres(value) for pair in pairs for value in pair]
+        cells.append((marked_label(name, refused), *texts))
     for number in range(len(channel)):
         for offset, figures in enumerate((rms, largest)):
-            chosen = (
-                best_of({name: float(figures[name][number]) for name in rows}, refused)
-                if in_use is None
-                else [in_use[number]]
-            )
+            if in_use is None:
+                values = {name: float(figures[name][number]) for name in rows}
+                bare = values.get(UNCOMPENSATED)
+                competing = {
+                    name: micrometres(value)
+                    for name, value in values.items()
+                    if _competes(name, refused) and (name == UNCOMPENSATED or value != bare)
+                }
+                chosen = tied(competing, best_of(values, refused))
+            else:
+                chosen = [in_use[number]]
             strong |= {(rows.index(name), 1 + 2 * number + offset) for name in chosen}
     warning = set()
     for number, label in enumerate(channel):

@@ -3,26 +3,29 @@
 """The page of a comparison of models, and its plots."""
 
 from collections.abc import Collection, Mapping, Sequence
-from math import ceil, floor, log10
+from math import ceil, log10
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import (
-    ACCENT,
+    AFTER,
+    BEFORE,
     FAINT,
     INK,
+    LIMIT,
     MUTED,
-    SECOND,
+    OTHER,
     WARNING,
-    add_legend,
     panel_grid,
     plot_style,
     time_axis,
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
+from fuzzycnc_ros.studies.page.paper import plain_ticks
 from fuzzycnc_ros.studies.thermal import comparison as shown
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged
 
@@ -32,10 +35,10 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut
 
 HOW_TO_READ = (
-    'Bars show the root mean square residual of each model; the shorter, the better. Grey: the '
-    'machine without compensation. Blue: less is left than that. Yellow: more is left. Strong '
-    'colour: the automatic choice. Palest yellow, with a star: not to be trusted. A bar that '
-    'fades across the whole panel has diverged.'
+    'The root mean square residual of each model; the further left, the better. Orange: the '
+    'machine without compensation. Blue: less is left than that. Red: more is left. Strong '
+    'colour: the automatic choice. Pale yellow, with a star: not to be trusted. Dots instead of '
+    'bars: the axis is logarithmic. An arrow: diverged.'
 )
 
 TRACED = (UNCOMPENSATED, 'static_ridge', shown.DEFAULT)
@@ -58,8 +61,14 @@ def comparison_page(comparison: 'Comparison', facts: Mapping[str, str]) -> Page:
         f'choice came from the other samples alone{copies}. Best candidate by rmse, of those that '
         f'are trusted on every run: {best}.',
         sections=sections,
-        facts=facts,
+        facts={'Judged': _spans(comparison), **facts},
     )
+
+
+def _spans(comparison: 'Comparison') -> str:
+    """Return what is held out, each with its window [s]."""
+    judged = [item.evaluation for item in comparison.held_out]
+    return '; '.join(f'{one.run}: {one.time[0]:,.0f} to {one.time[-1]:,.0f} s' for one in judged)
 
 
 def _pooled_section(comparison: 'Comparison') -> Section:
@@ -108,7 +117,7 @@ def _bars(
     return Figure(
         f'{name}: what each model leaves',
         HOW_TO_READ,
-        plot_residuals(channel, rows, labels, refused, shown.DEFAULT),
+        residuals_picture(channel, rows, labels, refused, shown.DEFAULT),
     )
 
 
@@ -121,7 +130,7 @@ def _traces(item: 'HeldOut') -> Figure:
         f'{judged.run}: error that is left over time',
         'Measured minus predicted; without compensation that is the measured error itself. What '
         'is left should have no slow swing: that would be heat that the model does not know.',
-        plot_traces(
+        traces_chart(
             judged.time,
             judged.channel,
             {name: judged.measured - judged.predicted[name] for name in rows},
@@ -143,14 +152,16 @@ ROW_HEIGHT = 0.19
 """Height of a bar with its gap [in]."""
 
 
-def plot_residuals(
+def residuals_picture(
     heading: Sequence[str],
     rows: Mapping[str, NDArray[np.float64]],
     labels: Mapping[str, str],
     refused: Collection[str] = (),
     default: str | None = None,
-) -> Any:
-    """Plot a residual of many models as bars, a panel per column.
+) -> Picture:
+    """Draw a residual of many models, a panel per column.
+
+    Bars begin at zero; where figures differ too much for that, dots stand on a logarithmic axis.
 
     Parameters
     ----------
@@ -167,18 +178,18 @@ def plot_residuals(
 
     Notes
     -----
-    What leaves more than the row 'uncompensated' is drawn in the colour of warnings.
+    What leaves more than the row 'uncompensated' is drawn in the colour of limits.
     """
     with plot_style():
         names = list(rows)
         values = 1e6 * np.array([rows[name] for name in names])
         shown = np.array([[not np.isnan(v) and not has_diverged(1e-6 * v) for v in row]
                           for row in values])  # fmt: skip
-        columns = _even(len(heading), COLUMNS_MAX)
+        in_row = _even(len(heading), COLUMNS_MAX)
         height = 0.62 + ROW_HEIGHT * len(names)
-        figure, panels = panel_grid(len(heading), columns=columns, height=height)
-        span = values[shown]
-        logarithmic = bool(span.size and span.max() > LOG_RATIO * max(span.min(), 1e-3))
+        figure, panels = panel_grid(len(heading), columns=in_row, height=height)
+        known = values[shown]
+        logarithmic = bool(known.size and known.max() > LOG_RATIO * max(known.min(), 1e-3))
         place = np.arange(len(names))
         bare = 1e6 * rows.get(UNCOMPENSATED, np.full(len(heading), np.nan))
         for c, axes in enumerate(panels):
@@ -188,25 +199,31 @@ def plot_residuals(
                 axes.set_xscale('log')
             for row, name in enumerate(names):
                 colour = _colour(name, refused, default, values[row, c], bare[c])
-                _bar(axes, row, values[row, c], (low, high), colour)
+                _mark(axes, row, values[row, c], (low, high), colour)
             axes.set_xlim(low, high)
             axes.set_ylim(len(names) - 0.4, -0.6)
-            axes.grid(visible=False, axis='y')
+            axes.grid(visible=logarithmic, axis='y')
             axes.tick_params(axis='y', length=0.0)
             first = axes.get_subplotspec().is_first_col()
             axes.set_yticks(place, [labels[name] for name in names] if first else [])
-            _plain_ticks(axes, low, high, logarithmic)
+            if logarithmic:
+                span = log10(high / low)
+                steps = (1, 2, 5) if span < 1.5 else (1, 3) if span < 2.5 else (1,)
+                plain_ticks(axes.xaxis, low, high, steps)
+            else:
+                axes.locator_params(axis='x', nbins=4)
             axes.set_xlabel('rmse [µm]')
-        return figure
+        columns = {f'{name} rmse [µm]': values[:, c] for c, name in enumerate(heading)}
+        return Picture(figure, {'model': [labels[name] for name in names], **columns})
 
 
-def plot_traces(
+def traces_chart(
     time: NDArray[np.float64],
     channel: Sequence[str],
     left: Mapping[str, NDArray[np.float64]],
     labels: Mapping[str, str],
-) -> Any:
-    """Plot what up to three models leave of the error over time, a panel per channel.
+) -> Chart:
+    """Declare what up to three models leave of the error over time, a panel per channel.
 
     Parameters
     ----------
@@ -219,33 +236,32 @@ def plot_traces(
     labels : mapping of str to str
         Name of each model for people.
     """
-    with plot_style():
-        columns = _even(len(channel), CURVES_MAX)
-        figure, panels = panel_grid(len(channel), columns=columns, height=2.3)
-        x, x_label = time_axis(time)
-        colours = (FAINT, SECOND, ACCENT)[-len(left) :]
-        for c, axes in enumerate(panels):
-            axes.set_title(channel[c])
-            axes.axhline(0.0, color=MUTED, linewidth=0.7)
-            for (name, residual), colour in zip(left.items(), colours, strict=True):
-                drawn = np.where(np.isfinite(residual[:, c]), 1e6 * residual[:, c], np.nan)
-                axes.plot(x, drawn, color=colour, linewidth=1.2, label=labels[name])
-            axes.set_xlim(x[0], x[-1])
-            axes.set_xlabel(x_label)
-            if axes.get_subplotspec().is_first_col():
-                axes.set_ylabel('error left [µm]')
-        add_legend(figure, *panels[0].get_legend_handles_labels())
-        return figure
+    x, unit = time_axis(time)
+    colours = {UNCOMPENSATED: BEFORE, shown.DEFAULT: AFTER}
+    panels = [
+        Panel(
+            x,
+            Axis('error left', 'µm'),
+            [
+                Series(labels[name], 1e6 * residual[:, c], colours.get(name, OTHER), 1.2)
+                for name, residual in left.items()
+            ],
+            title=title,
+            rules=[Rule(0.0, MUTED)],
+        )
+        for c, title in enumerate(channel)
+    ]
+    return Chart(Axis('time', unit), panels, columns=_even(len(channel), CURVES_MAX), height=2.3)
 
 
-def plot_sensor_counts(
+def sensor_counts_chart(
     count: Sequence[int],
     channel: Sequence[str],
     mean: NDArray[np.float64],
     worst: NDArray[np.float64],
     largest: NDArray[np.float64],
-) -> Any:
-    """Plot residuals on held-out runs against the number of sensors, a panel per channel.
+) -> Chart:
+    """Declare residuals on held-out runs against the number of sensors, a panel per channel.
 
     Parameters
     ----------
@@ -258,30 +274,25 @@ def plot_sensor_counts(
     largest : ndarray, shape (k, c)
         Largest residual on any of them [m].
     """
-    with plot_style():
-        figure, panels = panel_grid(
-            len(channel), columns=_even(len(channel), CURVES_MAX), height=2.6
+    x = np.array(count, dtype=np.float64)
+    panels = [
+        Panel(
+            x,
+            Axis('residual', 'µm', low=0.0),
+            [
+                Series(label, 1e6 * values[:, c], colour, dashes=dashes, kind='both')
+                for values, label, colour, dashes in (
+                    (largest, 'largest residual', FAINT, (2.0, 2.0)),
+                    (worst, 'rmse, worst held-out run', OTHER, ()),
+                    (mean, 'rmse, mean over the held-out runs', AFTER, ()),
+                )
+            ],
+            title=title,
         )
-        for c, axes in enumerate(panels):
-            axes.set_title(channel[c])
-            for values, label, colour, line in (
-                (largest, 'largest residual', FAINT, (0, (2, 2))),
-                (worst, 'rmse, worst held-out run', SECOND, '-'),
-                (mean, 'rmse, mean over the held-out runs', ACCENT, '-'),
-            ):
-                drawn = np.where(np.isfinite(values[:, c]), 1e6 * values[:, c], np.nan)
-                axes.plot(
-                    count, drawn, color=colour, linestyle=line, marker='o', markersize=4.0,
-                    label=label,
-                )  # fmt: skip
-            axes.set_xticks(count)
-            axes.set_ylim(bottom=0.0)
-            axes.set_xlabel('number of sensors')
-            if axes.get_subplotspec().is_first_col():
-                axes.set_ylabel('residual [µm]')
-        handles, labels = panels[0].get_legend_handles_labels()
-        add_legend(figure, handles[::-1], labels[::-1])
-        return figure
+        for c, title in enumerate(channel)
+    ]
+    columns = _even(len(channel), CURVES_MAX)
+    return Chart(Axis('number of sensors', ticks=tuple(x)), panels, columns=columns, height=2.6)
 
 
 def _even(panels: int, most: int) -> int:
@@ -300,28 +311,26 @@ def _limits(values: NDArray[np.float64], logarithmic: bool) -> tuple[float, floa
     return low, high * (high / low) ** 0.38
 
 
-def _bar(
+def _mark(
     axes: Any, row: int, value: float, limits: tuple[float, float], colour: tuple[str, float]
 ) -> None:
-    """Draw a bar with its number; one that has diverged runs out of the picture."""
+    """Draw a bar, or a dot on a logarithmic axis, with its number; an arrow for what diverged."""
     low, high = limits
     if np.isnan(value):
         return
     diverged = has_diverged(1e-6 * value)
-    axes.barh(
-        row,
-        (high if diverged else value) - low,
-        left=low,
-        height=0.66,
-        color=colour[0],
-        alpha=colour[1] * (0.35 if diverged else 1.0),
-        linewidth=0.0,
-    )
+    if diverged:
+        axes.plot(high, row, '>', color=colour[0], markersize=6.0, clip_on=False)
+    elif low > 0.0:
+        axes.plot(value, row, 'o', color=colour[0], alpha=colour[1], markersize=5.5)
+    else:
+        axes.barh(row, value, height=0.66, color=colour[0], alpha=colour[1], linewidth=0.0)
     axes.annotate(
         'diverged' if diverged else f'{value:.1f}' if value >= 1.0 else f'{value:.2f}',
-        (low if diverged else value, row),
-        xytext=(3.0, 0.0),
+        (high if diverged else value, row),
+        xytext=(-6.0 if diverged else 5.0 if low > 0.0 else 3.0, 0.0),
         textcoords='offset points',
+        ha='right' if diverged else 'left',
         va='center',
         fontsize=7.0,
         color=INK,
@@ -331,23 +340,9 @@ def _bar(
 def _colour(
     name: str, refused: Collection[str], default: str | None, value: float, bare: float
 ) -> tuple[str, float]:
-    """Return colour and opacity of a model's bar, beside what there is without a model."""
+    """Return colour and opacity of a model's mark, beside what there is without a model."""
     if name == UNCOMPENSATED or value == bare:
-        return MUTED, 0.75
+        return BEFORE, 0.75
     if name in refused:
-        return WARNING, 0.3
-    return WARNING if value > bare else ACCENT, 1.0 if name == default else 0.5
-
-
-def _plain_ticks(axes: Any, low: float, high: float, logarithmic: bool) -> None:
-    """Mark a logarithmic axis in plain numbers, as many as fit."""
-    if not logarithmic:
-        axes.locator_params(axis='x', nbins=4)
-        return
-    decades = range(floor(log10(low)), ceil(log10(high)) + 1)
-    span = log10(high / low)
-    steps = (1, 2, 5) if span < 1.5 else (1, 3) if span < 2.5 else (1,)
-    ticks = [step * 10.0**power for power in decades for step in steps]
-    ticks = [tick for tick in ticks if low <= tick <= high]
-    axes.set_xticks(ticks, [f'{tick:g}' for tick in ticks])
-    axes.set_xticks([], minor=True)
+        return WARNING, 0.4
+    return LIMIT if value > bare else AFTER, 1.0 if name == default else 0.5

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What probing now and then leaves of a run, with the model and without: tables and plots."""
+"""What probing now and then leaves of a run, with the model and without: tables and figures."""
 
 from __future__ import annotations
 
@@ -26,16 +26,8 @@ from fuzzycnc_ros.core.thermal.run import (
     ThermalRun,
 )
 from fuzzycnc_ros.runtime.records import Displacement, Stamp, nanoseconds
-from fuzzycnc_ros.studies.page.drawing import (
-    ACCENT,
-    FAINT,
-    MUTED,
-    SECOND,
-    add_legend,
-    panel_grid,
-    plot_style,
-    time_axis,
-)
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Rule, Series
+from fuzzycnc_ros.studies.page.drawing import AFTER, FAINT, MUTED, OTHER, time_axis
 from fuzzycnc_ros.studies.page.html import Figure, Section
 from fuzzycnc_ros.studies.page.table import Table
 from fuzzycnc_ros.studies.thermal.comparison import LEFT, residual_document, residual_table
@@ -244,7 +236,7 @@ def _probes(
 
 Floats = NDArray[np.float64]
 
-_DRAWN = (('unprobed', FAINT, 0.9), ('held', SECOND, 0.9), ('kalman', ACCENT, 1.4))
+_DRAWN = (('unprobed', FAINT, 0.9), ('held', OTHER, 0.9), ('kalman', AFTER, 1.4))
 """Rows that are drawn, each with its colour and width, from the back to the front."""
 
 RULE = (
@@ -321,30 +313,29 @@ def probed_section(item: ProbedEvaluation) -> Section:
                 'What the model adds to probing is the distance between the line of the last '
                 'probe, held without any model, and that of the model corrected by the same '
                 'probes.',
-                plot_probed(item),
+                probed_chart(item),
             ),
         ),
     )
 
 
-def plot_probed(item: ProbedEvaluation) -> Any:
-    """Plot what is left unprobed, with the last probe held, and with the corrected model."""
-    with plot_style():
-        count = len(item.channel)
-        figure, panels = panel_grid(count, columns=min(2, count), height=2.6)
-        x, x_label = time_axis(item.time)
-        for c, (axes, channel) in enumerate(zip(panels, item.channel, strict=True)):
-            axes.axhline(0.0, color=MUTED, linewidth=0.7)
-            for name, colour, width in _DRAWN:
-                left = 1e6 * item.residual[name][:, c]
-                label = candidate_label(name)
-                axes.plot(x, left, color=colour, linewidth=width, label=label)
-            axes.set_title(channel)
-            axes.set_xlim(x[0], x[-1])
-            axes.set_xlabel(x_label)
-            axes.set_ylabel('thermal error [µm]')
-        add_legend(figure, *panels[0].get_legend_handles_labels())
-        return figure
+def probed_chart(item: ProbedEvaluation) -> Chart:
+    """Declare what is left unprobed, with the last probe held, and with the corrected model."""
+    x, unit = time_axis(item.time)
+    panels = [
+        Panel(
+            x,
+            Axis('thermal error', 'µm'),
+            [
+                Series(candidate_label(name), 1e6 * item.residual[name][:, c], colour, width)
+                for name, colour, width in _DRAWN
+            ],
+            title=channel,
+            rules=[Rule(0.0, MUTED)],
+        )
+        for c, channel in enumerate(item.channel)
+    ]
+    return Chart(Axis('time', unit), panels, columns=min(2, len(panels)), height=2.6)
 
 
 def _no_better_than_held(item: ProbedEvaluation) -> list[str]:

@@ -225,9 +225,11 @@ class SensorCountCurve:
     channel : sequence of str, length c
         Measured channels.
     residual_max : array_like, shape (k, c)
-        Largest residual on the held-out run [m].
+        Largest residual on the held-out run [m]; NaN where a channel has no model.
     run : str
         Name of the held-out run.
+    model : str
+        Which model that is, for people.
     chosen_count : int, optional
         Number of sensors in use; marked in the plot.
     """
@@ -236,6 +238,7 @@ class SensorCountCurve:
     channel: tuple[str, ...]
     residual_max: NDArray[np.float64]
     run: str
+    model: str
     chosen_count: int | None = None
 
     def __post_init__(self) -> None:

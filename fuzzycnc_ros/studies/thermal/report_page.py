@@ -1,27 +1,29 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The report as one self-contained HTML page: no script, no request to anywhere."""
+"""The report as one self-contained HTML page: no request goes anywhere."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.studies.page.chart import Axis, Band, Chart, Panel, Picture, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import (
-    ACCENT,
+    AFTER,
+    ANOTHER,
+    BEFORE,
     CLUSTER_COLOURS,
     FAINT,
     INK,
+    LIMIT,
+    MEASURED,
     MUTED,
-    SECOND,
-    THIRD,
+    OTHER,
     WARNING,
     add_legend,
     new_figure,
-    panel_grid,
     plot_style,
     time_axis,
 )
@@ -116,27 +118,27 @@ def _run_figures(run: CompensationRun) -> Iterator[Figure]:
         f'{len(run.chosen)} chosen ones, which the model reads, are drawn thick. The lines of a '
         'panel should move together: then the chosen sensor speaks for its cluster, and a '
         'neighbour can stand in for it when it fails.',
-        plot_temperatures(run),
+        temperatures_chart(run),
     )
     yield Figure(
         f'{run.name}: measured and predicted error',
         'Dots are the error without compensation. The model in use (thick) should run through '
         'them, above all where the spindle speed changes. A curve that leaves the frame is off '
         'by more than the frame shows.',
-        plot_prediction(run),
+        prediction_chart(run),
     )
     yield Figure(
         f'{run.name}: error that is left',
-        f'The blue line is the error {_left_by(run)}, the grey one the error without '
+        f'The blue line is the error {_left_by(run)}, the orange one the error without '
         f'compensation.{_band_text(run)}{_domain_text(run)}',
-        plot_residual(run),
+        residual_chart(run),
     )
     if run.offset is not None:
         yield Figure(
             f'{run.name}: compensation and its limits',
             f'Offsets added to the commanded position; they are minus the predicted error.'
             f'{_limit_text(run)}',
-            plot_compensation(run),
+            compensation_chart(run),
         )
 
 
@@ -190,10 +192,10 @@ def _limit_text(run: CompensationRun) -> str:
 def _sensor_count_figure(curve: SensorCountCurve) -> Figure:
     return Figure(
         'How many sensors are worth having',
-        f'Largest residual on the held-out run {curve.run} against the number of sensors that '
-        'the model reads. Where the curve turns flat, more sensors add cost and failures but no '
-        'accuracy.',
-        plot_sensor_count(curve),
+        f'{curve.model}, trained anew on so many sensors: largest residual on the held-out run '
+        f'{curve.run} against their number. Where the curve turns flat, more sensors add cost '
+        'and failures but no accuracy.',
+        sensor_count_chart(curve),
     )
 
 
@@ -203,176 +205,136 @@ def _latency_figure(latency: Latency) -> Figure:
         f'{len(latency.sample)} samples, wall-clock time between publishing the temperatures and '
         f'receiving the compensation: median {1e3 * latency.median:.2f} ms, 99th percentile '
         f'{1e3 * latency.p99:.2f} ms, longest {1e3 * latency.sample.max():.2f} ms.',
-        plot_latency(latency),
+        latency_picture(latency),
     )
 
 
-_BACKGROUND_ROWS = 160  # rows of a line that only gives the picture its background
-_DOTS = 140  # measured points that are drawn as dots
 _COMPARED = ('classical_grey', 'static_ridge', 'least_squares')  # first choice for comparison
 
+_ERROR = Axis('thermal error', 'µm')
 
-def plot_temperatures(run: CompensationRun) -> Any:
-    """Plot the temperatures of each cluster, its chosen sensors in front, and the speed."""
-    with plot_style():
-        labels = sorted(set(run.cluster), key=lambda label: (label < 0, label))
-        has_speed = run.spindle_speed is not None
-        figure, panels = panel_grid(len(labels) + has_speed, columns=3, height=2.0)
-        x, x_label = time_axis(run.time)
-        for axes, label in zip(panels, labels, strict=False):
-            _draw_cluster(axes, run, x, label)
-            first = axes.get_subplotspec().is_first_col()
-            _label_axes(axes, x, x_label, 'temperature [°C]' if first else '')
-        if run.spindle_speed is not None:
-            _draw_speed(panels[-1], x, run.spindle_speed)
-            _label_axes(panels[-1], x, x_label, 'speed [rpm]')
-        return figure
+_DOTTED, _DASHED = (2.0, 2.0), (6.0, 3.0)
 
 
-def plot_prediction(run: CompensationRun) -> Any:
-    """Plot measured against predicted error, the default model in front."""
-    with plot_style():
-        figure, panels = _channel_panels(run)
-        x, x_label = time_axis(run.time)
-        every = max(1, len(x) // _DOTS)
-        compared = _compared(run)
-        predicted = 1e6 * run.prediction()
-        for c, axes in enumerate(panels):
-            measured = 1e6 * run.measured[:, c]
-            axes.set_title(f'{run.channel[c]}: {candidate_label(run.default[c])} in use')
-            for name, colour in zip(compared, (SECOND, THIRD), strict=False):
-                axes.plot(
-                    x,
-                    1e6 * run.predicted[name][:, c],
-                    color=colour,
-                    linewidth=1.0,
-                    label=candidate_label(name),
-                )
-            axes.plot(
-                x,
-                predicted[:, c],
-                color=ACCENT,
-                linewidth=2.0,
-                label='model in use',
-            )
-            axes.plot(
-                x[::every],
-                measured[::every],
-                linestyle='none',
-                marker='o',
-                markersize=2.2,
-                markeredgewidth=0.0,
-                color=INK,
-                label='measured',
-            )
-            _label_axes(axes, x, x_label, 'thermal error [µm]')
-            _limit_to(axes, measured)
-        handles, labels = panels[0].get_legend_handles_labels()
-        add_legend(figure, handles[::-1], labels[::-1])  # what is drawn in front comes first
-        return figure
+def temperatures_chart(run: CompensationRun) -> Chart:
+    """Declare the temperatures of each cluster, its chosen sensors in front, and the speed."""
+    labels = sorted(set(run.cluster), key=lambda label: (label < 0, label))
+    x, unit = time_axis(run.time)
+    panels = [_cluster_panel(run, x, label) for label in labels]
+    if run.spindle_speed is not None:
+        panels.append(_speed_panel(x, run.spindle_speed))
+    return Chart(Axis('time', unit), panels, columns=min(3, len(panels)), height=2.0)
 
 
-def plot_residual(run: CompensationRun) -> Any:
-    """Plot the error that is left with its band, the uncompensated error thin behind it."""
-    with plot_style():
-        figure, panels = _channel_panels(run)
-        x, x_label = time_axis(run.time)
-        residual = 1e6 * run.residual()
-        before, after = run.scores()[UNCOMPENSATED], run.scores_in_use()
-        for c, axes in enumerate(panels):
-            measured = 1e6 * run.measured[:, c]
-            axes.plot(x, measured, color=FAINT, linewidth=0.9, label='uncompensated')
-            if run.standard_deviation is not None:
-                band = 2e6 * run.standard_deviation[:, c]
-                axes.fill_between(
-                    x,
-                    -band,
-                    band,
-                    color=ACCENT,
-                    alpha=0.2,
-                    linewidth=0.0,
-                    label='band of the model (±2 standard deviations)',
-                )
-            axes.axhline(0.0, color=MUTED, linewidth=0.7)
-            axes.plot(x, residual[:, c], color=ACCENT, linewidth=1.3, label='residual')
-            _label_axes(axes, x, x_label, 'thermal error [µm]')
-            _limit_to(axes, np.concatenate([measured, residual[:, c]]))
-            _shade_out_of_domain(axes, x, run.in_domain)
-            axes.set_title(
-                f'{run.channel[c]}: at most {micrometres(after[c].max)} µm left of '
-                f'{micrometres(before[c].max)} µm'
-            )
-        add_legend(figure, *panels[0].get_legend_handles_labels())
-        return figure
+def prediction_chart(run: CompensationRun) -> Chart:
+    """Declare measured against predicted error, the default model in front."""
+    compared = _compared(run)
+    predicted = run.prediction()
+
+    def panel(c: int, x: NDArray[np.float64]) -> Panel:
+        others = [
+            Series(candidate_label(name), 1e6 * run.predicted[name][:, c], colour, width=1.0)
+            for name, colour in zip(compared, (OTHER, ANOTHER), strict=False)
+        ]
+        measured = 1e6 * run.measured[:, c]
+        return Panel(
+            x,
+            _scaled_to(_ERROR, measured),
+            [
+                *others,
+                Series('model in use', 1e6 * predicted[:, c], AFTER, width=2.0),
+                Series('measured', measured, MEASURED, kind='dots'),
+            ],
+            title=f'{run.channel[c]}: {candidate_label(run.default[c])} in use',
+        )
+
+    return _by_channel(run, panel)
 
 
-def plot_compensation(run: CompensationRun) -> Any:
-    """Plot commanded and applied offsets with their limits.
+def residual_chart(run: CompensationRun) -> Chart:
+    """Declare the error that is left with its band, the uncompensated error behind it."""
+    residual = 1e6 * run.residual()
+    before, after = run.scores()[UNCOMPENSATED], run.scores_in_use()
+
+    def panel(c: int, x: NDArray[np.float64]) -> Panel:
+        measured = 1e6 * run.measured[:, c]
+        bands = []
+        if run.standard_deviation is not None:
+            width = 2e6 * run.standard_deviation[:, c]
+            bands.append(Band('band of two standard deviations', -width, width, AFTER))
+        series = [
+            Series('before: uncompensated', measured, BEFORE, width=0.9),
+            Series('after: residual', residual[:, c], AFTER),
+        ]
+        if run.in_domain is not None and not run.in_domain.all():
+            outside = np.where(run.in_domain, 0.0, 1.0)
+            series.append(Series('outside the training domain', outside, WARNING, kind='flag'))
+        return Panel(
+            x,
+            _scaled_to(_ERROR, np.concatenate([measured, residual[:, c]])),
+            series,
+            title=f'{run.channel[c]}: at most {micrometres(after[c].max)} µm left of '
+            f'{micrometres(before[c].max)} µm',
+            bands=bands,
+            rules=[Rule(0.0, MUTED)],
+        )
+
+    return _by_channel(run, panel)
+
+
+def compensation_chart(run: CompensationRun) -> Chart:
+    """Declare commanded and applied offsets with their limits.
 
     Raises
     ------
     ValueError
         If the run has no commanded offsets.
     """
-    if run.offset is None:
+    offset, limit = run.offset, run.offset_limit
+    if offset is None:
         raise ValueError(f'run {run.name}: expected commanded offsets but found none')
-    with plot_style():
-        figure, panels = _channel_panels(run)
-        x, x_label = time_axis(run.time)
-        for c, axes in enumerate(panels):
-            if run.offset_limit is not None:
-                limit = 1e6 * run.offset_limit
-                for side, label in ((limit, f'limit ±{limit:g} µm'), (-limit, None)):
-                    axes.axhline(side, color=WARNING, linestyle=(0, (5, 3)), label=label)
-            axes.axhline(0.0, color=MUTED, linewidth=0.7)
-            if run.applied is not None:
-                axes.plot(
-                    x,
-                    1e6 * run.applied[:, c],
-                    color=ACCENT,
-                    linewidth=3.0,
-                    alpha=0.45,
-                    label='in force on the machine',
-                )
-            axes.plot(x, 1e6 * run.offset[:, c], color=INK, linewidth=1.0, label='commanded')
-            _label_axes(axes, x, x_label, 'offset [µm]')
-        add_legend(figure, *panels[0].get_legend_handles_labels())
-        return figure
+    rules = [Rule(0.0, MUTED)]
+    if limit is not None:
+        rules += [
+            Rule(1e6 * limit, LIMIT, f'limit ±{1e6 * limit:g} µm', _DASHED),
+            Rule(-1e6 * limit, LIMIT, '', _DASHED),
+        ]
+    bound = None if limit is None else 1.15e6 * limit
+
+    def panel(c: int, x: NDArray[np.float64]) -> Panel:
+        series = [Series('commanded', 1e6 * offset[:, c], MEASURED, width=1.0)]
+        if run.applied is not None:
+            applied = 1e6 * run.applied[:, c]
+            series.insert(0, Series('in force on the machine', applied, AFTER, width=3.0))
+        axis = Axis('offset', 'µm', low=None if bound is None else -bound, high=bound)
+        return Panel(x, axis, series, title=run.channel[c], rules=rules)
+
+    return _by_channel(run, panel)
 
 
-def plot_sensor_count(curve: SensorCountCurve) -> Any:
-    """Plot the largest residual on a held-out run against the number of sensors."""
-    with plot_style():
-        figure = new_figure(2.9)
-        axes = figure.subplots()
-        colours = (ACCENT, SECOND, *CLUSTER_COLOURS[2:])
-        for c, channel in enumerate(curve.channel):
-            axes.plot(
-                curve.count,
-                1e6 * curve.residual_max[:, c],
-                color=colours[c % len(colours)],
-                marker='o',
-                markersize=4.5,
-                label=channel,
-            )
-        if curve.chosen_count is not None:
-            axes.axvline(
-                curve.chosen_count,
-                color=MUTED,
-                linestyle=(0, (2, 2)),
-                linewidth=0.9,
-                label=f'in use: {curve.chosen_count}',
-            )
-        axes.set_xticks(curve.count)
-        axes.set_ylim(bottom=0.0)
-        axes.set_xlabel('number of sensors')
-        axes.set_ylabel(f'largest residual on {curve.run} [µm]')
-        add_legend(figure, *axes.get_legend_handles_labels())
-        return figure
+def sensor_count_chart(curve: SensorCountCurve) -> Chart:
+    """Declare the largest residual on a held-out run against the number of sensors."""
+    count = np.array(curve.count, dtype=np.float64)
+    rules = []
+    if curve.chosen_count is not None:
+        name = f'in use: {curve.chosen_count}'
+        rules.append(Rule(float(curve.chosen_count), MUTED, name, _DOTTED, upright=True))
+    series = [
+        Series(
+            channel,
+            1e6 * curve.residual_max[:, c],
+            CLUSTER_COLOURS[c % len(CLUSTER_COLOURS)],
+            kind='both',
+        )
+        for c, channel in enumerate(curve.channel)
+    ]
+    axis = Axis(f'largest residual on {curve.run}', 'µm', low=0.0)
+    panel = Panel(count, axis, series, rules=rules)
+    return Chart(Axis('number of sensors', ticks=tuple(count)), [panel], height=2.9)
 
 
-def plot_latency(latency: Latency) -> Any:
-    """Plot how long it took from a temperature sample to its compensation."""
+def latency_picture(latency: Latency) -> Picture:
+    """Draw how long it took from a temperature sample to its compensation."""
     with plot_style():
         figure = new_figure(2.5)
         axes = figure.subplots()
@@ -382,7 +344,7 @@ def plot_latency(latency: Latency) -> Any:
         axes.hist(
             np.minimum(milliseconds, edge),
             bins=np.linspace(0.0, edge, 61),
-            color=ACCENT,
+            color=AFTER,
             alpha=0.55,
         )
         for value, label, colour in (
@@ -395,16 +357,15 @@ def plot_latency(latency: Latency) -> Any:
         axes.set_ylabel('samples')
         axes.grid(visible=False, axis='x')
         add_legend(figure, *axes.get_legend_handles_labels())
-        return figure
+        return Picture(figure, {'latency [ms]': milliseconds})
 
 
-def _channel_panels(run: CompensationRun) -> tuple[Any, list[Any]]:
-    """Return a figure with one titled panel per channel, two in a row."""
+def _by_channel(run: CompensationRun, panel: Callable[[int, NDArray[np.float64]], Panel]) -> Chart:
+    """Return a chart with one panel per channel, two in a row."""
+    x, unit = time_axis(run.time)
     count = len(run.channel)
-    figure, panels = panel_grid(count, columns=min(2, count), height=2.9)
-    for axes, channel in zip(panels, run.channel, strict=True):
-        axes.set_title(channel)
-    return figure, panels
+    panels = [panel(c, x) for c in range(count)]
+    return Chart(Axis('time', unit), panels, columns=min(2, count), height=2.9)
 
 
 def _compared(run: CompensationRun) -> list[str]:
@@ -414,63 +375,35 @@ def _compared(run: CompensationRun) -> list[str]:
     return (first + [name for name in others if name not in first])[:2]
 
 
-def _cluster_colour(label: int) -> str:
-    return FAINT if label < 0 else CLUSTER_COLOURS[label % len(CLUSTER_COLOURS)]
-
-
-def _draw_cluster(axes: Any, run: CompensationRun, x: NDArray[np.float64], label: int) -> None:
-    colour = _cluster_colour(label)
-    thin = slice(None, None, max(1, len(x) // _BACKGROUND_ROWS))
+def _cluster_panel(run: CompensationRun, x: NDArray[np.float64], label: int) -> Panel:
+    colour = FAINT if label < 0 else CLUSTER_COLOURS[label % len(CLUSTER_COLOURS)]
     members = [name for name, other in zip(run.sensor, run.cluster, strict=True) if other == label]
     chosen = [name for name in members if name in run.chosen]
-    for name in members:
-        values = run.temperature[:, run.sensor.index(name)]
-        if name in chosen:
-            axes.plot(x, values, color=colour, linewidth=1.6, zorder=3)
-        else:
-            axes.plot(x[thin], values[thin], color=colour, linewidth=0.7, alpha=0.35)
+    series = [
+        Series(
+            name, run.temperature[:, run.sensor.index(name)], colour, 1.6, quiet=name not in chosen
+        )
+        for name in sorted(members, key=lambda name: name in chosen)
+    ]
     count = f'{len(members)} sensor' + ('s' if len(members) > 1 else '')
     title = f'Cluster {label + 1}: {count}' if label >= 0 else f'Left out: {count}'
-    axes.set_title(f'{title}, {", ".join(chosen)} chosen' if chosen else title)
+    if chosen:
+        title += f', {", ".join(chosen)} chosen'
+    return Panel(x, Axis('temperature', '°C'), series, title=title)
 
 
-def _draw_speed(axes: Any, x: NDArray[np.float64], speed: NDArray[np.float64]) -> None:
+def _speed_panel(x: NDArray[np.float64], speed: NDArray[np.float64]) -> Panel:
     rpm = speed * 60.0 / (2.0 * np.pi)
-    axes.fill_between(x, 0.0, rpm, step='post', color=MUTED, alpha=0.2, linewidth=0.0)
-    axes.step(x, rpm, where='post', color=MUTED, linewidth=1.2)
-    axes.set_ylim(0.0, 1.15 * max(1.0, float(np.nanmax(rpm, initial=0.0))))
-    axes.set_title('Spindle speed')
+    top = 1.15 * max(1.0, float(np.nanmax(rpm, initial=0.0)))
+    series = Series('spindle speed', rpm, MEASURED, width=1.2, kind='steps')
+    return Panel(x, Axis('speed', 'rpm', low=0.0, high=top), [series], title='Spindle speed')
 
 
-def _label_axes(axes: Any, x: NDArray[np.float64], x_label: str, y_label: str) -> None:
-    axes.set_xlim(x[0], x[-1])
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
-    axes.margins(y=0.08)
-
-
-def _limit_to(axes: Any, values: NDArray[np.float64]) -> None:
-    """Let these values set the scale, so that a diverging curve leaves the picture instead."""
+def _scaled_to(axis: Axis, values: NDArray[np.float64]) -> Axis:
+    """Let these values set the ends, so that a diverging curve leaves the picture instead."""
     finite = values[np.isfinite(values)]
-    if finite.size:
-        low, high = min(0.0, float(finite.min())), max(0.0, float(finite.max()))
-        margin = 0.15 * (high - low) or 1.0
-        axes.set_ylim(low - margin, high + margin)
-
-
-def _shade_out_of_domain(
-    axes: Any, x: NDArray[np.float64], in_domain: NDArray[np.bool_] | None
-) -> None:
-    if in_domain is None or in_domain.all():
-        return
-    # Each sample stands for the time half-way to its neighbours, so that one alone shows too.
-    edge = np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]])
-    change = np.flatnonzero(np.diff(np.concatenate([[0], ~in_domain, [0]])))
-    axes.broken_barh(
-        [(edge[first], edge[last] - edge[first]) for first, last in change.reshape(-1, 2)],
-        (0.0, 0.03),
-        transform=axes.get_xaxis_transform(),
-        color=WARNING,
-        linewidth=0.0,
-        label='outside the training domain',
-    )
+    if not finite.size:
+        return axis
+    low, high = min(0.0, float(finite.min())), max(0.0, float(finite.max()))
+    margin = 0.15 * (high - low) or 1.0
+    return replace(axis, low=low - margin, high=high + margin)

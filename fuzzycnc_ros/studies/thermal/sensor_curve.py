@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.thermal.comparison_page import plot_sensor_counts
+from fuzzycnc_ros.studies.page.table import Column, Table, tied
+from fuzzycnc_ros.studies.thermal.comparison_page import sensor_counts_chart
 from fuzzycnc_ros.studies.thermal.summary import micrometres
 
 if TYPE_CHECKING:
@@ -81,7 +81,11 @@ def sensor_curve_table(curves: SensorCurves) -> Table:
     )
     # Every figure is compared with its like, of the same channel.
     best = np.argmin(figures, axis=0).ravel()
-    strong = {(int(row), column) for column, row in enumerate(best, start=1)}
+    strong = {
+        (row, column)
+        for column, least in enumerate(best, start=1)
+        for row in tied({row: cells[column] for row, cells in enumerate(rows)}, [int(least)])
+    }
     title = 'Held-out runs: rmse, mean and worst of them, and largest residual [µm]'
     return Table(title, tuple(columns), rows, frozenset(strong))
 
@@ -134,7 +138,7 @@ def sensor_curve_page(
 ) -> Page:
     """Return the page of the curves."""
     runs = ', '.join(item.run for item in curves.held_out)
-    plot = plot_sensor_counts(
+    plot = sensor_counts_chart(
         curves.count, curves.channel, curves.mean(), curves.worst(), curves.largest()
     )
     figure = Figure(
@@ -156,5 +160,5 @@ def sensor_curve_page(
                 figures=[figure],
             )
         ],
-        facts=facts,
+        facts={'Judged': f'{runs}, each held out', **facts},
     )

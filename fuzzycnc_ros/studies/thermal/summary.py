@@ -8,7 +8,7 @@ from typing import Any
 
 from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, UNCOMPENSATED
 from fuzzycnc_ros.studies.page.document import to_document
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, tied
 from fuzzycnc_ros.studies.thermal.report_data import APPLIED, CompensationRun, Score
 
 _LABELS = {
@@ -109,7 +109,13 @@ def summary_table(runs: Sequence[CompensationRun]) -> Table:
         best = min(_comparable(column[i]) for i in candidates)
         equal = [r for r in candidates if isfinite(column[r]) and column[r] == best]
         # Who leaves everything as it is has not beaten the machine without compensation.
-        strong |= {(r, c + 1) for r in ([bare] if bare in equal else equal)}
+        strong |= {
+            (r, c + 1)
+            for r in tied(
+                {r: rows[r][c + 1] for r in candidates if r == bare or column[r] != column[bare]},
+                [bare] if bare in equal else equal,
+            )
+        }
     warning: set[tuple[int, int]] = set()
     in_use = [name for run in runs for name in run.default]
     for number, used in enumerate(in_use):

@@ -206,10 +206,11 @@ def test_the_report_shows_path_motion_and_all_methods(fuzzycnc, part):
     assert 'tolerance not kept' in Path('page.html').read_text()
     assert 'page.html: the report' in outcome.out
     page = Path('page.html').read_text()
-    assert page.count('<svg') == 2
+    assert page.count('<svg') == 3
     for piece in (
         'The path by feed',
         'Motion over time',
+        'Where the error is',
         'feed [mm/min]',
         'as programmed',
         'one feed for all',

@@ -3,6 +3,7 @@
 """Time against contour error of scheduling methods: paths, curves, what cannot be reached."""
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -247,3 +248,22 @@ def test_table_keeps_its_corners():
 def test_wrong_table_is_refused(text, message):
     with pytest.raises(ValueError, match=message):
         table_path(text)
+
+
+def test_methods_that_take_the_same_time_as_shown_are_marked_alike():
+    def method(time):
+        return SimpleNamespace(at_error={1e-5: time})
+
+    pareto = SimpleNamespace(
+        path='a path',
+        errors=(1e-5,),
+        methods={
+            'constant': method(3.0),
+            'fuzzy': method(2.0041),
+            'log_fuzzy': method(1.9962),
+            'refined': method(1.5),
+        },
+    )
+    table = pareto_table(pareto, KNOBS)
+    assert table.strong == {(1, 2), (2, 2)}
+    assert 'bound' in table.strong_means

@@ -11,9 +11,10 @@ from fuzzycnc_ros.core.servo.stability import StabilityReport
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun
 from fuzzycnc_ros.studies.page.document import to_document
 from fuzzycnc_ros.studies.page.html import render_page
+from fuzzycnc_ros.studies.page.paper import drawn
 from fuzzycnc_ros.studies.servo import positioning_compare
 from fuzzycnc_ros.studies.servo import positioning_page as positioning
-from fuzzycnc_ros.studies.servo.positioning_page import LABELS, plot_run
+from fuzzycnc_ros.studies.servo.positioning_page import LABELS, run_chart
 from fuzzycnc_ros.studies.servo.positioning_rules import rules_table, stability_table
 from fuzzycnc_ros.studies.servo.servo_cases import (
     CONTROLLERS,
@@ -67,7 +68,7 @@ def test_table_and_document_of_a_move():
 @pytest.mark.parametrize(
     ('run', 'remark'),
     [
-        (make_run(5e-6), 'not settled: 5.00 um from the target after 1 s'),
+        (make_run(5e-6), 'not settled: 5.00 µm from the target after 1 s'),
         (make_run(5e-3), 'not settled: 5.00 mm from the target after 1 s'),
         (make_run(5e-3, 'reading has jumped'), 'fault: reading has jumped; the duty is zero'),
     ],
@@ -82,7 +83,7 @@ def test_what_went_wrong_is_said(run, remark):
 def test_error_axis_shows_the_band_and_all_errors(rows):
     pytest.importorskip('matplotlib')
     run = make_run(rows=rows)
-    _, error, _ = plot_run(run).axes
+    _, error, _ = drawn(run_chart(run)).axes
     low, high = error.get_ylim()
     assert low < -2.0 < 2.0 < high
     assert high > 1e6 * run.error.max()

@@ -307,73 +307,99 @@ ROWS = {'uncompensated': um(20, 10), 'mlp': um(2.25, 4), 'default': um(3, 5)}
 
 
 def bars(plotting, rows, **options):
-    return plotting.plot_residuals(CHANNEL, rows, {name: name for name in rows}, **options)
+    return plotting.residuals_picture(CHANNEL, rows, {name: name for name in rows}, **options)
 
 
 def test_bars_are_blue_only_where_less_is_left_than_without(plotting):
-    rows = {'uncompensated': um(9, 10), 'mlp': um(19, 4), 'arma': um(1, 1), 'default': um(3, 50)}
+    rows = {'uncompensated': um(9, 10), 'mlp': um(19, 4), 'arma': um(3, 3), 'default': um(3, 50)}
     from matplotlib.colors import to_hex
 
-    first, second = bars(plotting, rows, refused=('arma',), default='default').axes
+    first, second = bars(plotting, rows, refused=('arma',), default='default').figure.axes
 
     def colours(axes):
-        return [to_hex(bar.get_facecolor()) for bar in axes.patches]
+        return [to_hex(mark.get_color()) for mark in axes.lines]
 
-    grey, blue, yellow = plotting.MUTED, plotting.ACCENT, plotting.WARNING
-    assert colours(first) == [grey, yellow, yellow, blue]
-    assert colours(second) == [grey, blue, yellow, yellow]
+    orange, blue, red = plotting.BEFORE, plotting.AFTER, plotting.LIMIT
+    yellow = plotting.WARNING
+    assert colours(first) == [orange, red, yellow, blue]
+    assert colours(second) == [orange, blue, yellow, red]
     same = {'uncompensated': um(9, 10), 'default': um(9, 10)}
-    assert colours(bars(plotting, same, default='default').axes[0]) == [grey, grey]
+    axes = bars(plotting, same, default='default').figure.axes[0]
+    assert [to_hex(bar.get_facecolor()) for bar in axes.patches] == [orange, orange]
 
 
 def texts(axes):
     return [text.get_text() for text in axes.texts]
 
 
-def test_bars_are_as_long_as_their_figures(plotting):
-    axes = bars(plotting, ROWS).axes[0]
+def test_bars_begin_at_zero_and_are_as_long_as_their_figures(plotting):
+    picture = bars(plotting, ROWS)
+    axes = picture.figure.axes[0]
     assert axes.get_xscale() == 'linear'
+    assert axes.get_xlim()[0] == 0.0
+    assert [bar.get_x() for bar in axes.patches] == [0.0, 0.0, 0.0]
     assert [bar.get_width() for bar in axes.patches] == pytest.approx([20, 2.25, 3])
     assert texts(axes) == ['20.0', '2.2', '3.0']
     assert [label.get_text() for label in axes.get_yticklabels()] == list(ROWS)
+    assert list(picture.columns) == ['model', 'Y rmse [µm]', 'Z rmse [µm]']
+    assert picture.columns['Y rmse [µm]'] == pytest.approx([20, 2.25, 3])
 
 
-def test_a_wide_range_gets_a_logarithmic_scale(plotting):
-    axes = bars(plotting, {**ROWS, 'arma': um(0.25, 900)}).axes[0]
+def test_a_wide_range_gets_dots_on_a_logarithmic_scale(plotting):
+    axes = bars(plotting, {**ROWS, 'arma': um(0.25, 900)}).figure.axes[0]
     assert axes.get_xscale() == 'log'
-    right = [bar.get_x() + bar.get_width() for bar in axes.patches]
-    assert right == pytest.approx([20, 2.25, 3, 0.25])
+    assert not axes.patches
+    assert [float(dot.get_xdata()[0]) for dot in axes.lines] == pytest.approx([20, 2.25, 3, 0.25])
     assert texts(axes)[-1] == '0.25'
     assert axes.get_xlim()[1] > 20
 
 
-def test_what_diverged_runs_out_of_the_picture_and_what_is_absent_is_not_drawn(plotting):
+def test_what_diverged_is_an_arrow_at_the_edge_and_what_is_absent_is_not_drawn(plotting):
     rows = {**ROWS, 'arma': um(np.inf, 1e6), 'mlp': um(np.nan, 4)}
-    first, second = bars(plotting, rows, refused=('arma',), default='default').axes
+    picture = bars(plotting, rows, refused=('arma',), default='default')
+    first, second = picture.figure.axes
     assert texts(first) == ['20.0', '3.0', 'diverged']
     assert texts(second) == ['10.0', '4.0', '5.0', 'diverged']
-    assert first.patches[-1].get_width() == pytest.approx(np.ptp(first.get_xlim()))
+    (arrow,) = first.lines
+    assert arrow.get_marker() == '>'
+    assert float(arrow.get_xdata()[0]) == pytest.approx(first.get_xlim()[1])
     nothing = {name: um(np.inf, np.nan) for name in ROWS}
-    assert texts(bars(plotting, nothing).axes[0]) == ['diverged'] * 3
+    assert texts(bars(plotting, nothing).figure.axes[0]) == ['diverged'] * 3
+    table = bars(plotting, nothing).document()['table']
+    assert table[1] == ['uncompensated', '', '']
 
 
 @pytest.mark.parametrize(('panels', 'rows'), [(1, 1), (5, 1), (6, 2), (8, 2), (11, 3)])
 def test_panels_fill_their_rows(plotting, panels, rows):
     heading = [str(number) for number in range(panels)]
-    figure = plotting.plot_residuals(heading, {'mlp': um(*range(1, panels + 1))}, {'mlp': 'MLP'})
+    values = {'mlp': um(*range(1, panels + 1))}
+    figure = plotting.residuals_picture(heading, values, {'mlp': 'MLP'}).figure
     assert len(figure.axes) == panels
     assert figure.axes[0].get_gridspec().nrows == rows
 
 
 def test_traces_are_what_is_left_and_leave_gaps_where_nothing_was(plotting):
     left = {'uncompensated': np.stack([um(1, 2), um(3, np.nan)]), 'default': np.zeros((2, 2))}
-    figure = plotting.plot_traces(np.array([0.0, 60.0]), CHANNEL, left, {n: n for n in left})
-    _, bare, default = (line.get_ydata() for line in figure.axes[1].lines)
-    assert bare[0] == pytest.approx(2.0)
-    assert np.isnan(bare[1])
-    assert list(default) == [0.0, 0.0]
-    handles = figure.legends[0].get_texts()
-    assert [text.get_text() for text in handles] == ['uncompensated', 'default']
+    chart = plotting.traces_chart(np.array([0.0, 60.0]), CHANNEL, left, {n: n for n in left})
+    bare, default = chart.panels[1].series
+    assert (bare.name, bare.colour) == ('uncompensated', plotting.BEFORE)
+    assert (default.name, default.colour) == ('default', plotting.AFTER)
+    assert bare.y[0] == pytest.approx(2.0)
+    assert np.isnan(bare.y[1])
+    assert list(default.y) == [0.0, 0.0]
+
+
+def test_what_looks_equal_is_marked_alike_but_not_what_leaves_all_as_it_is():
+    rows = {
+        'uncompensated': um(20, 2.41),
+        'mlp': um(2.41, 2.44),
+        'arma': um(2.44, 2.41),
+        'default': um(2.41, 2.44),
+    }
+    table = residual_table('a run', CHANNEL, rows, rows)
+    assert {cell for cell in table.strong if cell[1] == 1} == {(1, 1), (2, 1)}
+    # of Z arma is the machine without compensation, and mlp looks as good
+    assert {cell for cell in table.strong if cell[1] == 3} == {(0, 3), (1, 3)}
 
 
 def curves():
@@ -407,16 +433,15 @@ def test_sensor_curves_over_runs(plotting):
     )
     assert document['held_out']['T3']['1']['sensors'] == ['T1']
     item = curves()
-    figure = plotting.plot_sensor_counts(
+    chart = plotting.sensor_counts_chart(
         item.count, item.channel, item.mean(), item.worst(), item.largest()
     )
-    largest, worst, mean = (line.get_ydata() for line in figure.axes[0].lines)
-    assert [list(y) for y in (largest, worst, mean)] == [
+    assert [list(series.y) for series in chart.panels[0].series] == [
         pytest.approx([21, 9]),
         pytest.approx([7, 3]),
         pytest.approx([6, 2]),
     ]
-    assert np.isnan(figure.axes[1].lines[0].get_ydata()[1])  # a gap, not the edge of the plot
+    assert np.isnan(chart.panels[1].series[0].y[1])  # a gap, not the edge of the plot
 
 
 def test_page_of_a_comparison(plotting):
@@ -440,7 +465,7 @@ def test_page_of_a_comparison(plotting):
     assert 'LagRidge (Y), Static ridge (Z)' in page
     assert page.count('<table class="dense">') == 3
     assert 'T<2>' not in page
-    assert page.count('Default: LagRidge') == 2
+    assert '<dt>Judged</dt><dd>T&lt;2&gt;: ' in page
     one = render_page(comparison_page(Comparison(two.held_out[1:]), {}))
     assert 'All held-out runs' not in one
     assert 'one held-out run' in one

@@ -87,12 +87,11 @@ def test_document_has_every_figure():
 
 
 def test_section_draws_the_rows_that_are_to_be_compared():
-    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
     section = probed_section(Run())
     assert section.heading == 'Run monday, probed every 90 min'
     (figure,) = section.figures
-    for number, axes in enumerate(figure.plot.axes):
-        drawn = {line.get_label(): line.get_ydata() for line in axes.get_lines()[1:]}
+    for number, panel in enumerate(figure.plot.panels):
+        drawn = {series.name: series.y for series in panel.series}
         assert list(drawn) == [
             'Default, not probed',
             'Last probe held, no model',

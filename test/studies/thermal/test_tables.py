@@ -74,7 +74,7 @@ def test_report_needs_runs_with_names_of_their_own():
     with pytest.raises(ReportDataError, match='T2, T2'):
         ReportData('title', [make_run(), make_run()])
     with pytest.raises(ReportDataError, match='residual_max of shape'):
-        SensorCountCurve((1, 2), ('Y',), np.zeros((1, 2)), 'T2')
+        SensorCountCurve((1, 2), ('Y',), np.zeros((1, 2)), 'T2', 'MLP')
     with pytest.raises(ReportDataError, match='latency'):
         Latency(np.array([]))
 

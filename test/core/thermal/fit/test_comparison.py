@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut, judge, splits
 from fuzzycnc_ros.core.thermal.fit.folds import thermal_cycles, training_folds
 from fuzzycnc_ros.core.thermal.model import ThermalModel
@@ -17,6 +17,7 @@ from fuzzycnc_ros.core.thermal.run import (
     drivers_of,
     speed_drive,
 )
+from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 RPM = 2.0 * np.pi / 60.0
 PLAIN = ('static_ridge', 'lag_ridge', 'lag_ridge_speed')
@@ -207,3 +208,21 @@ def test_refusals(runs):
         splits(runs, [(0.0, 600.0)])
     with pytest.raises(ThermalDataError, match='to hold out, but found'):
         splits(runs[:1], [(1e7, 2e7)])
+
+
+def test_compare_and_evaluate_say_the_same_of_a_stretch():
+    run = record_runs(['T2'])['T2']
+    end = float(run.time[-1])
+    (split,) = splits([run], [(7200.0, end)])
+    compared = judge(split, candidates=('lag_ridge', 'static_ridge')).evaluation
+    model = train_model([run.window(stop=7199.0)], candidates=('lag_ridge', 'static_ridge'))
+    evaluated = evaluate(model, run, start=7200.0)
+    assert compared.in_domain == evaluated.in_domain
+    assert 0.0 < evaluated.in_domain < 1.0
+    assert compared.warm == evaluated.warm == {}
+    for name, values in compared.rms.items():
+        np.testing.assert_array_equal(values, evaluated.rms[name])
+    # A run that begins on the warm machine means other rises: nothing of it is in the domain.
+    late = evaluate(model, run.window(start=7200.0))
+    assert late.warm
+    assert late.in_domain == 0.0

@@ -1,0 +1,285 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the live page costs: processor, memory, and the time from a topic to a page.
+
+A machine with 76 sensors is played at 1 Hz.  Measured are, one after the other:
+
+- *bare node*: rclpy alone, in a process of its own;
+- *page closed*: `dashboard` beside the graph, with no page open;
+- *ten pages*: ten clients that take every frame;
+- *history*: what 24 hours of 76 sensors at 1 Hz take in memory;
+- *latency*: from the publication of temperatures to the frame that shows them;
+- *NiceGUI*: its empty page with ten clients, where `nicegui` is installed (it is not in the lock).
+
+Processor time is that of the process, from /proc, as a part of one core; memory is resident.
+Run with `python benchmarks/bench_dashboard.py [SECONDS]`.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from websockets.sync.client import connect
+
+from fuzzycnc_ros.cli.live.free_domain import own_domain
+from fuzzycnc_ros.components.dashboard.history import History
+from fuzzycnc_ros.ros.processes import prepare_environment
+from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
+from fuzzycnc_ros.runtime.component import Durability
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.host import NodeConfiguration
+from fuzzycnc_ros.runtime.records import (
+    SECOND,
+    Compensation,
+    CompensationApplied,
+    MachineState,
+    Temperatures,
+    ThermalError,
+)
+
+SENSORS, PAGES = 76, 10
+PORT = 18642
+SETTLING = 5.0
+BARE = 'import rclpy; rclpy.init(); rclpy.spin(rclpy.create_node("bare"))'
+NICEGUI = f"""
+from nicegui import ui
+@ui.page('/')
+def page():
+    ui.label('empty')
+ui.run(port={PORT + 1}, show=False, reload=False)
+"""
+_TICKS = os.sysconf('SC_CLK_TCK')
+
+
+def processor(pid: int) -> float:
+    """Return the processor time of a process [s]."""
+    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+    return (int(fields[11]) + int(fields[12])) / _TICKS
+
+
+def memory(pid: int) -> float:
+    """Return the resident memory of a process [MiB]."""
+    lines = Path(f'/proc/{pid}/status').read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith('VmRSS')) / 1024
+
+
+@contextmanager
+def running(*command: str) -> Iterator[int]:
+    """Run a command; give its process id."""
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as process:
+        try:
+            yield process.pid
+        finally:
+            process.terminate()
+
+
+def cost(pid: int, seconds: float) -> tuple[float, float]:
+    """Return part of a core and memory [MiB] of a process over some time."""
+    before, began = processor(pid), time.monotonic()
+    time.sleep(seconds)
+    return (processor(pid) - before) / (time.monotonic() - began), memory(pid)
+
+
+class Machine:
+    """A machine of 76 sensors at 1 Hz, without components behind it."""
+
+    def __init__(self) -> None:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        self.sent: dict[float, float] = {}
+        """When the sample of each stamp was published [s]."""
+        node = Node('temperature_acquisition', namespace='/mill')
+        kinds: dict[str, type[Any]] = {
+            'temperatures': Temperatures,
+            'thermal_error': ThermalError,
+            'compensation': Compensation,
+            'compensation_applied': CompensationApplied,
+            'machine_state': MachineState,
+        }
+        stream = publisher_qos(Durability.STREAM)
+        self._out = {
+            name: node.create_publisher(message_class(kind.TYPE), name, stream)
+            for name, kind in kinds.items()
+        }
+        self._out['node_configuration'] = node.create_publisher(
+            message_class(NodeConfiguration.TYPE),
+            'node_configuration',
+            publisher_qos(Durability.LATCHED),
+        )
+        told = NodeConfiguration(
+            stamp=0,
+            node='temperature_acquisition',
+            version='',
+            message_set=1,
+            lifecycle_state='active',
+            parameters='{}',
+            model='',
+            model_hash='',
+        )
+        self._out['node_configuration'].publish(encode(told, RCLPY))
+        node.create_timer(1.0, self._tick)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        threading.Thread(target=self._executor.spin, daemon=True).start()
+
+    def _tick(self) -> None:
+        stamp = time.time_ns()
+        axes, warm = ('Y', 'Z'), np.array([3e-6, 5e-6]) + 1e-8 * (stamp // SECOND % 100)
+        no, none = np.zeros(2, bool), np.zeros(2)
+        records = {
+            'machine_state': MachineState(
+                stamp=stamp,
+                state=3,
+                homed=True,
+                offsets_allowed=True,
+                cold_since=0,
+                spindle_speed=100.0,
+                axis=(),
+                position=np.zeros(0),
+            ),
+            'temperatures': Temperatures(
+                stamp=stamp,
+                sensor=tuple(f't{number:02d}' for number in range(SENSORS)),
+                temperature=20.0 + np.random.default_rng(stamp % 1000).random(SENSORS),
+                status=np.zeros(SENSORS, np.uint8),
+                readings=5,
+            ),
+            'thermal_error': ThermalError(
+                stamp=stamp,
+                axis=axes,
+                channel=axes,
+                error=warm,
+                standard_deviation=0.1 * warm,
+                valid=True,
+                reason=0,
+                in_domain=True,
+                model='m',
+                substituted=(),
+                substitute=(),
+            ),
+            'compensation': Compensation(
+                stamp=stamp,
+                epoch=1,
+                state=1,
+                axis=axes,
+                offset=-warm,
+                slope=none,
+                reference_position=none,
+                at_limit=no,
+                slewing=no,
+                valid_until=stamp + 180 * SECOND,
+                source=('thermal_error',),
+            ),
+            'compensation_applied': CompensationApplied(
+                stamp=stamp, epoch=1, status=1, reason='', axis=axes, offset=-warm, at_limit=no
+            ),
+        }
+        self.sent[stamp / SECOND] = time.monotonic()
+        for name, record in records.items():
+            self._out[name].publish(encode(record, RCLPY))
+
+
+def read(latencies: list[float], sent: dict[float, float], over: threading.Event) -> None:
+    """Take the frames of a page, and note how old new samples are when they come."""
+    seen = None
+    with connect(f'ws://127.0.0.1:{PORT}/live', max_size=None) as client:
+        while not over.is_set():
+            try:
+                frame = json.loads(client.recv(timeout=0.2))
+            except TimeoutError:
+                continue
+            stamp = frame.get('view', {}).get('stamp')
+            if stamp is not None and stamp != seen:
+                latencies.append(time.monotonic() - sent[stamp])
+            seen = stamp
+
+
+@contextmanager
+def pages(machine: Machine) -> Iterator[list[float]]:
+    """Open ten pages; give the latencies of one of them [s]."""
+    over = threading.Event()
+    latencies: list[float] = []
+    readers = [
+        threading.Thread(target=read, args=(latencies if not number else [], machine.sent, over))
+        for number in range(PAGES)
+    ]
+    for reader in readers:
+        reader.start()
+    try:
+        yield latencies
+    finally:
+        over.set()
+        for reader in readers:
+            reader.join()
+
+
+def history_memory() -> float:
+    """Return what 24 hours of 76 sensors at 1 Hz take [MiB]."""
+    history = History()
+    names = [f't{number:02d}' for number in range(SENSORS)]
+    values = dict(zip(names, np.random.default_rng(0).random(SENSORS).tolist(), strict=True))
+    for second in range(86400):
+        history['temperatures'].add(second * SECOND, values)
+    return history.nbytes / 2**20
+
+
+def nicegui(seconds: float) -> None:
+    """Measure NiceGUI's empty page, closed and with ten clients."""
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        script = Path(folder) / 'empty.py'
+        script.write_text(NICEGUI)
+        pid = stack.enter_context(running(sys.executable, str(script)))
+        time.sleep(2 * SETTLING)
+        share, resident = cost(pid, seconds)
+        print(f'NiceGUI, empty page closed: {100 * share:.2f} % of a core, {resident:.0f} MiB')
+
+
+def main(seconds: float) -> None:
+    """Measure and print."""
+    prepare_environment()
+    own_domain()
+    machine = Machine()
+    with running(sys.executable, '-c', BARE) as pid:
+        time.sleep(SETTLING)
+        share, bare = cost(pid, seconds)
+        print(f'bare node: {100 * share:.2f} % of a core, {bare:.0f} MiB')
+    dashboard = (sys.executable, '-m', 'fuzzycnc_ros.nodes.dashboard', '--ros-args')
+    with running(*dashboard, '-p', f'port:={PORT}') as pid:
+        time.sleep(2 * SETTLING)
+        share, resident = cost(pid, seconds)
+        print(
+            f'page closed: {100 * share:.2f} % of a core, {resident:.0f} MiB, '
+            f'{resident - bare:.0f} MiB more than the bare node'
+        )
+        with pages(machine) as latencies:
+            time.sleep(SETTLING)
+            latencies.clear()
+            share, resident = cost(pid, seconds)
+            age = f'{1e3 * median(latencies):.0f} ms, at most {1e3 * max(latencies):.0f} ms'
+        print(f'{PAGES} pages at 1 Hz: {100 * share:.2f} % of a core, {resident:.0f} MiB')
+        print(f'from the topic to the frame: median {age}, of {len(latencies)}')
+    print(f'history of 24 h, {SENSORS} sensors at 1 Hz: {history_memory():.1f} MiB')
+    if find_spec('nicegui') is None:
+        print('NiceGUI is not installed: pip install nicegui')
+    else:
+        nicegui(seconds)
+
+
+if __name__ == '__main__':
+    main(float(sys.argv[1]) if len(sys.argv) > 1 else 30.0)

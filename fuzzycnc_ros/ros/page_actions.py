@@ -1,0 +1,401 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a person can do at a machine from the live page, by the services that nodes offer anyway.
+
+None of it moves an axis or raises a limit.  Callers are coroutines of another thread: what touches
+ROS is done in the thread of the node, and nobody waits for it there.
+"""
+
+import asyncio
+import json
+import os
+import re
+import subprocess
+import time
+from collections import deque
+from collections.abc import Awaitable, Callable, Mapping
+from concurrent.futures import Future
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any, TypeVar
+
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.node import Node
+
+from fuzzycnc_msgs.srv import SetThermalReference
+from fuzzycnc_ros.components.dashboard.machine_view import MachineView
+from fuzzycnc_ros.ros.bring_up import GraphError
+from fuzzycnc_ros.ros.probing import check_unprobed, probe_record
+from fuzzycnc_ros.ros.processes import child_set_up
+from fuzzycnc_ros.ros.recording import recorder_command
+from fuzzycnc_ros.ros.topics import RCLPY, create_publisher
+from fuzzycnc_ros.runtime.component import HISTORY, STREAM
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.host import NodeEvent
+
+T = TypeVar('T')
+
+PATIENCE = 6.0
+"""Wall time [s] until a node must be found."""
+ANSWERED = 10.0
+"""Wall time [s] until it must have answered."""
+SETTLED = 0.5
+"""Wall time [s] in which the readers of a new topic are found."""
+CLOSED = 30.0
+"""Wall time [s] that a recorder gets to close its bag."""
+POLL = 0.02
+ACTIVATED = ('compensator',)
+"""Nodes that the page may activate: others move axes."""
+NAME_MAX = 80
+"""Longest name of a person [characters]."""
+LENGTH_MAX = 1e-2
+"""Largest displacement that a probe may tell [m]."""
+_AXES = re.compile('[XYZABCUVW]')
+
+
+class NodeThread:
+    """Have things done in the thread of a node."""
+
+    def __init__(self, node: Node) -> None:
+        self._jobs: deque[tuple[Callable[[], Any], Future[Any]]] = deque()
+        self._guard = node.create_guard_condition(self._work)
+
+    def ask(self, job: Callable[[], T]) -> 'Future[T]':
+        """Have a job done; return what it will return."""
+        future: Future[T] = Future()
+        self._jobs.append((job, future))
+        self._guard.trigger()
+        return future
+
+    async def do(self, job: Callable[[], T]) -> T:
+        """Have a job done, and wait for it."""
+        return await asyncio.wrap_future(self.ask(job))
+
+    def _work(self) -> None:
+        while self._jobs:
+            job, future = self._jobs.popleft()
+            if not future.set_running_or_notify_cancel():
+                continue
+            try:
+                future.set_result(job())
+            except Exception as error:  # it is raised where the result is waited for
+                future.set_exception(error)
+
+
+class Actions:
+    """Carry out what is asked for on the page.
+
+    Parameters
+    ----------
+    node : Node
+        The node that acts.
+    bags : Path, optional
+        Folder of new bags.
+    """
+
+    def __init__(self, node: Node, bags: Path | None) -> None:
+        self._node, self._bags = node, bags
+        self.thread = NodeThread(node)
+        self._events: dict[str, Any] = {}
+        self._recorders: dict[str, tuple[subprocess.Popen[bytes], Path]] = {}
+        self._busy: set[str] = set()
+        self._carry: dict[str, Callable[[MachineView, Mapping[str, Any], str], Awaitable[str]]] = {
+            'reference': self._reference,
+            'activate': self._activate,
+            'deactivate': self._deactivate,
+            'probe': self._probe,
+            'record': self._record,
+        }
+
+    def join(self, machine: str) -> None:
+        """Get ready to write down what is done at a machine, so that its recorder hears of it."""
+        self._events[machine] = create_publisher(
+            self._node, NodeEvent.TYPE, f'/{machine}/node_event', HISTORY
+        )
+
+    def leave(self, machine: str) -> None:
+        """Let go of a machine."""
+        self._node.destroy_publisher(self._events.pop(machine))
+
+    def recording(self, machine: str) -> str | None:
+        """Return the bag that is recorded of a machine from here, None if none is."""
+        process, bag = self._recorders.get(machine, (None, Path()))
+        if process is not None and process.poll() is not None:
+            del self._recorders[machine]
+            return None
+        return None if process is None else bag.name
+
+    def close(self) -> None:
+        """Ask all recorders to end, and wait until their bags are whole."""
+        for process, _ in self._recorders.values():
+            process.terminate()
+        until = time.monotonic() + CLOSED
+        for process, _ in self._recorders.values():
+            try:
+                process.wait(max(0.0, until - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    async def act(self, view: MachineView, action: str, body: Mapping[str, Any]) -> str:
+        """Carry an action out and write it down; return what was done.
+
+        Raises
+        ------
+        GraphError
+            If it is not carried out; the text says why and what to do.
+        """
+        by = body.get('by') or 'page'
+        if not isinstance(by, str) or len(by) > NAME_MAX:
+            raise GraphError(f'by: expected a name of at most {NAME_MAX} characters')
+        if view.machine in self._busy:
+            raise GraphError(f'{view.machine}: another action is under way; wait for its end')
+        self._busy.add(view.machine)
+        try:
+            says = await self._carry[action](view, body, by)
+        finally:
+            self._busy.discard(view.machine)
+        request = {**body, 'by': by, 'says': says}
+        await self.thread.do(lambda: self._write_down(view, action, request))
+        return says
+
+    def _write_down(self, view: MachineView, action: str, request: Mapping[str, Any]) -> None:
+        """Publish what was done, by whom: so it is in the bag."""
+        event = NodeEvent(
+            stamp=view.stamp or 0,
+            frame_id=f'{view.machine}/machine',
+            node=self._node.get_name(),
+            name=action,
+            request=json.dumps(dict(request), sort_keys=True),
+        )
+        self._events[view.machine].publish(encode(event, RCLPY))
+
+    async def _reference(self, view: MachineView, body: Mapping[str, Any], by: str) -> str:
+        force = body.get('force', False)
+        if not isinstance(force, bool):
+            raise GraphError(f'force: expected true or false but found {force!r}')
+        request = SetThermalReference.Request(set_by=by, force=force)
+        name = f'/{view.machine}/set_thermal_reference'
+        answer = await self._call(SetThermalReference, name, request)
+        if answer.success:
+            return str(answer.message)
+        told = (view.newest('compensation_applied'), view.newest('compensation'))
+        if not force and any(record is not None and record.offset.any() for record in told):
+            raise NeedsForceError(str(answer.message))
+        raise GraphError(str(answer.message))
+
+    async def _activate(self, view: MachineView, body: Mapping[str, Any], by: str) -> str:
+        node = body.get('node', ACTIVATED[0])
+        if node not in ACTIVATED:
+            raise GraphError(
+                f'node: expected {", ".join(ACTIVATED)}: what moves axes is activated beside the '
+                'machine, with fuzzycnc operate activate'
+            )
+        state = await self._lifecycle(view, node)
+        if state == 'active':
+            return f'{node} is active already'
+        if state == 'unconfigured':
+            await self._transition(view, node, 'configure')
+        await self._transition(view, node, 'activate')
+        return f'{node} is active'
+
+    async def _deactivate(self, view: MachineView, body: Mapping[str, Any], by: str) -> str:
+        node = body.get('node', ACTIVATED[0])
+        if not isinstance(node, str) or node not in view.nodes:
+            raise GraphError(f'node: expected one of {", ".join(sorted(view.nodes))}')
+        if await self._lifecycle(view, node) != 'active':
+            return f'{node} is not active'
+        await self._transition(view, node, 'deactivate')
+        return f'{node} is inactive and goes on until it is at rest'
+
+    async def _lifecycle(self, view: MachineView, node: str) -> str:
+        name = f'/{view.machine}/{node}/get_state'
+        answer = await self._call(GetState, name, GetState.Request())
+        return str(answer.current_state.label)
+
+    async def _transition(self, view: MachineView, node: str, label: str) -> None:
+        request = ChangeState.Request()
+        request.transition.label = label
+        answer = await self._call(ChangeState, f'/{view.machine}/{node}/change_state', request)
+        if not answer.success:
+            raise GraphError(
+                f'{node} refuses to {label}; its alarms and its log say why; mend that, then '
+                'try again'
+            )
+
+    async def _probe(self, view: MachineView, body: Mapping[str, Any], by: str) -> str:
+        machine = view.machine
+        values = _displacements(body.get('values'))
+        deviation = body.get('deviation')
+        if deviation is None:
+            spread = nan
+        elif _is_length(deviation) and deviation > 0.0:
+            spread = float(deviation)
+        else:
+            raise GraphError(f'deviation: expected metres above 0 but found {deviation!r}')
+        await self.thread.do(
+            lambda: check_unprobed(
+                machine,
+                lambda topic: (
+                    self._node.count_publishers(
+                        topic if topic.startswith('/') else f'/{machine}/{topic}'
+                    )
+                    > 0
+                ),
+            )
+        )
+        applied = view.newest('compensation_applied')
+        compensated = applied is not None and bool(applied.offset.any())
+        record = probe_record(machine, values, spread, compensated=compensated)
+        publisher = await self.thread.do(
+            lambda: create_publisher(self._node, record.TYPE, f'/{machine}/displacement', STREAM)
+        )
+        try:
+            # The page itself reads it too, which is no reason to say that somebody does.
+            await self._until(
+                lambda: publisher.get_subscription_count() > 1,
+                f'{machine}: nobody takes a probe; start a recorder or the predictor',
+            )
+            await asyncio.sleep(SETTLED)
+            readers = publisher.get_subscription_count() - 1
+            await self.thread.do(lambda: publisher.publish(encode(record, RCLPY)))
+            await asyncio.sleep(SETTLED)  # until all have it
+        finally:
+            await self.thread.do(lambda: self._node.destroy_publisher(publisher))
+        named = ', '.join(f'{axis} {1e6 * value:+.2f} um' for axis, value in values.items())
+        force = 'with' if compensated else 'without'
+        return f'{named} told to {readers} nodes, {force} compensation in force'
+
+    async def _record(self, view: MachineView, body: Mapping[str, Any], by: str) -> str:
+        start = body.get('start')
+        if not isinstance(start, bool):
+            raise GraphError(f'start: expected true or false but found {start!r}')
+        machine = view.machine
+        if not start:
+            return await self._stop_recorder(machine)
+        if self._bags is None:
+            raise GraphError('expected a folder for bags; set the parameter bags of dashboard')
+        if self.recording(machine) is not None or 'recorder' in view.living_nodes:
+            raise GraphError(f'{machine} is recorded already; stop that recording first')
+        name = f'{machine.replace("/", "_")}_{time.strftime("%Y%m%d_%H%M%S", time.gmtime())}'
+        bag = self._bags / name
+        process = await self.thread.do(lambda: self._start_recorder(machine, bag))
+        await self._until(
+            lambda: bag.exists() or process.poll() is not None,
+            f'the recorder did not begin {bag.name}; look at the log of dashboard',
+            ANSWERED,
+        )
+        if process.poll() is not None:
+            raise GraphError(f'the recorder ended with code {process.returncode}; see its log')
+        return f'recording to {bag.name}'
+
+    def _start_recorder(self, machine: str, bag: Path) -> subprocess.Popen[bytes]:
+        # By this thread: the kernel ends a process when the thread that started it is gone.
+        bag.parent.mkdir(parents=True, exist_ok=True)
+        process = subprocess.Popen(
+            recorder_command(bag.absolute(), machine),
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
+            preexec_fn=child_set_up(),
+            env={**os.environ},
+        )
+        self._recorders[machine] = process, bag
+        return process
+
+    async def _stop_recorder(self, machine: str) -> str:
+        process, bag = self._recorders.get(machine, (None, Path()))
+        if process is None or process.poll() is not None:
+            raise GraphError(
+                f'{machine}: nothing is recorded from here; what was started elsewhere is ended '
+                'there'
+            )
+        process.terminate()
+        await self._until(
+            lambda: process.poll() is not None,
+            f'{bag.name} is not closed yet; it is, when the recorder has written all',
+            CLOSED,
+        )
+        del self._recorders[machine]
+        if process.returncode:
+            raise GraphError(
+                f'the recorder of {bag.name} ended with code {process.returncode}; make the bag '
+                'whole with fuzzycnc info --repair'
+            )
+        return f'{bag.name} is closed'
+
+    async def _call(self, kind: Any, name: str, request: Any) -> Any:
+        """Call a service and return its answer.
+
+        Raises
+        ------
+        GraphError
+            If nobody offers it, or answers in time.
+        """
+        client = await self.thread.do(lambda: self._node.create_client(kind, name))
+        try:
+            await self._until(
+                client.service_is_ready, f'{name} is not offered; start the node that offers it'
+            )
+            answer: Future[Any] = Future()
+
+            def begin() -> None:
+                def done(future: Any) -> None:
+                    if not answer.cancelled():
+                        answer.set_result(future.result())
+
+                client.call_async(request).add_done_callback(done)
+
+            await self.thread.do(begin)
+            return await asyncio.wait_for(asyncio.wrap_future(answer), ANSWERED)
+        except TimeoutError:
+            raise GraphError(
+                f'{name} did not answer within {ANSWERED:g} s; look whether its node hangs'
+            ) from None
+        finally:
+            await self.thread.do(lambda: self._node.destroy_client(client))
+
+    async def _until(
+        self, condition: Callable[[], bool], trouble: str, patience: float = PATIENCE
+    ) -> None:
+        """Wait for a condition, which is looked at in the thread of the node.
+
+        Raises
+        ------
+        GraphError
+            If it does not come true in time.
+        """
+        until = time.monotonic() + patience
+        while not await self.thread.do(condition):
+            if time.monotonic() > until:
+                raise GraphError(trouble)
+            await asyncio.sleep(POLL)
+
+
+class NeedsForceError(GraphError):
+    """It would be done if it were forced; the text says what that would do."""
+
+
+def _is_length(value: Any) -> bool:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return number and isfinite(value) and abs(value) <= LENGTH_MAX
+
+
+def _displacements(values: Any) -> dict[str, float]:
+    """Return what a probe tells [m] by axis.
+
+    Raises
+    ------
+    GraphError
+        If it is nothing, or of no use.
+    """
+    if not isinstance(values, dict) or not values:
+        raise GraphError('values: expected displacements in metres by axis, such as {"Y": 3e-6}')
+    for axis, value in values.items():
+        if not _AXES.fullmatch(axis):
+            raise GraphError(f'values: expected axes X to Z, A to C or U to W but found {axis!r}')
+        if not _is_length(value):
+            raise GraphError(
+                f'values: expected at most {1e3 * LENGTH_MAX:g} mm for {axis}, given in metres, '
+                f'but found {value!r}'
+            )
+    return {axis: float(value) for axis, value in values.items()}

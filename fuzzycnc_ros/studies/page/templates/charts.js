@@ -1,0 +1,411 @@
+// Copyright The fuzzycnc authors
+// SPDX-License-Identifier: Apache-2.0
+// Charts that are zoomed into, read under the cursor and saved as CSV; what they hold is declared in
+// fuzzycnc_ros/studies/page/chart.py. A figure without one keeps its drawing for paper.
+(() => {
+  'use strict';
+  const DOTS_MAX = 140;
+  const PIXELS = 84; // of an inch of the figure on paper
+  const narrow = matchMedia('(max-width: 760px)');
+  const dark = matchMedia('(prefers-color-scheme: dark)');
+
+  const colour = name =>
+    name.startsWith('--')
+      ? getComputedStyle(document.documentElement).getPropertyValue(name).trim()
+      : name;
+
+  function decoded({decimals, steps}) {
+    const unit = 10 ** Math.abs(decimals);
+    let sum = 0;
+    return steps.map(step => {
+      if (step === null) return null;
+      sum += step;
+      return decimals < 0 ? sum * unit : sum / unit;
+    });
+  }
+
+  function plain(value) {
+    const size = Math.abs(value);
+    if (size !== 0 && (size >= 1e6 || size < 1e-5)) return value.toExponential(2);
+    return String(Number(value.toPrecision(6)));
+  }
+
+  // What is read off: as many decimals as the data tell apart, three at most behind whole numbers.
+  function readable(value, decimals) {
+    if (value === null || value === undefined) return '–';
+    const size = Math.abs(value);
+    const most = size >= 100 ? 1 : size >= 1 ? 2 : 4;
+    if (size !== 0 && (size >= 1e6 || size < 1e-4)) return value.toExponential(2);
+    return value.toFixed(Math.max(0, Math.min(decimals, most)));
+  }
+
+  const withUnit = (text, unit) => (unit && text !== '–' ? `${text} ${unit}` : text);
+
+  // Give a panel its columns: x, series, then the edges of bands.
+  function unpacked(panel) {
+    panel.columns = [decoded(panel.x), ...panel.series.map(item => decoded(item.y))];
+    panel.places = [panel.x.decimals, ...panel.series.map(item => item.y.decimals)];
+    for (const band of panel.bands)
+      for (const side of ['low', 'high']) {
+        panel.columns.push(decoded(band[side]));
+        panel.places.push(band[side].decimals);
+      }
+    return panel;
+  }
+
+  // Plain numbers on a logarithmic axis: all of a decade where there is room, else 1, 2 and 5.
+  function decades(low, high) {
+    const span = Math.log10(high / low);
+    const every = span < 0.6 ? [1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9] : span < 3 ? [1, 2, 5] : [1];
+    const found = [];
+    for (let power = Math.floor(Math.log10(low)); power <= Math.ceil(Math.log10(high)); power++)
+      for (const step of every) {
+        const tick = Number((step * 10 ** power).toPrecision(3));
+        if (tick >= low && tick <= high) found.push(tick);
+      }
+    return found;
+  }
+
+  function scaleOf(axis, time) {
+    const scale = {time: false, auto: true};
+    if (axis.scale === 'log') scale.distr = 3;
+    if (axis.scale === 'symlog') Object.assign(scale, {distr: 4, asinh: axis.linear_to});
+    scale.range = (u, low, high) => {
+      if (low === null || low === undefined) return [axis.low ?? 0, axis.high ?? 1];
+      const ratio = axis.scale === 'log';
+      let [a, b] = [low, high];
+      if (!time) {
+        const room = ratio ? (b / a) ** 0.06 : 0.08 * (b - a) || Math.abs(b) || 1;
+        const wide = axis.scale === 'symlog';
+        a = ratio ? a / room : wide ? Math.min(1.6 * a, -1.5 * axis.linear_to) : a - room;
+        b = ratio ? b * room : wide ? Math.max(1.6 * b, 1.5 * axis.linear_to) : b + room;
+      }
+      return [axis.low ?? a, axis.high ?? b];
+    };
+    return scale;
+  }
+
+  // Of many dots some are shown; zooming in shows the rest.
+  const someDots = (u, index, show) => {
+    if (show === false) return [];
+    const [first, last] = u.series[0].idxs;
+    const values = u.data[index];
+    const found = [];
+    for (let i = first; i <= last; i++) if (values[i] !== null) found.push(i);
+    const every = Math.max(1, Math.floor(found.length / DOTS_MAX));
+    return found.filter((_, i) => i % every === 0);
+  };
+
+  function seriesOf(item, axis, decimals) {
+    const flag = item.kind === 'flag';
+    const dots = item.kind === 'dots' || item.kind === 'both';
+    const stroke = colour(item.colour);
+    const shown = {
+      label: item.name,
+      stroke: item.quiet ? faded(stroke) : stroke,
+      width: item.quiet ? 0.8 : item.width,
+      dash: item.dashes.map(length => 1.4 * length),
+      spanGaps: item.joined,
+      points: {show: dots, size: 5, fill: stroke, width: 0},
+      value: (u, value) =>
+        flag ? (value ? 'yes' : value === 0 ? 'no' : '–')
+          : withUnit(readable(value, decimals), axis.unit),
+    };
+    if (dots) shown.points.filter = someDots;
+    if (flag || item.kind === 'dots') shown.paths = () => null;
+    if (item.kind === 'steps') shown.paths = uPlot.paths.stepped({align: 1});
+    if (flag) Object.assign(shown, {scale: 'flag', width: 4});
+    return shown;
+  }
+
+  const faded = hex => (/^#[0-9a-f]{6}$/i.test(hex) ? `${hex}66` : hex);
+
+  function drawRules(u, panel) {
+    const {ctx, bbox} = u;
+    const ratio = devicePixelRatio;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    ctx.font = `${11 * ratio}px system-ui, sans-serif`;
+    ctx.textAlign = 'left';
+    ctx.textBaseline = 'alphabetic';
+    for (const rule of panel.rules) {
+      const at = Math.round(u.valToPos(rule.at, rule.upright ? 'x' : 'y', true));
+      ctx.strokeStyle = colour(rule.colour);
+      ctx.lineWidth = 1.2 * ratio;
+      ctx.setLineDash(rule.dashes.map(length => 1.4 * ratio * length));
+      ctx.beginPath();
+      if (rule.upright) {
+        ctx.moveTo(at, bbox.top);
+        ctx.lineTo(at, bbox.top + bbox.height);
+      } else {
+        ctx.moveTo(bbox.left, at);
+        ctx.lineTo(bbox.left + bbox.width, at);
+      }
+      ctx.stroke();
+      ctx.fillStyle = colour('--muted');
+      if (rule.name && rule.upright) ctx.fillText(rule.name, at + 4 * ratio, bbox.top + 12 * ratio);
+      else if (rule.name) ctx.fillText(rule.name, bbox.left + 4 * ratio, at - 4 * ratio);
+    }
+    ctx.restore();
+  }
+
+  function drawMarks(u, panel) {
+    const {ctx, bbox} = u;
+    const ratio = devicePixelRatio;
+    const xs = u.data[0];
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    ctx.font = `600 ${12 * ratio}px system-ui, sans-serif`;
+    ctx.textAlign = 'left';
+    ctx.textBaseline = 'alphabetic';
+    panel.series.forEach((item, index) => {
+      const values = u.data[index + 1];
+      if (item.kind === 'flag') {
+        // Each sample stands for the time half-way to its neighbours, so that one alone shows too.
+        const edge = i => u.valToPos(i < 0 ? xs[0] : i > xs.length - 2 ? xs[xs.length - 1]
+          : 0.5 * (xs[i] + xs[i + 1]), 'x', true);
+        ctx.fillStyle = colour(item.colour);
+        const height = Math.max(4 * ratio, 0.03 * bbox.height);
+        for (let i = 0; i < xs.length; i++) {
+          if (!values[i]) continue;
+          let last = i;
+          while (values[last + 1]) last++;
+          const [left, right] = [edge(i - 1), edge(last)];
+          ctx.fillRect(left, bbox.top + bbox.height - height, Math.max(right - left, 1), height);
+          i = last;
+        }
+      }
+      item.text.forEach((text, i) => {
+        if (!text || values[i] === null) return;
+        ctx.fillStyle = colour('--ink');
+        ctx.fillText(text, u.valToPos(xs[i], 'x', true) + 6 * ratio,
+          u.valToPos(values[i], 'y', true) - 5 * ratio);
+      });
+    });
+    ctx.restore();
+  }
+
+  // Of the many in the background the nearest is named.
+  function nearestQuiet(u, panel, axis) {
+    const {idx, top} = u.cursor;
+    if (idx === null || idx === undefined || top < 0) return '';
+    let best = null;
+    panel.series.forEach((item, index) => {
+      const value = u.data[index + 1][idx];
+      if (!item.quiet || value === null || value === undefined) return;
+      const away = Math.abs(u.valToPos(value, 'y') - top);
+      if (best === null || away < best.away) best = {away, item, value};
+    });
+    if (best === null) return '';
+    const text = withUnit(readable(best.value, best.item.y.decimals), axis.unit);
+    return `nearest: ${best.item.name} ${text}`;
+  }
+
+  function chartOf(panel, chart, place, key) {
+    const {x, linked, height} = chart;
+    const quiet = panel.series.some(item => item.quiet);
+    const course = panel.series.some(item => item.kind === 'line' || item.kind === 'steps');
+    const note = document.createElement('p');
+    note.className = 'nearest';
+    const stretch = document.createElement('p');
+    stretch.className = 'nearest';
+    let whole = '';
+    const ink = colour('--muted');
+    const grid = {stroke: colour('--grid'), width: 1};
+    const marks = axis => {
+      const places = axis.ticks.length
+        ? (low, high) => axis.ticks.filter(tick => tick >= low && tick <= high)
+        : axis.scale === 'log' ? decades : null;
+      if (!places) return {};
+      return {splits: (u, i, low, high) => places(low, high), filter: (u, splits) => splits};
+    };
+    const axisOf = (axis, side) => ({
+      label: side === 'x' || place.clientWidth > 0 ? axis.label : '',
+      stroke: ink,
+      grid,
+      ticks: {stroke: colour('--faint'), width: 1, size: 4},
+      font: '12px system-ui, sans-serif',
+      labelFont: '12px system-ui, sans-serif',
+      labelSize: 18,
+      values: (u, splits) => splits.map(value => (value === null ? '' : plain(value))),
+      ...marks(axis),
+    });
+    const sizeOf = () => ({
+      width: Math.max(place.clientWidth, 120),
+      height: Math.round(Math.max(PIXELS * height * panel.share, narrow.matches ? 180 : 120)),
+    });
+    const edges = panel.bands.flatMap(band => ['low', 'high'].map(side => ({
+      label: band.name,
+      stroke: 'transparent',
+      width: 0,
+      points: {show: false},
+      value: (u, value, index, row) => {
+        const low = readable(row === null ? null : u.data[index - 1][row], band.low.decimals);
+        const text = `${low} to ${readable(value, band.high.decimals)}`;
+        return value === null || value === undefined ? '–' : withUnit(text, panel.y.unit);
+      },
+    })));
+    const first = 1 + panel.series.length;
+    const drag = course ? {x: true, y: false} : {x: true, y: true, uni: 30};
+    const u = new uPlot(
+      {
+        ...sizeOf(),
+        title: panel.title || undefined,
+        legend: {live: true, markers: {width: 0, fill: (u, i) => markerOf(panel, i)}},
+        cursor: {
+          drag,
+          points: {size: 6},
+          focus: {prox: -1},
+          ...(linked ? {sync: {key, scales: ['x', null]}} : {}),
+        },
+        scales: {
+          x: scaleOf(x, course),
+          y: scaleOf(panel.y, false),
+          flag: {auto: false, range: [0, 1]},
+        },
+        axes: [
+          {...axisOf(x, 'x'), size: 34},
+          {
+            ...axisOf(panel.y, 'y'),
+            size: (self, values) => 14 + 7 * Math.max(2, ...(values || []).map(v => v.length)),
+          },
+        ],
+        series: [
+          {label: x.name, value: (u, value) => withUnit(readable(value, panel.x.decimals), x.unit)},
+          ...panel.series.map((item, i) => seriesOf(item, panel.y, panel.places[i + 1])),
+          ...edges,
+        ],
+        bands: panel.bands.map((band, i) => ({
+          series: [first + 2 * i + 1, first + 2 * i],
+          fill: `${colour(band.colour)}33`,
+        })),
+        hooks: {
+          drawAxes: [self => drawRules(self, panel)],
+          draw: [self => drawMarks(self, panel)],
+          setScale: [(self, name) => {
+            if (name !== 'x' || self.scales.x.min === null) return;
+            const [low, high] = [self.scales.x.min, self.scales.x.max]
+              .map(end => readable(end, panel.x.decimals));
+            stretch.textContent = `Shown: ${x.name} ${low} to ${withUnit(high, x.unit)}`;
+            whole ||= stretch.textContent;
+            stretch.hidden = stretch.textContent === whole;
+          }],
+          setCursor: [self => { if (quiet) note.textContent = nearestQuiet(self, panel, panel.y); }],
+          ready: [self => {
+            // What is many stays out of the legend; the upper edge of a band stands for both.
+            const rows = self.root.querySelectorAll('.u-legend .u-series');
+            panel.series.forEach((item, i) => { rows[i + 1].hidden = item.quiet; });
+            panel.bands.forEach((_, i) => { rows[first + 2 * i].hidden = true; });
+          }],
+        },
+      },
+      panel.columns.map((column, i) =>
+        (panel.series[i - 1]?.joined ? column.map(value => value ?? undefined) : column)),
+      place,
+    );
+    if (quiet) place.append(note);
+    place.append(stretch);
+    new ResizeObserver(() => {
+      if (place.clientWidth > 0 && place.clientWidth !== u.width) u.setSize(sizeOf());
+    }).observe(place);
+    return u;
+  }
+
+  function markerOf(panel, index) {
+    const item = panel.series[index - 1];
+    if (item) return colour(item.colour);
+    const band = panel.bands[Math.floor((index - 1 - panel.series.length) / 2)];
+    return band ? `${colour(band.colour)}55` : 'transparent';
+  }
+
+  // One table of all panels, by x; where panels have other rows, cells stay empty.
+  function tableOf(chart) {
+    const heads = [chart.x.label];
+    const rows = new Map();
+    let width = 1;
+    for (const panel of chart.panels) {
+      const before = panel.title ? `${panel.title}: ` : '';
+      const names = panel.series.map(item => [item.name, item.kind === 'flag' ? '' : panel.y.unit]);
+      for (const band of panel.bands)
+        names.push([`${band.name}, low`, panel.y.unit], [`${band.name}, high`, panel.y.unit]);
+      heads.push(...names.map(([name, unit]) => `${before}${name}${unit ? ` [${unit}]` : ''}`));
+      const seen = new Map();
+      panel.columns[0].forEach((x, i) => {
+        // An x that comes twice gets two rows.
+        const turn = (seen.get(x) ?? 0) + 1;
+        seen.set(x, turn);
+        const key = `${x}/${turn}`;
+        if (!rows.has(key)) rows.set(key, [x]);
+        const row = rows.get(key);
+        for (let c = 1; c < panel.columns.length; c++) row[width + c - 1] = panel.columns[c][i];
+      });
+      width += names.length;
+    }
+    const found = [...rows.values()].sort((a, b) => a[0] - b[0]);
+    return [heads, ...found.map(row => Array.from({length: width}, (_, c) => row[c] ?? ''))];
+  }
+
+  function quoted(value) {
+    const text = String(value);
+    return /[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
+  }
+
+  function save(rows, name) {
+    const text = rows.map(row => row.map(quoted).join(',')).join('\r\n') + '\r\n';
+    // Spreadsheets take it for UTF-8 by the mark at its beginning.
+    const url = URL.createObjectURL(new Blob(['\ufeff', text], {type: 'text/csv'}));
+    const link = document.createElement('a');
+    Object.assign(link, {href: url, download: name});
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(url), 1000);
+  }
+
+  function tools(figure, texts) {
+    const bar = figure.querySelector('.tools');
+    bar.hidden = false;
+    bar.querySelector('.hint').textContent = texts.join(' ');
+    return bar;
+  }
+
+  const charts = [];
+  for (const source of document.querySelectorAll('script.chart')) {
+    const figure = source.closest('figure');
+    const chart = JSON.parse(source.textContent);
+    const name = `${document.body.dataset.name}-${figure.id}.csv`;
+    if (chart.table) {
+      tools(figure, []).querySelector('button').onclick = () => save(chart.table, name);
+      continue;
+    }
+    chart.panels.forEach(unpacked);
+    const thinned = chart.panels.filter(panel => panel.kept);
+    const texts = ['Drag to zoom, double-click to go back.'];
+    if (thinned.length) {
+      const most = Math.max(...thinned.map(panel => panel.kept[1]));
+      texts.push(`Of ${most} samples those are kept that show every extreme.`);
+    }
+    tools(figure, texts).querySelector('button').onclick = () => save(tableOf(chart), name);
+    figure.classList.add('live');
+    const screen = figure.querySelector('.screen');
+    screen.style.setProperty('--columns', chart.columns);
+    charts.push({chart, screen, key: figure.id, plots: []});
+  }
+
+  function draw() {
+    for (const one of charts) {
+      one.plots.forEach(plot => plot.destroy());
+      one.screen.replaceChildren();
+      one.plots = one.chart.panels.map(panel => {
+        const place = document.createElement('div');
+        place.className = 'panel';
+        one.screen.append(place);
+        return chartOf(panel, one.chart, place, one.key);
+      });
+    }
+  }
+  draw();
+  dark.addEventListener('change', draw);
+})();

@@ -1,0 +1,85 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The operator's screen: readable in 80x24, whatever a machine says."""
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.cli.live.watch_screen import HEIGHT, WIDTH, screen
+from fuzzycnc_ros.components.dashboard.machine_view import MachineView
+from fuzzycnc_ros.runtime.component import Health, Level
+from fuzzycnc_ros.runtime.records import SECOND, Compensation, CompensationApplied, Temperatures
+
+
+def offsets(value, at=0):
+    common = {'stamp': (1000 + at) * SECOND, 'axis': ('Y',), 'at_limit': np.array([True])}
+    told = Compensation(
+        epoch=1,
+        state=1,
+        offset=np.array([value]),
+        slope=np.zeros(1),
+        reference_position=np.zeros(1),
+        slewing=np.zeros(1, bool),
+        valid_until=0,
+        source=(),
+        **common,
+    )
+    applied = CompensationApplied(epoch=1, status=1, reason='', offset=told.offset, **common)
+    return told, applied
+
+
+@pytest.fixture
+def view():
+    """A machine with an offset, a bad sensor, and far too much to say."""
+    made = MachineView('mill')
+    told, applied = offsets(-12.34e-6)
+    names = tuple(f't{number}' for number in range(100))
+    status = np.zeros(100, np.uint8)
+    status[7] = 1
+    sample = Temperatures(
+        stamp=1000 * SECOND, sensor=names, temperature=np.full(100, 20.0), status=status
+    )
+    made.take('temperatures', sample, 0.0)
+    made.take('compensation', told, 0.0)
+    made.take('compensation_applied', applied, 0.0)
+    trouble = [
+        Health(f'item {n}', Level.ERROR, f'{"bad " * 30}; see \x1b[2J it') for n in range(40)
+    ]
+    made.take_health('compensator', [Health('state', Level.OK, 'active'), *trouble], 0.0)
+    return made
+
+
+@pytest.mark.parametrize('now', [0.1, 60.0])
+def test_it_fits_into_80_columns_and_24_lines(view, now):
+    lines = screen(view.document(now), WIDTH, HEIGHT).split('\n')
+    assert len(lines) <= HEIGHT
+    assert max(line.cell_len for line in lines) <= WIDTH
+    assert '\x1b' not in ''.join(line.plain for line in lines)
+
+
+def test_it_shows_state_offset_share_and_what_is_wrong(view):
+    text = screen(view.document(0.1), WIDTH, 200).plain
+    assert 'ACTIVE' in text
+    assert '-12.34' in text
+    assert 'clamp' in text
+    assert '99 of 100 good' in text
+    assert 't7 no reading' in text
+    assert '40 alarms' in text
+    assert 'NO DATA' not in text
+
+
+def test_no_data_cannot_be_missed(view):
+    lines = screen(view.document(60.0), WIDTH, HEIGHT).plain.splitlines()
+    assert '█ NO DATA █' in lines[1]
+    assert 'no data for 60 s' in lines[2]
+
+
+def test_what_has_no_room_is_counted(view):
+    text = screen(view.document(0.1), WIDTH, HEIGHT).plain
+    assert 'more: a higher window shows them' in text
+
+
+def test_a_machine_that_says_nothing_is_shown():
+    text = screen(MachineView('mill').document(0.0), WIDTH, HEIGHT).plain
+    assert 'no data yet' in text
+    assert 'ABSENT' in text

@@ -1,0 +1,176 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A browser that reads reports, as Debian packages it: chromium and chromium-driver."""
+
+import csv
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from processes import MARK, command_line, wait_for
+
+BROWSER, DRIVER = 'chromium', 'chromedriver'
+FLAGS = (
+    '--headless',
+    '--no-sandbox',
+    '--disable-gpu',
+    '--disable-quic',
+    '--no-first-run',
+    '--disable-background-networking',
+    '--disable-component-update',
+    '--disable-sync',
+    '--disable-dev-shm-usage',
+)
+SIZES = (1280, 400)
+WIDTHS = """
+const wide = [...document.querySelectorAll('main .sheet')]
+  .filter(box => box.scrollWidth > box.clientWidth).map(box => box.innerText.slice(0, 60));
+return {
+  page: document.documentElement.scrollWidth, window: innerWidth, wide,
+  declared: document.querySelectorAll('figure:has(.screen > .panel)').length,
+  live: document.querySelectorAll('figure.live').length,
+  canvases: document.querySelectorAll('figure.live canvas').length,
+  ink: getComputedStyle(document.body).color,
+};
+"""
+
+
+class Reader:
+    """A report in a browser, and who reads it."""
+
+    def __init__(self, driver: Any, downloads: Path) -> None:
+        self.driver, self.downloads = driver, downloads
+        self.run = driver.execute_script
+
+    def open(self, page: Path, width: int = 1280, theme: str = 'light') -> None:
+        """Open a page on a screen of a width [px], of a system that is light or dark."""
+        size = {'width': width, 'height': 900, 'deviceScaleFactor': 1, 'mobile': False}
+        self.driver.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', size)
+        features = [{'name': 'prefers-color-scheme', 'value': theme}]
+        self.driver.execute_cdp_cmd('Emulation.setEmulatedMedia', {'features': features})
+        self.driver.get('about:blank')
+        self.driver.get(page.as_uri())
+        wait_for(
+            lambda: self.run('return document.readyState') == 'complete', f'all of {page.name}'
+        )
+
+    def complaints(self) -> list[str]:
+        """Return what the browser has complained about since it was asked last."""
+        return [entry['message'] for entry in self.driver.get_log('browser')]
+
+    def plot(self, figure: int, panel: int = 0) -> Any:
+        """Return the area of a plot, in sight."""
+        found = self.driver.find_elements('css selector', f'#figure-{figure} .u-over')[panel]
+        self.run("arguments[0].scrollIntoView({block: 'center'})", found)
+        return found
+
+    def ends(self, figure: int, panel: int = 0) -> list[float]:
+        """Return the stretch of x that a plot says it shows."""
+        said = self.run(
+            'return [...document.querySelectorAll(`#figure-${arguments[0]} .panel`)]'
+            '[arguments[1]].lastElementChild.textContent',
+            figure,
+            panel,
+        )
+        low, high = re.fullmatch(r'Shown: .* (\S+) to (\S+)(?: .*)?', said).groups()
+        return [float(low), float(high)]
+
+    def drag(self, area: Any, begin: float, end: float) -> None:
+        """Drag across a plot, between shares of its width."""
+        width = area.size['width']
+        hand = self._hand()
+        hand.move_to_element_with_offset(area, int((begin - 0.5) * width), 0)
+        hand.click_and_hold()
+        hand.move_by_offset(int((end - begin) * width), 0)
+        hand.release().perform()
+
+    def double_click(self, area: Any) -> None:
+        """Double-click into the middle of a plot."""
+        self._hand().move_to_element(area).double_click().perform()
+
+    def point_at(self, area: Any, share: float) -> dict[str, str]:
+        """Put the cursor at a share of a plot's width; return what is read out then."""
+        self._hand().move_to_element_with_offset(
+            area, int((share - 0.5) * area.size['width']), 0
+        ).perform()
+        rows = self.run(
+            "return [...arguments[0].closest('.uplot').querySelectorAll('.u-series')]"
+            ".filter(row => !row.hidden).map(row => [row.querySelector('.u-label').textContent,"
+            " row.querySelector('.u-value').textContent])",
+            area,
+        )
+        return dict(rows)
+
+    def data(self, figure: int) -> list[dict[str, str]]:
+        """Return the rows of the CSV file that a figure is saved as."""
+        for old in self.downloads.iterdir():
+            old.unlink()
+        button = self.driver.find_element('css selector', f'#figure-{figure} .tools button')
+        self.run("arguments[0].scrollIntoView({block: 'center'}); arguments[0].click()", button)
+        wait_for(lambda: [*self.downloads.glob('*.csv')], f'the CSV file of figure {figure}')
+        (file,) = self.downloads.glob('*.csv')
+        wait_for(lambda: file.read_bytes().endswith(b'\n'), 'the end of the file')
+        with file.open(encoding='utf-8-sig', newline='') as stream:
+            return list(csv.DictReader(stream))
+
+    def _hand(self) -> Any:
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        return ActionChains(self.driver, duration=0)
+
+
+def check(reader: Reader, page: Path, themes: tuple[str, ...] = ('light', 'dark')) -> None:
+    """Check that a page fits wide and narrow screens, light and dark, and nothing complains."""
+    ink = set()
+    for theme in themes:
+        for width in SIZES:
+            reader.open(page, width, theme)
+            found = reader.run(WIDTHS)
+            assert found['page'] <= found['window'] == width, (theme, found)
+            assert not (width == SIZES[0] and found['wide']), found
+            assert found['live'] == found['declared'], found
+            assert reader.complaints() == []
+            ink.add(found['ink'])
+    assert len(ink) == len(themes)
+
+
+@contextmanager
+def browser(folder: Path) -> Iterator[Reader]:
+    """Yield a browser with an empty profile; it has ended in the end."""
+    paths = [shutil.which(BROWSER), shutil.which(DRIVER)]
+    if not all(paths):
+        pytest.skip(
+            f'expected {BROWSER} and {DRIVER} in PATH but found {paths}: '
+            'apt-get install chromium chromium-driver'
+        )
+    from selenium import webdriver
+
+    profile, downloads = folder / 'profile', folder / 'downloads'
+    downloads.mkdir()
+    options = webdriver.ChromeOptions()
+    options.binary_location = paths[0]
+    for flag in (*FLAGS, f'--user-data-dir={profile}'):
+        options.add_argument(flag)
+    options.set_capability('goog:loggingPrefs', {'browser': 'ALL'})
+    # Its processes come and go while tests run: they are looked after here, not by each test.
+    mark = MARK.partition('=')[0]
+    environment = {name: value for name, value in os.environ.items() if name != mark}
+    service = webdriver.ChromeService(paths[1], env=environment)
+    driver = webdriver.Chrome(options=options, service=service)
+    try:
+        behavior = {'behavior': 'allow', 'downloadPath': str(downloads)}
+        driver.execute_cdp_cmd('Browser.setDownloadBehavior', behavior)
+        yield Reader(driver, downloads)
+    finally:
+        driver.quit()
+        wait_for(lambda: not _using(profile), 'the end of the browser')
+
+
+def _using(profile: Path) -> list[int]:
+    pids = [int(name) for name in os.listdir('/proc') if name.isdigit()]
+    return [pid for pid in pids if f'--user-data-dir={profile}' in command_line(pid)]
