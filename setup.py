@@ -13,6 +13,7 @@ nodes = [
     'deformation_compensator',
     'feedrate_scheduler',
     'linuxcnc_bridge',
+    'mqtt_publisher',
     'opcua_bridge',
     'player',
     'recorder',
@@ -30,7 +31,8 @@ ml = ['scikit-learn', 'threadpoolctl']
 tables = ['pandas']
 docs = ['furo', 'myst-nb', 'sphinx', 'textstat<0.7.5']
 device_files = ['pydantic>=2.7', 'pyyaml']
-modbus = ['pymodbus>=3.10', *device_files]
+modbus = ['pymodbus>=3.10', 'pyserial', *device_files]
+mqtt = ['paho-mqtt>=2.1', *device_files]
 opcua = ['asyncua>=1.1.5', 'cryptography', *device_files]
 page = ['cryptography', 'starlette', 'uvicorn>=0.35', 'websockets']
 ship = ['fsspec']
@@ -81,18 +83,20 @@ setup(
         'docs': docs,
         'ml': ml,
         'modbus': modbus,
+        'mqtt': mqtt,
         'opcua': opcua,
         'page': page,
         'report': report,
         'ship': ship,
         'tables': tables,
-        'all': command_line + report + ml + tables + modbus + opcua + page + ship,
+        'all': command_line + report + ml + tables + modbus + mqtt + opcua + page + ship,
         'test': [
             *command_line,
             *report,
             *ml,
             *tables,
             *modbus,
+            *mqtt,
             *opcua,
             *page,
             *ship,

@@ -11,7 +11,7 @@ from fuzzycnc_ros.cli.completion import one_of
 from fuzzycnc_ros.cli.console import check_folder, say, write_text
 from fuzzycnc_ros.cli.options import OptionalPath, given
 
-KINDS = ('devices', 'control', 'machine')
+KINDS = ('devices', 'control', 'machine', 'broker')
 """Files that have a schema."""
 
 DIALECT = 'https://json-schema.org/draft/2020-12/schema'
@@ -36,6 +36,7 @@ def schema(
         fuzzycnc schema machine --out machine.schema.json
         fuzzycnc schema devices --out devices.schema.json
         fuzzycnc schema control --out control.schema.json
+        fuzzycnc schema broker --out broker.schema.json
     """
     check_folder(out)
     if kind not in KINDS:
@@ -58,6 +59,10 @@ def _schema(kind: str) -> dict[str, Any]:
         from fuzzycnc_ros.adapters.readings.device_file import DeviceFile
 
         found = DeviceFile.model_json_schema()
+    elif kind == 'broker':
+        from fuzzycnc_ros.adapters.mqtt.broker_file import BrokerFile
+
+        found = BrokerFile.model_json_schema()
     else:
         from fuzzycnc_ros.adapters.opcua.control_file import ControlFields
 

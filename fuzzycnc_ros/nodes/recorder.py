@@ -26,15 +26,10 @@ from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros import run
-from fuzzycnc_ros.ros.bag_node import (
-    BagNode,
-    bag_refused,
-    check_keeping,
-    closed_on_failure,
-    pattern,
-)
+from fuzzycnc_ros.ros.bag_node import bag_refused, check_keeping, closed_on_failure, pattern
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.ros.plain_node import PlainNode
 from fuzzycnc_ros.ros.run import tell_error
 from fuzzycnc_ros.ros.topics import (
     RCLPY,
@@ -65,7 +60,7 @@ RECORDER_PATIENCE = 25.0
 """Wall time [s] a turn waits for announced messages; below the sequencer's own timeout."""
 
 
-class RecorderNode(BagNode[RecorderConfig]):
+class RecorderNode(PlainNode[RecorderConfig]):
     """Record every matching topic as it appears."""
 
     def __init__(self, node: Node) -> None:

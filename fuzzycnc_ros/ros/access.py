@@ -10,11 +10,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from fuzzycnc_ros.components.dashboard.machine_view import SOURCES
+from fuzzycnc_ros.components.report.machine_report import SOURCES as REPORTED
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.runtime.component import Component
 
 RECORDER, PLAYER, OPERATOR, DASHBOARD = 'recorder', 'player', 'operator', 'dashboard'
-TOOLS = (RECORDER, PLAYER, OPERATOR, DASHBOARD)
+MQTT = 'mqtt_publisher'
+TOOLS = (RECORDER, PLAYER, OPERATOR, DASHBOARD, MQTT)
 """Nodes without a component; `operator` is that of `fuzzycnc operate`."""
 PRETENDERS = ('simulated_machine', 'simulated_body', PLAYER)
 """What plays a machine: of no use beside a real one, and trusted with its topics."""
@@ -106,6 +108,12 @@ def access_of(node: str) -> Access:
             reply=PARAMETERS,
             request=_offered(),
             call=tuple(name for names in ACTIONS.values() for name in names),
+        )
+    if node == MQTT:
+        return Access(
+            publish=('/diagnostics', *own),
+            subscribe=(*REPORTED, '/clock', '/diagnostics'),
+            reply=PARAMETERS,
         )
     if node == DASHBOARD:
         managed = [name for name, item in COMPONENTS.items() if item.MANAGED]

@@ -1,23 +1,16 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes that play and record bags share: parameters, patterns, the bag, health."""
+"""What the nodes that play and record bags share: patterns and the bag."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Generic, Protocol, TypeVar
-
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
+from typing import Protocol
 
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.shipping import file_system
-from fuzzycnc_ros.ros.health import diagnostic_array
-from fuzzycnc_ros.ros.parameters import ParameterError, declare
-from fuzzycnc_ros.runtime.component import Health
-from fuzzycnc_ros.runtime.host import ExecutorConfig, RecorderConfig
-
-C = TypeVar('C', bound=ExecutorConfig)
+from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.runtime.host import RecorderConfig
 
 
 class Closing(Protocol):
@@ -25,32 +18,6 @@ class Closing(Protocol):
 
     def close(self) -> object:
         """Close it."""
-
-
-class BagNode(Generic[C]):
-    """Base of the nodes that hold a bag: their parameters, and what they say of themselves.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    record : type of Config
-        Its parameters.
-    """
-
-    exit_code = 0
-
-    def __init__(self, node: Node, record: type[C]) -> None:
-        self.node = node
-        (config,) = declare(node, record)
-        self._config = config
-        self.executor = config.executor
-        self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-
-    def _publish_health(self, health: Sequence[Health]) -> None:
-        """Publish on /diagnostics how the node is."""
-        name, now = self.node.get_fully_qualified_name(), self.node.get_clock().now()
-        self._diagnostics.publish(diagnostic_array(name, '', health, {}, now.to_msg()))
 
 
 def pattern(name: str, text: str) -> re.Pattern[str]:

@@ -240,6 +240,15 @@ class PlayerConfig(ExecutorConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
+class MqttPublisherConfig(ExecutorConfig):
+    """Parameters of `mqtt_publisher`."""
+
+    broker_file: str = param(
+        '', '-', 'File that says where the broker is and how the way to it is secured; required'
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class DashboardConfig(ExecutorConfig):
     """Parameters of `dashboard`."""
 

@@ -100,10 +100,12 @@ LOADED_ON_USE = {
     'jinja2',
     'matplotlib',
     'mcap',
+    'paho',
     'pandas',
     'pymodbus',
     'rich',
     'rosbags',
+    'serial',
     'sklearn',
     'starlette',
     'typer',
@@ -267,8 +269,8 @@ import importlib, sys
 for name in sys.argv[1:]:
     importlib.import_module('fuzzycnc_ros.nodes.' + name)
 on_use = (
-    'asyncua', 'jinja2', 'matplotlib', 'mcap', 'pydantic', 'pymodbus', 'rich', 'rosbags',
-    'sklearn', 'starlette', 'typer', 'uvicorn', 'websockets',
+    'asyncua', 'jinja2', 'matplotlib', 'mcap', 'paho', 'pydantic', 'pymodbus', 'rich', 'rosbags',
+    'serial', 'sklearn', 'starlette', 'typer', 'uvicorn', 'websockets',
 )
 print(*[name for name in on_use if name in sys.modules])
 """

@@ -38,6 +38,7 @@ ROSDEP_KEYS = {
     'std_msgs',
     'std_srvs',
     'python3-cryptography',
+    'python3-serial',
     'python3-hypothesis',
     'python3-jinja2',
     'python3-matplotlib',
@@ -56,14 +57,21 @@ KEY_OF_MODULE = {
     'numpy': 'python3-numpy',
     'rich': 'python3-rich',
     'scipy': 'python3-scipy',
+    'serial': 'python3-serial',
     'sklearn': 'python3-sklearn',
     'threadpoolctl': 'python3-sklearn',  # which depends on it
     'typer': 'python3-typer',
     'yaml': 'python3-yaml',
 }
-DISTRIBUTION_OF_MODULE = {'pydantic_core': 'pydantic', 'sklearn': 'scikit-learn', 'yaml': 'pyyaml'}
-# The documented pip extras `bags`, `modbus` and `opcua`
-WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard', 'pymodbus', 'asyncua', 'pydantic'}
+DISTRIBUTION_OF_MODULE = {
+    'pydantic_core': 'pydantic',
+    'paho': 'paho-mqtt',
+    'serial': 'pyserial',
+    'sklearn': 'scikit-learn',
+    'yaml': 'pyyaml',
+}
+# The documented pip extras `bags`, `modbus`, `opcua` and `mqtt`
+WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard', 'pymodbus', 'asyncua', 'pydantic', 'paho-mqtt'}
 OPTIONAL = {
     'pandas',  # imported by one function of the Python doors alone
     *('starlette', 'uvicorn', 'websockets'),  # by the live page, newer than there are keys for
@@ -262,7 +270,7 @@ def test_package_data_is_installed(setup_arguments):
 
 def test_the_guide_names_the_extras_without_rosdep_keys():
     text = (ROOT / 'docs' / 'how-to' / 'integration.md').read_text()
-    assert 'fuzzycnc_ros[bags,modbus,opcua]' in text
+    assert 'fuzzycnc_ros[bags,modbus,opcua,mqtt]' in text
     assert all(name in text for name in WITHOUT_KEY)
 
 

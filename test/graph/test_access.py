@@ -20,6 +20,7 @@ from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.access import (
     ACTIONS,
     DASHBOARD,
+    MQTT,
     OPERATOR,
     PLAYER,
     PRETENDERS,
@@ -171,6 +172,20 @@ def test_recorder_and_player_have_what_they_need(created, tmp_path):
         ):
             has = created(name, lockstep=lockstep, **own)
             assert denied(has, allowed(name)) == set(), (name, lockstep)
+
+
+def test_the_publisher_to_a_broker_has_what_it_needs(created, tmp_path):
+    pytest.importorskip('paho')
+    path = tmp_path / 'broker.yaml'
+    path.write_text('host: 127.0.0.1\nport: 9\n')
+    has = created(MQTT, broker_file=path)
+    assert denied(has, allowed(MQTT)) == set()
+    assert [may - does for may, does in zip(allowed(MQTT), has, strict=True)] == [
+        set(),
+        {'/clock'},
+        set(),
+        set(),
+    ]
 
 
 def test_the_page_has_what_it_needs(created):

@@ -17,11 +17,11 @@ from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.bring_up import TAKEOVER
-from fuzzycnc_ros.runtime.host import HostConfig, PlayerConfig, RecorderConfig
+from fuzzycnc_ros.runtime.host import HostConfig, MqttPublisherConfig, PlayerConfig, RecorderConfig
 
 pytestmark = pytest.mark.ros
 
-NODES = [*COMPONENTS, 'recorder', 'player']
+NODES = [*COMPONENTS, 'recorder', 'player', 'mqtt_publisher']
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -30,6 +30,7 @@ def schema(node: str) -> list[Any]:
     records: dict[str, list[type[Config]]] = {
         'recorder': [RecorderConfig],
         'player': [PlayerConfig],
+        'mqtt_publisher': [MqttPublisherConfig],
     }
     kinds = records.get(node) or [HostConfig, COMPONENTS[node].CONFIG]
     return [item for kind in kinds for item in fields(kind)]
@@ -42,6 +43,9 @@ def needed(tmp_path: Path) -> Callable[[str], dict[str, Any]]:
     def find(node: str) -> dict[str, Any]:
         if node == 'recorder':
             return {'output': str(tmp_path / 'recorded')}
+        if node == 'mqtt_publisher':
+            (tmp_path / 'broker.yaml').write_text('host: 127.0.0.1\nport: 9\n')
+            return {'broker_file': str(tmp_path / 'broker.yaml')}
         if node != 'player':
             return {}
         bag = tmp_path / 'played'
@@ -114,9 +118,9 @@ def check_description(observer: Any, node: str) -> None:
 
 @pytest.mark.parametrize('node', NODES)
 def test_misspelt_parameter_is_refused(refusal, needed, node):
-    line = refusal(node, {**needed(node), 'lockstpe': True})
-    assert 'unknown parameter lockstpe' in line
-    assert 'lockstep' in line
+    line = refusal(node, {**needed(node), 'executer': 'lean'})
+    assert 'unknown parameter executer' in line
+    assert 'executor' in line
 
 
 REFUSED = [
@@ -149,6 +153,8 @@ REFUSED = [
     ('recorder', {}, 'output'),
     ('recorder', {'output': '/proc/none/bag'}, '/proc/none/bag'),
     ('recorder', {'output': 'bag', 'topics': '('}, 'topics'),
+    ('mqtt_publisher', {}, 'broker_file'),
+    ('mqtt_publisher', {'broker_file': '/none.yaml'}, '/none.yaml'),
     ('player', {}, 'bag'),
     ('player', {'bag': '/none'}, '/none'),
 ]

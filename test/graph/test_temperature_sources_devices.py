@@ -11,9 +11,11 @@ import pytest
 
 pytest.importorskip('asyncua')
 pytest.importorskip('pymodbus')
+pytest.importorskip('serial')
 
 from asyncua import ua
 from equipment.field_servers import LOCAL, Field, ModbusServer, OpcUaServer, Route
+from equipment.serial_cable import Cable
 
 from fuzzycnc_ros.runtime.enums import SpeedStatus, Status
 from fuzzycnc_ros.runtime.records import MachineState, SpindleSpeed, Temperatures
@@ -294,3 +296,27 @@ def test_device_slower_than_the_samples_is_refused(refusal, tmp_path):
 def test_lock_step_is_refused(refusal):
     line = refusal('temperature_acquisition', {'source': 'devices', 'lockstep': True})
     assert 'parameter source = devices: in lock-step readings come from the topic' in line
+
+
+def test_a_serial_line_that_is_unplugged_comes_back(graph, observer, tmp_path):
+    field = Field()
+    port, path = tmp_path / 'ttyUSB0', tmp_path / 'devices.yaml'
+    path.write_text(
+        f'devices: [{{name: rtd, protocol: modbus_rtu, port: {port}, parity: none, period: 0.2, '
+        'scale: 0.1, sensors: {T1: 0, T2: 1}}]'
+    )
+    try:
+        cable = field.add(Cable(port, {0: 215, 1: 220}))
+        samples = observer.records('temperatures', Temperatures)
+        parameters = {'source': 'devices', 'device_file': str(path), 'interval': 0.5}
+        node = graph.start('temperature_acquisition', {**parameters, 'stuck_time': 0.0})
+        for _ in range(2):
+            observer.until(lambda: statuses(samples) == [OK] * 2, 'good samples')
+            assert samples[-1].temperature == pytest.approx([21.5, 22.0])
+            field.call(cable.set('unplugged'))
+            observer.until(lambda: statuses(samples) == [MISSING] * 2, 'missing samples')
+            field.call(cable.set(''))
+        observer.until(lambda: statuses(samples) == [OK] * 2, 'good samples')
+        assert 'Traceback' not in node.output
+    finally:
+        field.close()

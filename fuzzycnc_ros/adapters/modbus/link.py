@@ -1,11 +1,13 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A connection to a Modbus TCP device."""
+"""A connection to a Modbus device; here over TCP."""
 
+from abc import abstractmethod
 from collections.abc import Sequence
+from typing import Any
 
 from fuzzycnc_ros.adapters.modbus.registers import Block, blocks, single_blocks, value_of
-from fuzzycnc_ros.adapters.readings.devices import ModbusDevice
+from fuzzycnc_ros.adapters.readings.devices import ModbusDevice, ModbusRtuDevice, ModbusTcpDevice
 from fuzzycnc_ros.adapters.readings.link import LinkError, Reading
 from fuzzycnc_ros.ros.parameters import ParameterError
 
@@ -33,15 +35,18 @@ def check(device: ModbusDevice) -> None:
     """
     try:
         import pymodbus.client  # noqa: F401
+
+        if isinstance(device, ModbusRtuDevice):
+            import serial  # noqa: F401
     except ImportError as error:
         raise ParameterError(
-            f'device {device.name}: Modbus TCP needs pymodbus ({error}); run pip install '
-            "'fuzzycnc_ros[modbus]'"
+            f'device {device.name}: Modbus needs pymodbus, on a serial line pyserial too '
+            f"({error}); run pip install 'fuzzycnc_ros[modbus]'"
         ) from error
 
 
 class ModbusLink:
-    """One connection to a Modbus TCP device.
+    """One connection to a Modbus device.
 
     Parameters
     ----------
@@ -50,32 +55,13 @@ class ModbusLink:
     """
 
     def __init__(self, device: ModbusDevice) -> None:
-        from pymodbus.client import AsyncModbusTcpClient
-
         self._device = device
         self._blocks = blocks(device.channels)
-        # The poller reconnects with a new client: an old one may hold half a frame.
-        self._client = AsyncModbusTcpClient(
-            device.host,
-            port=device.port,
-            timeout=device.timeout,
-            retries=0,
-            reconnect_delay=0,
-        )
 
     @property
     def requests(self) -> int:
         """Number of requests that a reading takes."""
         return len(self._blocks)
-
-    async def open(self) -> None:
-        """Connect."""
-        if not await self._client.connect():
-            device = self._device
-            raise LinkError(
-                f'cannot connect to {device.host}:{device.port}; is it on, is the address right, '
-                'does it have a free connection?'
-            )
 
     async def read(self) -> Sequence[Reading]:
         """Return a reading of each channel."""
@@ -99,28 +85,19 @@ class ModbusLink:
             self._blocks[place : place + 1] = single_blocks(block, self._device.channels)
         return found
 
-    async def close(self) -> None:
-        """Drop the connection."""
-        self._client.close()
+    @abstractmethod
+    async def _request(self, block: Block) -> Any:
+        """Return the answer to a request for a block.
+
+        Raises
+        ------
+        LinkError
+            If there is none.
+        """
 
     async def _ask(self, block: Block) -> list[int] | int:
         """Return the registers of a block, or the exception code of the device."""
-        from pymodbus.exceptions import ConnectionException, ModbusException
-
-        client, unit = self._client, self._device.unit
-        ask = (
-            client.read_holding_registers
-            if block.table == 'holding'
-            else client.read_input_registers
-        )
-        try:
-            answer = await ask(block.register, count=block.count, device_id=unit)
-        except ConnectionException as error:
-            raise LinkError('connection lost') from error
-        except ModbusException as error:
-            raise LinkError(
-                f'no valid answer from unit {unit} within {self._device.timeout:g} s'
-            ) from error
+        answer = await self._request(block)
         if answer.isError():
             return int(getattr(answer, 'exception_code', 0))
         registers = getattr(answer, 'registers', [])
@@ -145,3 +122,60 @@ class ModbusLink:
         if code in WRONG_MAP:
             remedy = '; compare register, table and type with its manual; addresses count from 0'
         return f'{place} of the table {item.table}: {text}{remedy}'
+
+
+class ModbusTcpLink(ModbusLink):
+    """One connection to a Modbus TCP device.
+
+    Parameters
+    ----------
+    device : ModbusTcpDevice
+        Where it is and which registers hold what.
+    """
+
+    def __init__(self, device: ModbusTcpDevice) -> None:
+        from pymodbus.client import AsyncModbusTcpClient
+
+        super().__init__(device)
+        self._address = f'{device.host}:{device.port}'
+        # The poller reconnects with a new client: an old one may hold half a frame.
+        self._client = AsyncModbusTcpClient(
+            device.host,
+            port=device.port,
+            timeout=device.timeout,
+            retries=0,
+            reconnect_delay=0,
+        )
+
+    async def open(self) -> None:
+        """Connect."""
+        if not await self._client.connect():
+            raise LinkError(
+                f'cannot connect to {self._address}; is it on, is the address right, '
+                'does it have a free connection?'
+            )
+
+    async def close(self) -> None:
+        """Drop the connection."""
+        self._client.close()
+
+    async def _request(self, block: Block) -> Any:
+        from pymodbus.exceptions import ConnectionException, ModbusException
+
+        device = self._device
+        try:
+            return await request(self._client, block, device.unit)
+        except ConnectionException as error:
+            raise LinkError('connection lost') from error
+        except ModbusException as error:
+            raise LinkError(
+                f'no valid answer from unit {device.unit} within {device.timeout:g} s'
+            ) from error
+
+
+async def request(client: Any, block: Block, unit: int) -> Any:
+    """Ask a unit for the registers of a block."""
+    ask = (
+        client.read_holding_registers if block.table == 'holding' else client.read_input_registers
+    )
+    return await ask(block.register, count=block.count, device_id=unit)

@@ -15,9 +15,11 @@ from fuzzycnc_ros.adapters.readings.devices import (
     FORMATS,
     SPINDLE,
     AnyDevice,
-    ModbusDevice,
+    ModbusRtuDevice,
+    ModbusTcpDevice,
     OpcUaDevice,
     Register,
+    SerialLine,
     Variable,
 )
 from fuzzycnc_ros.adapters.yaml_model import (
@@ -41,9 +43,11 @@ from fuzzycnc_ros.adapters.yaml_model import (
 
 ORDERS = ('big', 'little')
 SPEED_UNITS = {'rpm': 2.0 * math.pi / 60.0, 'rad/s': 1.0}
-PROTOCOLS = ('modbus_tcp', 'opc_ua')
+PARITIES = ('even', 'odd', 'none')
+PROTOCOLS = ('modbus_tcp', 'modbus_rtu', 'opc_ua')
 
 _HOST = r'[A-Za-z0-9._:%-]+'
+_PORT = r'/[^:]+'
 
 
 def nonzero(value: float) -> float:
@@ -205,11 +209,26 @@ def _host(text: str) -> str:
     return text
 
 
-class _Modbus(_Layout, _Device):
-    """A Modbus TCP device, or one behind a gateway."""
+def _port(text: str) -> str:
+    if not re.fullmatch(_PORT, text):
+        raise wrong(
+            f'expected the file of a serial port, such as /dev/ttyUSB0, but found {text!r}'
+        )
+    return text
 
+
+class _Modbus(_Layout, _Device):
     INHERITED = tuple(_Layout.model_fields)
     SHORTHAND = 'register'
+
+    sensors: dict[str, Annotated[_Register, Shorthand('register')]] = Field(
+        {}, description='Sensors by name; a mere number is the register'
+    )
+    spindle_speed: _SpeedRegister | None = Field(None, description='Spindle speed')
+
+
+class _ModbusTcp(_Modbus):
+    """A Modbus TCP device, or one behind a gateway."""
 
     protocol: Annotated[str, Word(('modbus_tcp',))]
     host: Annotated[str, Text(_HOST), AfterValidator(_host)] = Field(description='Address')
@@ -220,16 +239,40 @@ class _Modbus(_Layout, _Device):
     timeout: Annotated[float, Number(0.05, 60.0, 's')] = Field(
         2.0, description='Longest wait for an answer [s]'
     )
-    sensors: dict[str, Annotated[_Register, Shorthand('register')]] = Field(
-        {}, description='Sensors by name; a mere number is the register'
-    )
-    spindle_speed: _SpeedRegister | None = Field(None, description='Spindle speed')
 
-    def device(self, folder: Path) -> ModbusDevice:
+    def device(self, folder: Path) -> ModbusTcpDevice:
         """Return the device."""
-        return ModbusDevice(
+        return ModbusTcpDevice(
             **self.values(), timeout=self.timeout, host=self.host, port=self.port, unit=self.unit
         )
+
+
+class _ModbusRtu(_Modbus):
+    """A Modbus RTU device: one unit on a serial line."""
+
+    protocol: Annotated[str, Word(('modbus_rtu',))]
+    port: Annotated[str, Text(_PORT), AfterValidator(_port)] = Field(
+        description='File of the serial port; all units of a line name the same'
+    )
+    baud_rate: Annotated[int, Number(300, 4_000_000, whole=True)] = Field(
+        19200, description='Bits per second'
+    )
+    parity: Annotated[str, Word(PARITIES)] = Field('even', description='Parity bit')
+    stop_bits: Annotated[int, Number(1, 2, whole=True)] = Field(1, description='Stop bits')
+    unit: Annotated[int, Number(1, 247, whole=True)] = Field(1, description='Unit on the line')
+    timeout: Annotated[float, Number(0.05, 60.0, 's')] = Field(
+        1.0, description='Longest wait for a whole answer [s]'
+    )
+
+    def device(self, folder: Path) -> ModbusRtuDevice:
+        """Return the device."""
+        return ModbusRtuDevice(
+            **self.values(), timeout=self.timeout, unit=self.unit, line=self.line()
+        )
+
+    def line(self) -> SerialLine:
+        """Return how its line is used."""
+        return SerialLine(self.port, self.baud_rate, self.parity, self.stop_bits)
 
 
 class _OpcUa(_Scaling, _Device, ServerFields):
@@ -270,7 +313,9 @@ def _list(data: Any) -> Any:
 
 _AnyDevice = Annotated[
     Annotated[
-        Annotated[_Modbus, Tag('<modbus_tcp>')] | Annotated[_OpcUa, Tag('<opc_ua>')],
+        Annotated[_ModbusTcp, Tag('<modbus_tcp>')]
+        | Annotated[_ModbusRtu, Tag('<modbus_rtu>')]
+        | Annotated[_OpcUa, Tag('<opc_ua>')],
         Discriminator(lambda data: f'<{data["protocol"].value}>'),
     ],
     BeforeValidator(_check_protocol),
@@ -288,6 +333,7 @@ class DeviceFile(Fields):
     def _check_devices(self) -> 'DeviceFile':
         seen: dict[str, str] = {}
         names: set[str] = set()
+        lines: dict[str, tuple[str, SerialLine]] = {}
         for index, device in enumerate(self.devices):
             spindle = [f'the {SPINDLE}'] if device.spindle_speed is not None else []
             for name in [*(f'sensor {name}' for name in device.sensors), *spindle]:
@@ -306,6 +352,17 @@ class DeviceFile(Fields):
                     'name',
                 )
             names.add(device.name)
+            if isinstance(device, _ModbusRtu):
+                other, line = lines.setdefault(device.port, (device.name, device.line()))
+                if line != device.line():
+                    raise wrong(
+                        f'expected the same baud_rate, parity and stop_bits as device {other}, '
+                        f'which is on the same line, but found {device.baud_rate}, '
+                        f'{device.parity}, {device.stop_bits}',
+                        'devices',
+                        index,
+                        'port',
+                    )
         if not any(device.sensors for device in self.devices):
             raise wrong('expected at least one device with sensors but none has any')
         return self

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Driver: reads Modbus TCP devices and OPC UA servers."""
+"""Driver: reads Modbus devices and OPC UA servers."""
 
 import logging
 from pathlib import Path
@@ -10,6 +10,7 @@ import numpy as np
 from rclpy.node import Node
 
 from fuzzycnc_ros.adapters.modbus import link as modbus
+from fuzzycnc_ros.adapters.modbus.serial_line import ModbusRtuLink
 from fuzzycnc_ros.adapters.opcua import readings_link as opc_ua
 from fuzzycnc_ros.adapters.readings.devices import (
     SPINDLE,
@@ -17,6 +18,8 @@ from fuzzycnc_ros.adapters.readings.devices import (
     Channel,
     Device,
     ModbusDevice,
+    ModbusRtuDevice,
+    ModbusTcpDevice,
     OpcUaDevice,
 )
 from fuzzycnc_ros.adapters.readings.link import Link, Reading
@@ -219,8 +222,10 @@ class Spindle:
 
 def connect(device: Device) -> Link:
     """Return a new link to a device, not yet open."""
-    if isinstance(device, ModbusDevice):
-        return modbus.ModbusLink(device)
+    if isinstance(device, ModbusTcpDevice):
+        return modbus.ModbusTcpLink(device)
+    if isinstance(device, ModbusRtuDevice):
+        return ModbusRtuLink(device)
     assert isinstance(device, OpcUaDevice)
     return opc_ua.OpcUaLink(device)
 

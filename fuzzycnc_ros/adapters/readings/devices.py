@@ -113,17 +113,57 @@ class Device:
 
 @dataclass(frozen=True, kw_only=True)
 class ModbusDevice(Device):
-    """A Modbus TCP device, or one behind a gateway."""
+    """A device with registers."""
 
     channels: tuple[Register, ...]
+    unit: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModbusTcpDevice(ModbusDevice):
+    """A Modbus TCP device, or one behind a gateway."""
+
     host: str
     port: int
-    unit: int
 
     @property
     def address(self) -> str:
         """Where it is, for messages."""
         return f'Modbus TCP {self.host}:{self.port} unit {self.unit}'
+
+
+@dataclass(frozen=True)
+class SerialLine:
+    """A serial line as all units on it use it.
+
+    Parameters
+    ----------
+    port : str
+        File of the port, as /dev/ttyUSB0.
+    baud_rate : int
+        Bits per second.
+    parity : {'even', 'odd', 'none'}
+        What the parity bit makes of a character.
+    stop_bits : int
+        1 or 2.
+    """
+
+    port: str
+    baud_rate: int
+    parity: str
+    stop_bits: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModbusRtuDevice(ModbusDevice):
+    """A Modbus RTU device: one unit on a serial line."""
+
+    line: SerialLine
+
+    @property
+    def address(self) -> str:
+        """Where it is, for messages."""
+        return f'Modbus RTU {self.line.port} unit {self.unit}'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,4 +178,4 @@ class OpcUaDevice(Device, Server):
         return f'OPC UA {self.url}'
 
 
-AnyDevice: TypeAlias = ModbusDevice | OpcUaDevice
+AnyDevice: TypeAlias = ModbusTcpDevice | ModbusRtuDevice | OpcUaDevice

@@ -49,8 +49,8 @@ class TemperatureAcquisitionConfig(Config):
         'topic',
         '-',
         'Where readings come from: topic = sensor_readings (simulated machine or another node), '
-        'temperature_topics = sensor_msgs/Temperature topics, csv = a file, devices = Modbus TCP '
-        'devices and OPC UA servers',
+        'temperature_topics = sensor_msgs/Temperature topics, csv = a file, devices = Modbus '
+        'devices, over TCP or a serial line, and OPC UA servers',
         choices=('topic', 'temperature_topics', 'csv', 'devices'),
     )
     temperature_topics: tuple[str, ...] = param(

@@ -19,7 +19,7 @@ pytest.importorskip('rclpy')
 from fuzzycnc_ros.adapters.modbus.registers import REGISTERS_MAX, blocks, value_of
 from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
 from fuzzycnc_ros.adapters.readings.device_file import DeviceFile, read_devices
-from fuzzycnc_ros.adapters.readings.devices import FORMATS, Register
+from fuzzycnc_ros.adapters.readings.devices import FORMATS, Register, SerialLine
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 pytestmark = pytest.mark.ros
@@ -75,6 +75,48 @@ def test_modbus_fields(read):
     assert one.largest == math.inf
 
 
+RTU = """\
+devices:
+  - name: rtd
+    protocol: modbus_rtu
+    port: /dev/ttyUSB0
+    baud_rate: 9600
+    sensors: {T1: 0}
+  - name: spindle
+    protocol: modbus_rtu
+    port: /dev/ttyUSB0
+    baud_rate: 9600
+    unit: 2
+    sensors: {T2: 0}
+"""
+
+
+def test_modbus_rtu_fields(read):
+    one, two = read(RTU)
+    assert one.line == two.line == SerialLine('/dev/ttyUSB0', 9600, 'even', 1)
+    assert (one.unit, one.timeout, one.sensors) == (1, 1.0, ('T1',))
+    assert two.address == 'Modbus RTU /dev/ttyUSB0 unit 2'
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'line', 'text'),
+    [
+        ('/dev/ttyUSB0', 'ttyUSB0', 4, 'expected the file of a serial port, such as /dev/ttyUSB0'),
+        ('/dev/ttyUSB0', 'socket://10.0.0.5:502', 4, 'expected the file of a serial port'),
+        ('9600', '9600.5', 5, 'baud_rate: expected a whole number from 300 to 4e+06'),
+        ('unit: 2', 'unit: 248', 11, 'unit: expected a whole number from 1 to 247'),
+        ('unit: 2', 'parity: mark', 11, 'parity: expected one of even, odd, none'),
+        ('unit: 2', 'stop_bits: 3', 11, 'stop_bits: expected a whole number from 1 to 2'),
+        ('unit: 2', 'host: 10.0.0.5', 11, "unknown field 'host'"),
+        ('unit: 2', 'parity: none', 9, 'same baud_rate, parity and stop_bits as device rtd, wh'),
+    ],
+)
+def test_wrong_modbus_rtu_files_are_refused(read, old, new, line, text):
+    with pytest.raises(ParameterError, match=re.escape(text)) as caught:
+        read(RTU.replace(old, new, 1))
+    assert f'devices.yaml: line {line}: ' in str(caught.value)
+
+
 def test_opc_ua_fields(read):
     (device,) = read(OPC_UA)
     assert [channel.place for channel in device.channels] == [
@@ -113,7 +155,7 @@ def test_opc_ua_fields(read):
         ('scale: 0.01', 'max: 90', 9, "unknown field 'max'"),
         ('host: 10.0.0.5', 'host: "10.0.0.5/"', 4, 'host: expected a name or address'),
         ('host: 10.0.0.5', 'port: 502', 2, "device rtd: expected the field 'host'"),
-        ('modbus_tcp', 'modbus', 3, 'expected one of modbus_tcp, opc_ua'),
+        ('modbus_tcp', 'modbus', 3, 'expected one of modbus_tcp, modbus_rtu, opc_ua'),
         ('scale: 0.1', 'period: 0', 5, 'period: expected a number from 0.005 to 3600 s'),
         ('6000}', '6000, unit: Hz}', 11, 'unit: expected one of rpm, rad/s'),
         ('devices:\n', 'device:\n', 1, "expected the field 'devices'"),
@@ -223,7 +265,11 @@ def test_the_schema_takes_what_is_read_and_refuses_what_is_not(root):
     [
         ('name: rtd', 'name: [a]', 'line 2: device 1: name: expected a text but found a list'),
         ('name: rtd', 'nam: rtd', "line 2: device 1: expected the field 'name' but it is"),
-        ('modbus_tcp', '[1]', 'line 3: device rtd: protocol: expected one of modbus_tcp, opc_ua'),
+        (
+            'modbus_tcp',
+            '[1]',
+            'line 3: device rtd: protocol: expected one of modbus_tcp, modbus_',
+        ),
         (
             'scale: 0.1',
             'scale: true',

@@ -73,7 +73,9 @@ class ModbusServer:
         self.delay = 0.0
         self.port = 0
 
-    async def start(self) -> None:
+    def device(self, unit: int) -> SimDevice:
+        """Return a unit that holds the words."""
+
         async def act(function, start, address, count, registers, values):
             await asyncio.sleep(self.delay)
             for place, word in self.words.items():
@@ -81,8 +83,10 @@ class ModbusServer:
 
         block = [SimData(0, count=REGISTERS, values=0, datatype=DataType.REGISTERS)]
         bits = [SimData(0, count=8, values=False, datatype=DataType.BITS)]
-        device = SimDevice(1, simdata=(bits, bits, block, block), action=act)
-        self._server = ModbusTcpServer(device, address=(LOCAL, self.port))
+        return SimDevice(unit, simdata=(bits, bits, block, block), action=act)
+
+    async def start(self) -> None:
+        self._server = ModbusTcpServer(self.device(1), address=(LOCAL, self.port))
         await self._server.serve_forever(background=True)
         self.port = self._server.transport.sockets[0].getsockname()[1]
 

@@ -1,0 +1,158 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The file that says where the broker is and how the way to it is secured.
+
+docs/how-to/mqtt.md describes it with examples.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from fuzzycnc_ros.adapters.opcua.file_fields import File, read_credentials
+from fuzzycnc_ros.adapters.yaml_model import (
+    SWITCH,
+    Field,
+    Fields,
+    Number,
+    Text,
+    Word,
+    model_validator,
+    read_file,
+    wrong,
+)
+
+PORT, PORT_TLS = 1883, 8883
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tls:
+    """How the way to a broker is secured.
+
+    Parameters
+    ----------
+    ca : Path
+        Certificates of those who may vouch for the broker.
+    certificate, private_key : Path, optional
+        Own certificate, where the broker asks for one.
+    """
+
+    ca: Path
+    certificate: Path | None = None
+    private_key: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Broker:
+    """A broker.
+
+    Parameters
+    ----------
+    host : str
+        Name or address.
+    port : int
+        Its port.
+    topic : str
+        What its topics begin with.
+    keep_alive : int
+        Time after which a silent connection counts as lost [s].
+    buffered : int
+        Most reports that are kept while the broker is away.
+    tls : Tls, optional
+        How the way is secured; None: not at all.
+    credentials : Path, optional
+        File with user name and password.
+    """
+
+    host: str
+    port: int
+    topic: str
+    keep_alive: int
+    buffered: int
+    tls: Tls | None
+    credentials: Path | None
+
+    @property
+    def address(self) -> str:
+        """Where it is, for messages."""
+        return f'MQTT {self.host}:{self.port}'
+
+
+class _TlsFields(Fields):
+    """How the way is secured."""
+
+    ca: File = Field(description='Certificates of those who may vouch for the broker, PEM')
+    certificate: File = Field(default_factory=Path, description='Own certificate, PEM')
+    private_key: File = Field(default_factory=Path, description='Key of the own certificate, PEM')
+
+    @model_validator(mode='after')
+    def _check_pair(self) -> '_TlsFields':
+        if (self.certificate == Path()) != (self.private_key == Path()):
+            raise wrong('expected certificate and private_key together, or neither')
+        return self
+
+
+class BrokerFile(Fields):
+    """Where the broker is and how the way to it is secured."""
+
+    host: Annotated[str, Text()] = Field(description='Name or address, as in its certificate')
+    port: Annotated[int, Number(0, 65535, whole=True)] = Field(
+        0, description=f'Port; 0 takes {PORT_TLS} with tls, else {PORT}'
+    )
+    topic: Annotated[str, Text(r'[^#+/]+(/[^#+/]+)*')] = Field(
+        'fuzzycnc', description='What topics begin with'
+    )
+    keep_alive: Annotated[int, Number(1, 3600, 's', whole=True)] = Field(
+        5, description='Time after which a silent connection counts as lost [s]'
+    )
+    buffered: Annotated[int, Number(1, 1_000_000, whole=True)] = Field(
+        3600, description='Most reports that are kept while the broker is away, one a second'
+    )
+    tls: _TlsFields | None = Field(None, description='Security of the connection')
+    credentials: File = Field(default_factory=Path, description='File with username and password')
+    allow_plain_password: Annotated[bool, Word(SWITCH)] = Field(
+        False, description='Whether a password may go out so that others can read it'
+    )
+
+    @model_validator(mode='after')
+    def _check(self) -> 'BrokerFile':
+        if any(mark in self.topic for mark in '#+') or '' in self.topic.split('/'):
+            raise wrong(f'expected words between slashes but found {self.topic!r}', 'topic')
+        if self.credentials != Path() and self.tls is None and not self.allow_plain_password:
+            raise wrong(
+                'expected tls beside it, since without it everybody on the network can read the '
+                'password; add it, or say allow_plain_password: true',
+                'credentials',
+            )
+        return self
+
+
+def read_broker(path: Path) -> Broker:
+    """Read and check a broker file, and the credentials that it names.
+
+    Raises
+    ------
+    ParameterError
+        If something is missing, unknown or out of bounds; the text names file, line and field.
+    """
+    found = read_file(path, BrokerFile, 'a file of a broker')
+    tls = None
+    if found.tls is not None:
+        own = found.tls.certificate != Path()
+        tls = Tls(
+            ca=found.tls.ca,
+            certificate=found.tls.certificate if own else None,
+            private_key=found.tls.private_key if own else None,
+        )
+    credentials = found.credentials if found.credentials != Path() else None
+    if credentials is not None:
+        read_credentials(credentials)
+    return Broker(
+        host=found.host,
+        port=found.port or (PORT if tls is None else PORT_TLS),
+        topic=found.topic,
+        keep_alive=found.keep_alive,
+        buffered=found.buffered,
+        tls=tls,
+        credentials=credentials,
+    )
