@@ -290,7 +290,8 @@ class RecordingThread:
     free_min : int
         Space on the disk below which nothing is written [bytes]; 0 to write as long as it goes.
     budget : int
-        Size beyond which the oldest parts are deleted [bytes]; 0 for never.
+        Size beyond which the oldest parts are deleted [bytes], all but the part that was closed
+        last; 0 for never.
     shipper : Shipper, optional
         Takes the closed parts elsewhere; they are deleted after that only.  The thread owns it.
     facts : callable, optional
@@ -652,9 +653,13 @@ class RecordingThread:
         return not self._paused
 
     def _keep_budget(self) -> None:
-        """Delete the oldest parts while the bag is larger than its budget."""
+        """Delete the oldest parts while the bag is larger than its budget.
+
+        The part that was closed last stays: the newest one may hold nothing yet that would
+        survive a crash.
+        """
         over = ''
-        while self._writer.size > self._budget and self._writer.closed_parts:
+        while self._writer.size > self._budget and len(self._writer.closed_parts) > 1:
             oldest = self._writer.closed_parts[0]
             if self._shipper is not None and not self._shipper.has(oldest.path.name):
                 over = (

@@ -95,7 +95,7 @@ COMMANDS: Commands = {
     'watch': Later(
         'Run',
         'fuzzycnc_ros.cli.live.watch:watch',
-        'Watch a running machine in the terminal: state, offsets, sensors, alarms.',
+        'Watch a running machine in the terminal: state, offsets, sensors, probes, alarms.',
     ),
     'record': Later(
         'Run',

@@ -215,7 +215,10 @@ def test_a_machine_that_stayed_cold(refused, table, fuzzycnc):
         (('--param', 'spindle.speed=1'), ["'spindle'", 'compensator']),
         (('--param', 'compensator.ofset_max=1'), ['ofset_max', 'offset_max']),
         (('--param', 'compensator.offset_max=2.0'), ['offset_max = 2.0', '[0.0, 0.001] m']),
-        (('--param', 'compensator.offset_max=much'), ['offset_max', 'float', "'much'"]),
+        (
+            ('--param', 'compensator.offset_max=much'),
+            ['offset_max', 'a length in mm, um, m or inch', "'much'"],
+        ),
         (('--param', 'compensator.axes=[Q]'), ['axes', 'Q']),
     ],
 )

@@ -284,7 +284,7 @@ def test_learn_takes_bags_or_tables_and_what_belongs_to_them(refused, tmp_path):
     write_run(tmp_path / 'run.csv', Run())
     wide = ('foam', 'learn', 'bag', '--out', 'o.json')
     refused('foam', 'learn', 'bag', 'run.csv', '--out', 'o.json', naming=['run.csv', 'found both'])
-    refused(*wide, '--material', 'foam', naming=['--material', 'a bag says it'])
+    refused(*wide, '--material', 'foam', naming=['--material', 'a bag holds it'])
 
 
 @pytest.mark.parametrize(

@@ -119,12 +119,13 @@ def test_what_moves_a_machine_has_one_writer(written, topic, writers):
     assert found == writers
 
 
-def test_only_the_operator_asks_for_anything(written):
+def test_only_operator_and_page_ask_for_anything(written):
     folder, _ = written()
     asking = {node for node in NODES if rights(folder / 'mill' / f'{node}.policy.xml', 'request')}
-    assert asking == {'operator'}
-    asked = rights(folder / 'mill' / 'operator.policy.xml', 'request')
-    assert {'/mill/set_thermal_reference', '/mill/compensator/change_state'} <= asked
+    assert asking == {'operator', 'dashboard'}
+    for name in asking:
+        asked = rights(folder / 'mill' / f'{name}.policy.xml', 'request')
+        assert {'/mill/set_thermal_reference', '/mill/compensator/change_state'} <= asked
 
 
 def test_nodes_and_topics_from_outside_are_chosen(written):

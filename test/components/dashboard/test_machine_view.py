@@ -526,7 +526,7 @@ def test_the_model_tells_where_it_comes_from():
     }
     told = configuration(
         'thermal_predictor',
-        parameters='{"model": "/home/x/mill.json"}',
+        parameters='{"model": "mill.json"}',
         model=json.dumps(model),
         model_hash='0123456789abcdef',
     )

@@ -129,7 +129,9 @@ def test_two_machines_and_their_bags(graph, observer, opened, model_file, tmp_pa
 def predictor_killed(nodes):
     """Kill the predictor; return what must be seen."""
     nodes['thermal_predictor'].send(signal.SIGKILL)
-    return lambda seen: any('thermal_predictor' in row[0] for row in seen['alarms'])
+    return lambda seen: any(
+        'thermal_predictor' in row[0] and 'ended' in row[1] for row in seen['alarms']
+    )
 
 
 def machine_killed(nodes):
