@@ -135,8 +135,9 @@ class ScheduleFigures:
                 'leave as error depends on acceleration and rest, not on the feed'
             )
         lines.append(f'limits: {_limits(settings.limits)}')
+        without = ', without exact stops' if times.stops else ''
         lines.append(
-            'bound: machine constant times the largest acceleration across the path that the feed '
+            f'bound{without}: machine constant times the largest acceleration across the path that the feed '
             'words ask for; driven: on the simulated controller with look-ahead, '
             f'{self.stretch}'
         )
