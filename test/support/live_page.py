@@ -1,31 +1,17 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A browser that looks at the live page, as Debian packages it: chromium and chromium-driver."""
+"""Who looks at the live page in a browser, and what is to be seen."""
 
 import json
-import os
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlsplit
 
-import pytest
-from processes import MARK, command_line, wait_for
+from chromium import chromium
+from processes import wait_for
 
-BROWSER, DRIVER = 'chromium', 'chromedriver'
-FLAGS = (
-    '--headless',
-    '--no-sandbox',
-    '--disable-gpu',
-    '--disable-quic',
-    '--no-first-run',
-    '--disable-background-networking',
-    '--disable-component-update',
-    '--disable-sync',
-    '--disable-dev-shm-usage',
-)
 TABS = ('operator', 'temperatures', 'error', 'offsets', 'model', 'motion', 'bags', 'shop')
 GAP, MINUS = '\u00a0', '\u2212'
 PICTURE = """
@@ -117,36 +103,10 @@ class LivePage:
 
 
 @contextmanager
-def browser(folder: Path) -> Iterator[LivePage]:
-    """Yield a browser with an empty profile; it has ended in the end."""
-    paths = [shutil.which(BROWSER), shutil.which(DRIVER)]
-    if not all(paths):
-        pytest.skip(
-            f'expected {BROWSER} and {DRIVER} in PATH but found {paths}: '
-            'apt-get install chromium chromium-driver'
-        )
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = paths[0]
-    for flag in (*FLAGS, f'--user-data-dir={folder}'):
-        options.add_argument(flag)
-    options.set_capability('goog:loggingPrefs', {'browser': 'ALL', 'performance': 'ALL'})
-    # Its processes come and go while tests run: they are looked after here, not by each test.
-    mark = MARK.partition('=')[0]
-    environment = {name: value for name, value in os.environ.items() if name != mark}
-    service = webdriver.ChromeService(paths[1], env=environment)
-    driver = webdriver.Chrome(options=options, service=service)
-    try:
+def browser(profile: Path) -> Iterator[LivePage]:
+    """Yield a browser with an empty profile, and who looks at the page with it."""
+    with chromium(profile) as driver:
         yield LivePage(driver)
-    finally:
-        driver.quit()
-        wait_for(lambda: not _using(folder), 'the end of the browser')
-
-
-def _using(folder: Path) -> list[int]:
-    pids = [int(name) for name in os.listdir('/proc') if name.isdigit()]
-    return [pid for pid in pids if f'--user-data-dir={folder}' in command_line(pid)]
 
 
 # What a view is in words, told a second time and in another language than the page's.

@@ -1,31 +1,17 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A browser that reads reports, as Debian packages it: chromium and chromium-driver."""
+"""Who reads reports in a browser."""
 
 import csv
-import os
 import re
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import pytest
-from processes import MARK, command_line, wait_for
+from chromium import chromium
+from processes import wait_for
 
-BROWSER, DRIVER = 'chromium', 'chromedriver'
-FLAGS = (
-    '--headless',
-    '--no-sandbox',
-    '--disable-gpu',
-    '--disable-quic',
-    '--no-first-run',
-    '--disable-background-networking',
-    '--disable-component-update',
-    '--disable-sync',
-    '--disable-dev-shm-usage',
-)
 SIZES = (1280, 400)
 WIDTHS = """
 const wide = [...document.querySelectorAll('main .sheet')]
@@ -141,36 +127,10 @@ def check(reader: Reader, page: Path, themes: tuple[str, ...] = ('light', 'dark'
 
 @contextmanager
 def browser(folder: Path) -> Iterator[Reader]:
-    """Yield a browser with an empty profile; it has ended in the end."""
-    paths = [shutil.which(BROWSER), shutil.which(DRIVER)]
-    if not all(paths):
-        pytest.skip(
-            f'expected {BROWSER} and {DRIVER} in PATH but found {paths}: '
-            'apt-get install chromium chromium-driver'
-        )
-    from selenium import webdriver
-
-    profile, downloads = folder / 'profile', folder / 'downloads'
+    """Yield a browser with an empty profile, and who reads with it."""
+    downloads = folder / 'downloads'
     downloads.mkdir()
-    options = webdriver.ChromeOptions()
-    options.binary_location = paths[0]
-    for flag in (*FLAGS, f'--user-data-dir={profile}'):
-        options.add_argument(flag)
-    options.set_capability('goog:loggingPrefs', {'browser': 'ALL'})
-    # Its processes come and go while tests run: they are looked after here, not by each test.
-    mark = MARK.partition('=')[0]
-    environment = {name: value for name, value in os.environ.items() if name != mark}
-    service = webdriver.ChromeService(paths[1], env=environment)
-    driver = webdriver.Chrome(options=options, service=service)
-    try:
+    with chromium(folder / 'profile') as driver:
         behavior = {'behavior': 'allow', 'downloadPath': str(downloads)}
         driver.execute_cdp_cmd('Browser.setDownloadBehavior', behavior)
         yield Reader(driver, downloads)
-    finally:
-        driver.quit()
-        wait_for(lambda: not _using(profile), 'the end of the browser')
-
-
-def _using(profile: Path) -> list[int]:
-    pids = [int(name) for name in os.listdir('/proc') if name.isdigit()]
-    return [pid for pid in pids if f'--user-data-dir={profile}' in command_line(pid)]
