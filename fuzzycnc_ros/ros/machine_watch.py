@@ -38,6 +38,11 @@ DISCOVERY_PERIOD = 0.5
 MACHINES_MAX = 64
 CONFIGURATIONS = 'node_configuration'
 _DEPTH = 100
+_TOLD = {
+    CONFIGURATIONS: NodeConfiguration.TYPE,
+    **{name: record.TYPE for name, record in SOURCES.items()},
+}
+"""Types of the topics by which a machine is known."""
 _LEVELS = {level.value: level for level in Level}
 
 
@@ -192,8 +197,8 @@ class MachineWatch:
         if strange and not self._only:
             for topic, types in self._node.get_topic_names_and_types():
                 machine, _, name = topic.strip('/').rpartition('/')
-                told = name == CONFIGURATIONS and types == [NodeConfiguration.TYPE]
-                if told and machine in strange:
+                # A player says nothing of itself, but plays what machines say.
+                if types == [_TOLD.get(name)] and machine in strange:
                     self._add(machine)
         for machine, watched in self.machines.items():
             watched.look(nodes.get(machine, set()))

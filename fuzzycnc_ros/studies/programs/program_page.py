@@ -137,8 +137,8 @@ class ScheduleFigures:
         lines.append(f'limits: {_limits(settings.limits)}')
         without = ', without exact stops' if times.stops else ''
         lines.append(
-            f'bound{without}: machine constant times the largest acceleration across the path that the feed '
-            'words ask for; driven: on the simulated controller with look-ahead, '
+            f'bound{without}: machine constant times the largest acceleration across the path that '
+            'the feed words ask for; driven: on the simulated controller with look-ahead, '
             f'{self.stretch}'
         )
         if self.unchanged:
