@@ -135,11 +135,10 @@ class ScheduleFigures:
                 'leave as error depends on acceleration and rest, not on the feed'
             )
         lines.append(f'limits: {_limits(settings.limits)}')
-        without = ', without exact stops' if times.stops else ''
         lines.append(
-            f'bound{without}: machine constant times the largest acceleration across the path that '
-            'the feed words ask for; driven: on the simulated controller with look-ahead, '
-            f'{self.stretch}'
+            'bound, without exact stops: machine constant times the largest acceleration across '
+            'the path that the feed words ask for; driven: on the simulated controller with '
+            f'look-ahead, {self.stretch}'
         )
         if self.unchanged:
             lines.append('unchanged: no feed word was added or changed')
