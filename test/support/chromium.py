@@ -35,7 +35,7 @@ def chromium(profile: Path) -> Iterator[Any]:
             f'expected {BROWSER} and {DRIVER} in PATH but found {paths}: '
             'apt-get install chromium chromium-driver'
         )
-    from selenium import webdriver
+    webdriver = pytest.importorskip('selenium.webdriver')
 
     options = webdriver.ChromeOptions()
     options.binary_location = paths[0]

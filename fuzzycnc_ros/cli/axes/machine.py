@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc machine`: machine files written, shown and checked, axes identified."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -122,7 +120,7 @@ def identify(
     write_json(json_file, document)
 
 
-def _text(machine: MachineData, about: str, base: str | None) -> str:
+def _text(machine: 'MachineData', about: str, base: str | None) -> str:
     from fuzzycnc_ros.machine_file.writer import machine_text
 
     ini = machine.source.get('linuxcnc.ini', '')
@@ -137,7 +135,7 @@ def _drive_recordings(
     axis: str,
     scale: tuple[float, float, float],
     period: float | None,
-) -> list[AxisRecording]:
+) -> 'list[AxisRecording]':
     """Return stretches with positions in m and commands as duties."""
     from fuzzycnc_ros.core.identify.axis_fit import AxisRecording
     from fuzzycnc_ros.studies.servo.identify_recording import guessed, read_columns
@@ -165,7 +163,7 @@ def _drive_recordings(
     return found
 
 
-def _of_bag(path: Path, axis: str, sign: float) -> list[AxisRecording]:
+def _of_bag(path: Path, axis: str, sign: float) -> 'list[AxisRecording]':
     """Return the stretches of a bag of a run with `servo_controller`."""
     import numpy as np
 
@@ -182,12 +180,12 @@ def _of_bag(path: Path, axis: str, sign: float) -> list[AxisRecording]:
 
 
 def _axis(
-    stretches: list[AxisRecording],
+    stretches: 'list[AxisRecording]',
     axis: str,
     force: float | None,
     sign: float,
-    base: MachineData | None,
-) -> tuple[MachineData, dict[str, Any]]:
+    base: 'MachineData | None',
+) -> 'tuple[MachineData, dict[str, Any]]':
     from fuzzycnc_ros.core.identify.axis_data import identified_axis, identified_dead_time
     from fuzzycnc_ros.core.identify.axis_fit import fit_axis
     from fuzzycnc_ros.core.identify.frequency import frequency_response
@@ -219,8 +217,8 @@ def _loops(
     wanted: dict[str, str],
     metres: float,
     period: float | None,
-    base: MachineData | None,
-) -> tuple[MachineData, dict[str, Any]]:
+    base: 'MachineData | None',
+) -> 'tuple[MachineData, dict[str, Any]]':
     from itertools import combinations
 
     from fuzzycnc_ros.core.identify.loop_fit import fit_loop
