@@ -271,7 +271,7 @@ class SensorWatchModel:
     missed : ndarray, shape (p,)
         Most that all voters agreed to miss of each input on held-out runs [K].
     leverage : ndarray, shape (p,)
-        Largest squared distance of the held-out samples from the training [-].
+        Largest squared distance of the held-out samples from the training [-]; 0 without mates.
 
     Raises
     ------
@@ -305,8 +305,8 @@ class SensorWatchModel:
             )
         if (self.missed < 0.0).any():
             raise ValueError(f'missed: expected 0 K or more, but found {self.missed}')
-        if (self.leverage <= 0.0).any():
-            raise ValueError(f'leverage: expected positive numbers, but found {self.leverage}')
+        if (self.leverage < 0.0).any():
+            raise ValueError(f'leverage: expected 0 or more, but found {self.leverage}')
 
     @property
     def columns(self) -> Indices:
@@ -398,6 +398,8 @@ class SensorWatch:
         self._voices = VOTERS * len(model.input)
         self.limit: Array = np.maximum(limit, tolerance * model.missed)
         """What the mates may agree to miss of each input near the training, shape (p,) [K]."""
+        # Where training saw no distance there are no mates, and so nothing to be far from.
+        self._farthest = np.where(model.leverage > 0.0, model.leverage, np.inf)
         self._persistence = persistence
         self._faulty_max = max(1, len(model.input) // 2)
         inputs = len(model.input)
@@ -458,7 +460,7 @@ class SensorWatch:
         expected, pulled = product[: self._voices], product[self._voices :]
         residual = read[self._columns] - expected.reshape(VOTERS, -1)
         distance = self._leverage.without_targets(known, pulled)
-        limit = self.limit * np.sqrt(np.maximum(distance / self._model.leverage, 1.0))
+        limit = self.limit * np.sqrt(np.maximum(distance / self._farthest, 1.0))
         if not self._whole:
             # A sensor that reads nothing, or has too few mates left, is not judged.
             judged = np.isfinite(residual[0])

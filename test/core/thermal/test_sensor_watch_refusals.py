@@ -30,7 +30,7 @@ def model():
         ({'moment': -np.eye(8)}, 'moment: expected a symmetric matrix'),
         ({'missed': np.full(8, np.nan)}, 'missed: expected finite numbers'),
         ({'missed': np.full(8, -0.1)}, 'missed: expected 0 K or more'),
-        ({'leverage': np.zeros(8)}, 'leverage: expected positive numbers'),
+        ({'leverage': np.full(8, -1.0)}, 'leverage: expected 0 or more'),
     ],
 )
 def test_parts_that_do_not_belong_together_are_refused(model, changes, message):

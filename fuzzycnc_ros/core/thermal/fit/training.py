@@ -330,6 +330,9 @@ SMOOTHING = 300.0
 DECIMALS = 6
 """Decimals of the moments [K^2] in a model file; a reading's noise is 0.01 K^2."""
 
+ROUNDING = 1e-9
+"""Squared distance from the training [-] below which there is none."""
+
 
 def learn_watch(
     runs: Sequence[ThermalRun], selection: SensorSelection, interval: float
@@ -377,7 +380,8 @@ def learn_watch(
         input=selection.chosen,
         moment=np.round(np.sum(moments, axis=0) / len(rise), DECIMALS),
         missed=missed,
-        leverage=leverage,
+        # Without mates nothing but the rounding of the last digit is left.
+        leverage=np.where(leverage < ROUNDING, 0.0, leverage),
     )
 
 

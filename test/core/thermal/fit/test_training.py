@@ -27,6 +27,7 @@ from fuzzycnc_ros.core.thermal.model import ModelMismatchError
 from fuzzycnc_ros.core.thermal.ranking import grey_relational_grade
 from fuzzycnc_ros.core.thermal.recursions.base import first_order_lags
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
+from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatch
 from fuzzycnc_ros.papers.thermal import ALL_CONTENDERS
 
 PARTS = (300.0, 1800.0, 14400.0)
@@ -306,6 +307,11 @@ def test_an_unstable_model_is_flagged_and_refused():
     model = train_model([growing], sensors='all', candidates=('static_ridge', 'classical_grey'))
     assert 'not positive' in model.candidates['classical_grey'].problems[0]
     assert 'classical_grey' not in model.default
+    # A single sensor has no mates: it lies at no distance from them, and is judged by nobody.
+    assert model.watch.leverage.tolist() == [0.0]
+    watch = SensorWatch(model.watch)
+    for _ in range(100):
+        assert not watch.update([50.0], 60.0).any()
     with pytest.raises(ThermalDataError, match=r"'classical_grey' is refused: a = -"):
         train_model([growing], model='classical_grey', sensors='all', candidates=())
     with pytest.raises(ThermalDataError, match='expected a candidate that can be chosen'):
