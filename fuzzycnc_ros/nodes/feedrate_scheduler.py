@@ -1,33 +1,14 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Node `feedrate_scheduler`: service `schedule_program`, and time in which no path arrives.
-
-In real time nothing drives this node between two paths, so it works up to the present by itself:
-what it has heard meanwhile does not pile up, and a request finds it at the present machine time.
-Where that makes the component act it is written down as `deadline_fired`, so that a replay
-repeats it.
-"""
-
-from collections.abc import Mapping
-from typing import Any
-
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.parameter import Parameter
+"""Node `feedrate_scheduler`: service `schedule_program`."""
 
 from fuzzycnc_msgs.srv import ScheduleProgram
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.ros import run
-from fuzzycnc_ros.ros.clocks import wall_timer
-from fuzzycnc_ros.ros.host import DEADLINE_POLL
-from fuzzycnc_ros.ros.lifecycle import ManagedComponentNode
-from fuzzycnc_ros.runtime.component import Answer
-from fuzzycnc_ros.runtime.records import nanoseconds
-
-LAG = 0.02
-"""How far behind the present the node works [s]: messages take their time to arrive."""
+from fuzzycnc_ros.ros.present_node import PresentNode
 
 
-class FeedrateSchedulerNode(ManagedComponentNode):
+class FeedrateSchedulerNode(PresentNode):
     """Serve the scheduler and its service."""
 
     component: FeedrateScheduler
@@ -35,35 +16,6 @@ class FeedrateSchedulerNode(ManagedComponentNode):
     def __init__(self) -> None:
         super().__init__(FeedrateScheduler)
         self.node.create_service(ScheduleProgram, 'schedule_program', self._on_program)
-        config = self.component.configuration
-        # A part must leave well before its start.
-        often = 0.25 * min(config.lead, config.chunk)
-        if not self.settings.lockstep and often < DEADLINE_POLL:
-            wall_timer(self.node, often, self.on_poll)
-
-    def request(self, name: str, arguments: Mapping[str, Any]) -> Answer:
-        """Carry out a request at the present machine time."""
-        self._work_to_now(note=True)
-        return super().request(name, arguments)
-
-    def on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Take live parameters at the present machine time."""
-        self._work_to_now(note=True)
-        return super().on_parameters(parameters)
-
-    def on_poll(self) -> None:
-        """Real time: work up to now."""
-        self._work_to_now()
-
-    def _work_to_now(self, *, note: bool = False) -> None:
-        """Work up to now in real time, and write down how far if something follows from it."""
-        if self.settings.lockstep:
-            return
-        now = self.now() - nanoseconds(LAG)
-        emissions = self.merger.advance(max(now, self.merger.time))
-        self.publish(emissions)
-        if emissions or note:
-            self.note_deadline(self.merger.time)
 
     def _on_program(
         self, request: ScheduleProgram.Request, response: ScheduleProgram.Response

@@ -16,6 +16,7 @@ import numpy as np
 
 from fuzzycnc_ros.components.motion.feedrate_run import Header, PathRun, rehearse
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.components.motion.motion_allowed import motion_refusal
 from fuzzycnc_ros.components.motion.program_request import ScheduledProgram, schedule_text
 from fuzzycnc_ros.components.motion.tool_paths import (
     PATH_AXES,
@@ -32,7 +33,7 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
-from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
     AxisState,
     FeedSchedule,
@@ -51,7 +52,6 @@ SETTLED = 1.0
 """Time after which axes whose trajectory was given up are at rest [s]."""
 LINES_WHILE_RUNNING = 300
 """Longest program that is scheduled while a path is run: its parts must leave in time."""
-_MOVING = (MachineMode.ON, MachineMode.RUNNING)
 _BAD_ENDS = (TrajectoryStatus.STARVED, TrajectoryStatus.REFUSED)
 
 
@@ -151,7 +151,7 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
 
     def on_machine_state(self, state: MachineState) -> None:
         """Give up when the machine must not move; start a path that waits when it may again."""
-        refusal = _refusal(state)
+        refusal = motion_refusal(state)
         if refusal and self._run is not None:
             self._drop(refusal)
         elif self._waiting is not None:
@@ -310,7 +310,7 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
         machine = self.newest(self.MACHINE, stamp)
         if machine is None:
             return place, 'no fresh machine_state'
-        refusal = _refusal(machine)
+        refusal = motion_refusal(machine)
         if refusal:
             return place, refusal
         state = self.last(self.FOLLOWED)
@@ -377,11 +377,3 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
         if found.path is not None and self._take(found.path, fresh=True):
             emissions = tuple(self._start(self._time))
         return Answer(True, found.message, emissions)
-
-
-def _refusal(state: MachineState) -> str:
-    """Say why a machine must not be moved; empty if it may."""
-    if state.state not in _MOVING:
-        modes = {int(mode): mode.name.lower() for mode in MachineMode}
-        return f'the machine is not on but {modes.get(state.state, state.state)}'
-    return '' if state.homed else 'the machine is not homed'
