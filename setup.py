@@ -12,6 +12,7 @@ nodes = [
     'dashboard',
     'deformation_compensator',
     'feedrate_scheduler',
+    'joint_trajectory_bridge',
     'linuxcnc_bridge',
     'mqtt_publisher',
     'opcua_bridge',

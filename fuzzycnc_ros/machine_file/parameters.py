@@ -29,6 +29,10 @@ def node_parameters(machine: MachineData) -> dict[str, dict[str, Any]]:
     axes = axis_texts(machine.axes)
     return {
         'feedrate_scheduler': scheduler_parameters(machine),
+        'joint_trajectory_bridge': {
+            'velocity_max': min(machine.limits('velocity')),
+            'acceleration_max': min(machine.limits('acceleration')),
+        },
         'simulated_machine': {
             **{f'axis_{name}': loop[name] for name in _LOOP},
             'axis_data': axes,

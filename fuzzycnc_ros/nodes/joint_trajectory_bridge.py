@@ -130,7 +130,9 @@ class JointTrajectoryBridgeNode(PresentNode):
         self._handles[name] = handle, finished
         self._timer.reset()
         if asked.multi_dof_trajectory.joint_names or asked.multi_dof_trajectory.points:
-            text = 'multi_dof_trajectory: expected none, since each joint is an axis, but found one'
+            text = (
+                'multi_dof_trajectory: expected none, since each joint is an axis, but found one'
+            )
             self._note(Outcome(name, GoalCode.INVALID_JOINTS, text))
         elif asked.component_path_tolerance or asked.component_goal_tolerance:
             text = 'component tolerances: expected none, since no joint has components'

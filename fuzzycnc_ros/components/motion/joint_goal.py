@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Goals of the action `FollowJointTrajectory`: what is asked for, and what may be wrong with it."""
+"""Goals of the action `FollowJointTrajectory`: what is asked for, and what is wrong with it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -235,7 +235,9 @@ def _values(
                 f'found {len(values)}; give them at all points or at none'
             )
     array = np.array(found, np.float64).reshape(points, len(joints))
-    plain = np.abs(array) < 1e6  # false for NaN; anything larger is a mix-up, and keeps sums finite
+    plain = (
+        np.abs(array) < 1e6
+    )  # false for NaN; anything larger is a mix-up, and keeps sums finite
     if not plain.all():
         row, column = np.argwhere(~plain)[0]
         raise _invalid(

@@ -167,7 +167,7 @@ class JointRun:
         return self._part > 0
 
     def wanted(self, stamp: int) -> Wanted | None:
-        """Return what the goal wants at machine time `stamp` [ns]; None where it is not followed."""
+        """Return what the goal wants at machine time `stamp` [ns]; None if it is not followed."""
         if self.stopped or stamp < self.start:
             return None
         return self.path.wanted((stamp - self.start) / self._period)

@@ -162,7 +162,8 @@ class JointTrajectoryBridge(Component[JointTrajectoryBridgeConfig]):
     def tool(self, joints: JointStates) -> Floats:
         """Return the place of the tool in the workpiece's frame, X, Y and Z [m]."""
         known = dict(zip(self._config.joint_names, self._config.axes, strict=True))
-        told = {known[name]: place for name, place in zip(joints.name, joints.position.tolist())}
+        places = zip(joints.name, joints.position.tolist(), strict=True)
+        told = {known[name]: place for name, place in places}
         return np.array([told.get(axis, 0.0) for axis in 'XYZ'])
 
     def renewed(self, step: int) -> tuple['JointTrajectoryBridge', list[Emission]]:
