@@ -1,14 +1,19 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Text of foreign origin as terminals and pages may show it, and names that come twice."""
+"""Text of foreign origin: as terminals and pages may show it, as topics, and what comes twice."""
 
+import re
 import unicodedata
 from collections import Counter
 from collections.abc import Iterable
+from itertools import chain, count
 
 CONTROLS = frozenset({'Cc', 'Cf', 'Cs', 'Zl', 'Zp'})
 """Unicode categories of what is no character but an order: C0, C1 and DEL, format and direction,
 halves of characters, line and paragraph separators."""
+_WORD = re.compile(r'(?!\d)[a-z0-9]+(_[a-z0-9]+)*', re.ASCII | re.IGNORECASE)
+_WORD_MAX = 60
+"""Longest word of a topic [characters]: ROS takes 247 for all of it, with the namespace."""
 
 
 def visible(text: str, keep: str = '') -> str:
@@ -54,3 +59,34 @@ def repeated_names(names: Iterable[str]) -> list[str]:
     ['T1', 'T2']
     """
     return sorted(name for name, count in Counter(names).items() if count > 1)
+
+
+def topic_words(names: Iterable[str]) -> dict[str, str]:
+    r"""Return a word of a topic for each name; no two share one.
+
+    A name that is such a word stays as it is.  In others, what a topic may not hold becomes `_`;
+    of those that would be alike the second gets a number.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Any names, each once; the same names in the same order get the same words.
+
+    Examples
+    --------
+    >>> topic_words(['T 1', 'T-1', 'T_1', '28-0316', '\N{DEGREE SIGN}'])
+    {'T 1': 'T_1_2', 'T-1': 'T_1_3', 'T_1': 'T_1', '28-0316': 's28_0316', '\N{DEGREE SIGN}': 's'}
+    """
+    found = {name: name if _is_word(name) else '' for name in names}
+    taken = set(found.values())
+    for name in [name for name, word in found.items() if not word]:
+        base = '_'.join(re.findall('[a-z0-9]+', name, re.ASCII | re.IGNORECASE))
+        base = (base if base and not base[0].isdigit() else f's{base}')[:_WORD_MAX].rstrip('_')
+        numbered = chain([base], (f'{base}_{number}' for number in count(2)))
+        found[name] = next(word for word in numbered if word not in taken)
+        taken.add(found[name])
+    return found
+
+
+def _is_word(name: str) -> bool:
+    return len(name) <= _WORD_MAX and _WORD.fullmatch(name) is not None

@@ -48,9 +48,19 @@ SERVICES = {
     'sensor_selector': ('select_sensors',),
     'temperature_acquisition': ('set_thermal_reference',),
 }
-ACTIONS = {'thermal_predictor': ('train_thermal_model',)}
+ACTIONS = {
+    'thermal_predictor': ('train_thermal_model',),
+    'joint_trajectory_bridge': ('follow_joint_trajectory',),
+}
 DRIVERS = {'temperature_acquisition': ('sensor_readings', 'spindle_speed')}
 """What drivers publish on behalf of a machine."""
+VIEWED = {
+    'temperature_acquisition': ('temperature/*',),
+    'joint_trajectory_bridge': ('/tf', '/tf_static'),
+}
+"""What viewers of ROS read, beside the topics of the components."""
+ASKED = {'joint_trajectory_bridge': ('joint_trajectory',)}
+"""What tools of ROS publish for a node, beside the topics of the components."""
 PROVENANCE = ('node_configuration', 'node_event', 'deadline_fired')
 EVERYTHING = '*'
 """All topics of the machine: a pattern as of file names, in which `*` stands for slashes too."""
@@ -107,7 +117,7 @@ def access_of(node: str) -> Access:
             subscribe=(EVERYTHING, '/clock', '/diagnostics'),
             reply=PARAMETERS,
             request=_offered(),
-            call=tuple(name for names in ACTIONS.values() for name in names),
+            call=ACTIONS['thermal_predictor'],
         )
     if node == MQTT:
         return Access(
@@ -134,8 +144,8 @@ def access_of(node: str) -> Access:
 def _component(component: type[Component]) -> Access:
     name = component.NAME
     publish = [item.name for item in component.OUTPUTS]
-    publish += [*DRIVERS.get(name, ()), *PROVENANCE, '/diagnostics']
-    subscribe = [*(item.name for item in component.INPUTS), '/clock']
+    publish += [*DRIVERS.get(name, ()), *VIEWED.get(name, ()), *PROVENANCE, '/diagnostics']
+    subscribe = [*(item.name for item in component.INPUTS), *ASKED.get(name, ()), '/clock']
     if name == 'simulated_machine':
         publish += [f'machine_tick/{other}' for other in (*COMPONENTS, RECORDER) if _turns(other)]
         subscribe += ['tick_answer']

@@ -281,6 +281,7 @@ class LaunchArgument:
 
 ADDED = {
     'feedrate': 'feedrate_scheduler',
+    'joint_trajectory': 'joint_trajectory_bridge',
     'servo': 'servo_controller',
     'deformation': 'deformation_compensator',
     'linuxcnc': 'linuxcnc_bridge',

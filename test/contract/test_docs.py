@@ -7,6 +7,7 @@ import re
 import runpy
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +95,12 @@ def declared_topics(node: str, *, lockstep: bool) -> tuple[set[str], set[str]]:
         reads.add(f'machine_tick/{node}')
     if not lockstep:
         writes.add('deadline_fired')
-    known = {item.topic.replace('<node>', '') for item in TABLES['EXTRAS']}
+    if node == 'joint_trajectory_bridge':
+        reads.add('joint_trajectory')
+        writes |= {'/tf', '/tf_static'} if find_spec('tf2_msgs') else set()
+    known = {
+        name for item in TABLES['EXTRAS'] for name in item.topic.replace('<node>', '').split(', ')
+    }
     own = {item.name for item in (*component.OUTPUTS, *component.INPUTS)}
     assert {re.sub('(machine_tick/).*', r'\1', name) for name in writes | reads} <= known | own
     return tuple(

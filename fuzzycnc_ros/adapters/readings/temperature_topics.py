@@ -36,7 +36,9 @@ class TemperatureTopics(Source):
     time between two of their messages.  A sensor that is slow or dead does not hold up the
     others: after `reading_period` of the node's clock a set goes without it, and it counts as
     missing there.  The stamp is that of the newest message.  A message without a stamp is not
-    used, nor one that is stamped ahead of the clock: all others would be old after it.
+    used, nor one that is stamped ahead of the clock: all others would be old after it.  A value
+    that is no number is a sensor that is missing; a variance is not looked at.  Of a topic that
+    several sensors share, `@` and a frame id choose the messages of one.
 
     Raises
     ------
@@ -56,18 +58,21 @@ class TemperatureTopics(Source):
         self._sent = 0
         # Sensor drivers often publish best effort; this asks for no more than they offer.
         qos = QoSProfile(depth=SUBSCRIPTION_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-        for name, topic in topics.items():
-            node.create_subscription(Temperature, topic, self._handler(name), qos)
+        for name, source in topics.items():
+            topic, _, frame = source.partition('@')
+            node.create_subscription(Temperature, topic, self._handler(name, frame), qos)
         self._timer = node.create_timer(config.reading_period, self._send)
 
     def health(self) -> list[Health]:
         """Report on each topic: what came, and what of it is not used."""
         return [topic_health(topic, self._counts[name]) for name, topic in self._topics.items()]
 
-    def _handler(self, name: str) -> Any:
+    def _handler(self, name: str, frame: str) -> Any:
         index = self._index[name]
 
         def on_temperature(message: Temperature) -> None:
+            if frame and message.header.frame_id != frame:
+                return  # of another sensor on the same topic
             stamp = stamp_of(message.header.stamp)
             trouble = self._trouble(stamp, int(self._stamp[index]))
             self._counts[name][trouble] += 1
@@ -113,13 +118,17 @@ def topic_health(topic: str, counts: Counter[str]) -> Health:
 
 
 def _named_topics(items: Sequence[str]) -> dict[str, str]:
-    """Return sensor name to topic."""
+    """Return sensor name to topic, with `@` and the frame id if it is shared."""
     pairs = [tuple(part.strip() for part in item.partition('=')) for item in items]
-    wrong = [item for item, pair in zip(items, pairs, strict=True) if not (pair[0] and pair[2])]
+    wrong = [
+        item
+        for item, pair in zip(items, pairs, strict=True)
+        if not (pair[0] and pair[2].partition('@')[0]) or pair[2].endswith('@')
+    ]
     if wrong or not pairs:
         raise ParameterError(
-            'parameter temperature_topics: expected name=topic, for example '
-            f'T1=/plc/bearing, but found {", ".join(map(repr, wrong)) or "none"}'
+            'parameter temperature_topics: expected name=topic, for example T1=/plc/bearing, or '
+            f'name=topic@frame_id, but found {", ".join(map(repr, wrong)) or "none"}'
         )
     for what, place in (('sensor', 0), ('topic', 2)):
         repeated = [name for name, n in Counter(pair[place] for pair in pairs).items() if n > 1]

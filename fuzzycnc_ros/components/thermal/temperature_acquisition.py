@@ -54,7 +54,16 @@ class TemperatureAcquisitionConfig(Config):
         choices=('topic', 'temperature_topics', 'csv', 'devices'),
     )
     temperature_topics: tuple[str, ...] = param(
-        (), '-', 'Topics of sensor_msgs/Temperature as name=topic, for that source'
+        (),
+        '-',
+        'Topics of sensor_msgs/Temperature as name=topic, or name=topic@frame_id where several '
+        'sensors share one, for that source',
+    )
+    named_topics: bool = param(
+        False,
+        '-',
+        'Publish each sensor on a topic of its own too, temperature/<sensor>, for viewers that '
+        'plot by name',
     )
     reading_period: float = param(
         12.0,
