@@ -62,7 +62,7 @@ def repeated_names(names: Iterable[str]) -> list[str]:
 
 
 def topic_words(names: Iterable[str]) -> dict[str, str]:
-    r"""Return a word of a topic for each name; no two share one.
+    """Return a word of a topic for each name; no two share one.
 
     A name that is such a word stays as it is.  In others, what a topic may not hold becomes `_`;
     of those that would be alike the second gets a number.
@@ -74,8 +74,8 @@ def topic_words(names: Iterable[str]) -> dict[str, str]:
 
     Examples
     --------
-    >>> topic_words(['T 1', 'T-1', 'T_1', '28-0316', '\N{DEGREE SIGN}'])
-    {'T 1': 'T_1_2', 'T-1': 'T_1_3', 'T_1': 'T_1', '28-0316': 's28_0316', '\N{DEGREE SIGN}': 's'}
+    >>> topic_words(['T 1', 'T-1', 'T_1', '28-0316', '?'])
+    {'T 1': 'T_1_2', 'T-1': 'T_1_3', 'T_1': 'T_1', '28-0316': 's28_0316', '?': 's'}
     """
     found = {name: name if _is_word(name) else '' for name in names}
     taken = set(found.values())

@@ -117,7 +117,7 @@ def access_of(node: str) -> Access:
             subscribe=(EVERYTHING, '/clock', '/diagnostics'),
             reply=PARAMETERS,
             request=_offered(),
-            call=ACTIONS['thermal_predictor'],
+            call=tuple(name for names in ACTIONS.values() for name in names),
         )
     if node == MQTT:
         return Access(
