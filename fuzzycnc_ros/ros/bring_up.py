@@ -15,6 +15,8 @@ BANNER = (
     'fuzzycnc is not a safety function (ISO 13849): emergency stop, limit switches and drive '
     'limits stay in hardware.'
 )
+MOVERS = frozenset({'feedrate_scheduler', 'joint_trajectory_bridge'})
+"""Nodes that publish `trajectory`; in lock-step a topic has one writer."""
 THERMAL = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator')
 """Nodes of thermal compensation."""
 MACHINE = 'simulated_machine'
@@ -99,7 +101,7 @@ def node_specs(
     Raises
     ------
     GraphError
-        If a name is no node.
+        If a name is no node, or nodes do not go together.
     """
     from fuzzycnc_ros.registry import COMPONENTS
 
@@ -113,6 +115,12 @@ def node_specs(
     simulated = bool(duties) or MACHINE in wanted
     if simulated and BODY in wanted:
         raise GraphError(f'nodes: expected {MACHINE} or {BODY}, since each makes time, not both')
+    if lockstep and wanted >= MOVERS:
+        raise GraphError(
+            f'nodes: expected {" or ".join(sorted(MOVERS))} in lock-step, where one node '
+            'publishes trajectory, but found both; without lock-step the machine takes one at a '
+            'time'
+        )
     common: dict[str, Any] = {'lockstep': lockstep}
     if (simulated or BODY in wanted) and not lockstep:
         common['use_sim_time'] = True

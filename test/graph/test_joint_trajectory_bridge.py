@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import ros_messages
 from action_msgs.msg import GoalStatus
+from aggregator import matching
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import TransformStamped
 from rclpy.action import ActionClient
@@ -91,6 +92,14 @@ def test_goal_of_the_topic_moves_the_axes_and_sensors_have_names(graph, observer
     observer.until(lambda: len(bearing) > 1, 'a sensor by its name')
     assert 10.0 < bearing[-1].temperature < 50.0
     assert bearing[-1].header.frame_id == 'mill/machine'
+    # The example for diagnostic_aggregator has a place for all that is told.
+    names = ['temperature_acquisition', 'joint_trajectory_bridge', 'simulated_machine']
+    told = {f'mill/{name}: activity' for name in names}
+    observer.until(lambda: told <= observer.statuses.keys(), 'diagnostics of all nodes')
+    places = {name: matching(name) for name in observer.statuses}
+    alive = '/Machines/mill/Alive'
+    assert {name for name, found in places.items() if len({*found} - {alive}) != 1} == set()
+    assert alive in places['mill/temperature_acquisition: activity']
     graph.stop()
 
 

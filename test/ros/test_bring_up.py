@@ -106,6 +106,10 @@ def test_a_folder_of_parameters_is_read_whole(tmp_path):
         ({'nodes': 'compresor'}, 'nodes: expected names among'),
         ({'linuxcnc': 'true'}, 'linuxcnc_bridge, simulated_machine'),
         ({'simulated': 'false', 'linuxcnc': 'true', 'opcua': 'true'}, 'opcua_bridge'),
+        (
+            {'feedrate': 'true', 'joint_trajectory': 'true', 'lockstep': 'true'},
+            'feedrate_scheduler or joint_trajectory_bridge in lock-step',
+        ),
     ],
 )
 def test_bad_arguments_are_named(tmp_path, arguments, naming):

@@ -90,7 +90,7 @@ class Tolerance:
             ('position', 'mm', position, self.position),
             ('velocity', 'mm/s', velocity, self.velocity),
         ):
-            over = np.abs(found) > most
+            over = (most < np.inf) & ~(np.abs(found) <= most)  # also where nobody measures
             if over.any():
                 first = int(np.flatnonzero(over)[0])
                 return (

@@ -483,10 +483,12 @@ class JointTrajectoryBridge(Component[JointTrajectoryBridgeConfig]):
     def _joint_states(self, state: AxisState, stamp: int) -> Iterator[Emission]:
         """Tell where the joints are; nothing while the axes are clamped and told by nobody."""
         self._joints_at = stamp
-        known = [k for k, name in enumerate(self._config.axes) if name in state.axis]
+        plain = np.isfinite(state.position) & np.isfinite(state.velocity)
+        place = {name: k for k, name in enumerate(state.axis) if plain[k]}
+        known = [k for k, name in enumerate(self._config.axes) if name in place]
         if not known:
             return
-        column = [state.axis.index(self._config.axes[k]) for k in known]
+        column = [place[self._config.axes[k]] for k in known]
         yield Emission(
             'joint_states',
             JointStates(

@@ -103,7 +103,7 @@ def test_every_node_gets_a_policy_of_the_right_form_and_its_commands(written):
     [
         ('compensation', {'compensator'}),
         ('axis_command', {'servo_controller'}),
-        ('trajectory', {'feedrate_scheduler'}),
+        ('trajectory', {'feedrate_scheduler', 'joint_trajectory_bridge'}),
         ('compensation_applied', {'linuxcnc_bridge', 'opcua_bridge'}),
         ('thermal_error', {'thermal_predictor'}),
     ],

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from bag_libraries import need_bag_libraries
 from benches.joint_rig import CONFIG, JointRig
 
 from fuzzycnc_ros.components.motion.joint_goal import goal_arguments
@@ -374,6 +375,37 @@ def test_progress_tells_what_is_wanted_and_what_is():
     assert (found.goal, found.joints, found.point) == ('a', ('X', 'Y', 'Z'), 1)
     np.testing.assert_allclose(found.actual[0] - found.desired[0], [1e-5, 0, 0], atol=1e-9)
     np.testing.assert_allclose(found.actual[1], found.desired[1], atol=1e-9)
+
+
+def test_recorded_goals_are_replayed_byte_for_byte(tmp_path):
+    need_bag_libraries()
+    from fuzzycnc_ros.bags.replay import replay
+    from fuzzycnc_ros.studies.published_bag import PublishedBag
+
+    rig = JointRig()
+    rig.follow('a', TIME, POINTS)
+    rig.steps(50)
+    rig.follow('b', (0.5,), [[0.0, 0.0, 0.0]])
+    rig.outcome('b')
+    rig.follow('c', (1.0,), [[0.02, 0.0, 0.0]])
+    rig.steps(60)
+    rig.request('cancel', goal='c')
+    rig.outcome('c')
+    with PublishedBag(tmp_path / 'bag') as bag:
+        for topic, record in rig.log:
+            bag(topic, record)
+    report = replay(tmp_path / 'bag', nodes=['joint_trajectory_bridge'])
+    assert report.identical, [item for item in report.topics if not item.equal]
+    assert {item.topic for item in report.topics} == {'/mill/trajectory', '/mill/joint_states'}
+
+
+def test_axis_that_nobody_measures_is_off_the_way_and_not_told():
+    rig = JointRig()
+    rig.follow('a', TIME, POINTS, path_tolerance=[['X', 1e-3, 0.0, 0.0]])
+    rig.until(lambda: rig.time >= rig.parts()[0].start + nanoseconds(0.3))
+    rig.shift[0] = np.nan
+    assert rig.outcome('a')[0] == 'PATH_TOLERANCE_VIOLATED'
+    assert rig.bench.records('joint_states')[-1].name == ('Y', 'Z')
 
 
 def test_messages_mean_what_they_say():

@@ -17,9 +17,12 @@ from fuzzycnc_ros.components.motion.joint_trajectory_config import JointTrajecto
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInput
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.enums import MachineMode
+from fuzzycnc_ros.runtime.host import MachineTick
+from fuzzycnc_ros.runtime.provenance import configuration_record, event_record
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,
+    Record,
     Trajectory,
     TrajectoryState,
     nanoseconds,
@@ -42,9 +45,13 @@ class JointRig:
         """By how much the axes are off [m], and move beside what they are told [m/s]."""
         self.outcomes: dict[str, tuple[str, str, bool]] = {}
         """Code, text and whether it was cancelled, by goal."""
+        self.log: list[tuple[str, Record]] = []
+        """Everything that was published, for a bag."""
         self._told: tuple[object, ...] = ()
+        self._turns = 0
         self.bench = Bench(JointTrajectoryBridge(replace(CONFIG, **parameters)))
         self.bench.merger.advance(self.time)
+        self._announce('inactive')
         assert self.request('activate').success
         self.steps(2)
 
@@ -56,6 +63,10 @@ class JointRig:
     def request(self, name: str, **arguments: Any) -> Any:
         """Send a request; what it causes reaches the machine."""
         answer = self.bench.request(name, **arguments)
+        if answer.success:
+            event = event_record(self.component, self.bench.merger.time, name, arguments)
+            self.log.append(('node_event', event))
+            self._announce('active')
         self._hear(list(answer.emissions))
         return answer
 
@@ -98,12 +109,12 @@ class JointRig:
             told = (state.path_id, state.epoch, state.part, state.status, state.reason)
             if told != self._told:
                 self._told = told
-                self.bench.push('trajectory_state', state)
-        self.bench.push(
+                self._push('trajectory_state', state)
+        self._push(
             'machine_state',
             machine_state(self.time / SECOND, state=int(self.mode), homed=self.homed),
         )
-        self.bench.push(
+        self._push(
             'axis_state',
             AxisState(
                 stamp=self.time,
@@ -113,6 +124,17 @@ class JointRig:
                 velocity=sample.velocity + self.speed,
             ),
         )
+        self._turns += 1
+        turn = MachineTick(
+            stamp=self.time,
+            tick=self._turns,
+            node=self.component.NAME,
+            probe=False,
+            topic=(),
+            published=np.zeros(0, np.uint64),
+            readers=np.zeros(0, np.uint32),
+        )
+        self.log.append((f'machine_tick/{self.component.NAME}', turn))
         self._hear(self.bench.until(self.time / SECOND))
 
     def steps(self, turns: int) -> None:
@@ -142,8 +164,17 @@ class JointRig:
         _, position, velocity = zip(*self.samples, strict=True)
         return np.array(position), np.array(velocity)
 
+    def _push(self, topic: str, record: Record) -> None:
+        self.bench.push(topic, record)
+        self.log.append((topic, record))
+
+    def _announce(self, state: str) -> None:
+        record = configuration_record(self.component, self.bench.merger.time, state)
+        self.log.append(('node_configuration', record))
+
     def _hear(self, emissions: list[Emission]) -> None:
         for emission in emissions:
+            self.log.append((emission.output, emission.record))
             if isinstance(emission.record, Trajectory) and not self.deaf:
                 answer = self.machine.command(part_of(emission.record))
                 if not answer.accepted:

@@ -10,7 +10,7 @@ from fuzzing.machine_targets import (
     ServoMachineTarget,
     StitchingTarget,
 )
-from fuzzing.motion_targets import SchedulerTarget, ServoTarget
+from fuzzing.motion_targets import JointTarget, SchedulerTarget, ServoTarget
 from fuzzing.pattern_targets import DeformationTarget, LearntTarget
 from fuzzing.targets import Target
 from fuzzing.thermal_targets import (
@@ -28,6 +28,7 @@ TARGETS: dict[str, Target] = {
     'thermal_predictor': PredictorTarget(),
     'thermal_predictor that probes': ProbingTarget(),
     'feedrate_scheduler': SchedulerTarget(),
+    'joint_trajectory_bridge': JointTarget(),
     'servo_controller': ServoTarget(),
     'simulated_machine': MachineTarget(),
     'simulated_machine with servo axes': ServoMachineTarget(),

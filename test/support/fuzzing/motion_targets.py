@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The components of motion at work: feed scheduler and servo controller."""
+"""The components of motion at work: feed scheduler, joint trajectories and servo controller."""
 
 import random
 from dataclasses import replace
@@ -11,6 +11,7 @@ from benches.component_bench import Bench, machine_state
 from fuzzing.targets import CopiedTarget, work
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
+from fuzzycnc_ros.components.motion.joint_trajectory_bridge import JointTrajectoryBridge
 from fuzzycnc_ros.components.servo.servo_controller import ServoController
 from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus, TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
@@ -109,6 +110,47 @@ class SchedulerTarget(CopiedTarget):
         assert found, bench.health()
         assert found[0].path_id == path.path_id
         assert found[0].part == 0
+
+
+class JointTarget(SchedulerTarget):
+    """A bridge that follows a goal, on a machine that says nothing of it."""
+
+    component = 'joint_trajectory_bridge'
+    inputs = ('machine_state', 'trajectory_state', 'axis_state')
+
+    def make(self) -> Bench:
+        bench = Bench(JointTrajectoryBridge())
+        assert bench.request('activate').success
+        self._rest(bench, 999 * SECOND)
+        self._follow(bench, 'fuzzed')
+        return bench
+
+    def _follow(self, bench: Bench, goal: str) -> None:
+        asked = {'time': [5 * SECOND], 'position': [[0.01]], 'velocity': [[]], 'goal_time': 0}
+        asked |= {'acceleration': [[]], 'path_tolerance': [['X', 0.5, 0, 0]], 'start': 0}
+        answer = bench.request('follow', goal=goal, joint=['X'], goal_tolerance=[], **asked)
+        assert answer.success, answer.message
+
+    def recover(self, bench, stamp):
+        bench.request('deactivate')
+        stamp += 100 * SECOND
+        work(bench, stamp)
+        assert bench.request('activate').success
+        epoch = max(item.epoch for item in bench.records('trajectory'))
+        for _ in range(3):
+            stamp += 2 * SECOND
+            for name in self.inputs:
+                record = self.good(name, stamp, random.Random(0))
+                if name == 'trajectory_state':
+                    record = replace(record, epoch=min(epoch, 2**63 - 1))
+                bench.push(name, record)
+            work(bench, stamp)
+        before = len(bench.records('trajectory'))
+        self._follow(bench, 'again')
+        (found,) = bench.records('trajectory')[before:]
+        assert (found.part, found.stamp) == (0, stamp)
+        assert bench.records('joint_states')[-1].stamp == stamp
+        assert {item.goal for item in bench.component.take_outcomes()} == {'fuzzed'}
 
 
 class ServoTarget(CopiedTarget):
