@@ -32,8 +32,8 @@ def plc(observer):
             ends = [self.clock, *self.topics.values()]
             return all(end.get_subscription_count() == 1 for end in ends)
 
-        def read(self, name, second, value):
-            message = Temperature(header=RCLPY.header(int(second * SECOND), name))
+        def read(self, name, second, value, frame=''):
+            message = Temperature(header=RCLPY.header(int(second * SECOND), frame or name))
             message.temperature = value
             self.topics[name].publish(message)
 
@@ -48,7 +48,7 @@ def test_topics_become_one_record(graph, observer, plc):
         'temperature_acquisition',
         {
             'source': 'temperature_topics',
-            'temperature_topics': ['T1=/plc/bearing', 'T2=/plc/motor'],
+            'temperature_topics': ['T1=/plc/bearing', 'T2=/plc/motor@motor'],
             'reading_period': PERIOD,
             'interval': 4.0,
             'use_sim_time': True,
@@ -71,6 +71,8 @@ def test_topics_become_one_record(graph, observer, plc):
     observer.until(sends, 'readings arrive')
     plc.tell_time(100)
 
+    # Of a topic that sensors share, only the messages of one count.
+    plc.read('motor', 100.3, 77.0, frame='gearbox')
     # Complete at once, in the order of the parameter, with the newest stamp.
     plc.read('motor', 100.2, 31.0)
     plc.read('bearing', 100.0, 21.0)
@@ -80,6 +82,12 @@ def test_topics_become_one_record(graph, observer, plc):
     assert raw[-1].temperature.tolist() == [21.0, 31.0]
     assert raw[-1].status.tolist() == [Status.OK, Status.OK]
     assert raw[-1].frame_id == 'mill/machine'
+    # What is no number is a sensor that is missing.
+    plc.read('bearing', 101.0, float('nan'))
+    plc.read('motor', 101.0, 32.0)
+    observer.until(lambda: raw[-1].stamp == 101 * SECOND, 'a set without the bearing')
+    assert np.isnan(raw[-1].temperature[0])
+    assert raw[-1].status.tolist() == [Status.MISSING, Status.OK]
     known = len(raw)
 
     # A sensor without a newer message is missing once the period is over.
