@@ -22,19 +22,6 @@ ROOM = 100_000
 """What a disk takes before it is full [bytes]."""
 
 
-@pytest.fixture
-def command(graph, tmp_path):
-    """Start a command in the domain of the test: `command('record', '--out', bag)`."""
-
-    def begin(*words):
-        folder = tmp_path / words[0]
-        folder.mkdir()
-        line = [sys.executable, '-m', 'fuzzycnc_ros.cli.main', *map(str, words)]
-        return graph.launch(words[0], line, folder)
-
-    return begin
-
-
 def recorder_of(running):
     """Return the process id of the recorder of a command, which begins its bag by then."""
     wait_for(lambda: children(running.process.pid, 'nodes.recorder'), 'the recorder is started')
