@@ -235,6 +235,7 @@ def test_a_shift_is_shown_as_it_is_and_acted_at(graph, observer, model_file, ope
     assert page.get('history/mill?series=error')['time']
 
 
+@pytest.mark.slow
 def test_who_kills_the_page_touches_nothing(graph, observer, model_file, open_page):
     page = open_page()
     told = observer.records('compensation', Compensation)
@@ -248,6 +249,7 @@ def test_who_kills_the_page_touches_nothing(graph, observer, model_file, open_pa
     again.view_until(compensates, 'the same')
 
 
+@pytest.mark.slow
 def test_a_lock_step_run_does_not_know_of_a_hundred_pages(
     graph, model_file, open_page, tmp_path, in_process, bag_hashes
 ):

@@ -17,6 +17,7 @@ pytestmark = pytest.mark.ros
 NODES = 'temperature_acquisition'
 
 
+@pytest.mark.slow
 def test_run_in_parts(command, tmp_path):
     """A lock-step run, an hour of machine time in each part, shipped; replayed as one bag."""
     bag, archive = tmp_path / 'bag', tmp_path / 'archive'
