@@ -50,8 +50,9 @@ class TemperatureAcquisitionNode(ComponentNode):
         super().publish(emissions)
         if self.component.configuration.named_topics:
             for emission in emissions:
-                if emission.output == 'temperatures':
-                    self._publish_named(emission.record)
+                record = emission.record
+                if emission.output == 'temperatures' and isinstance(record, Temperatures):
+                    self._publish_named(record)
 
     def _publish_named(self, sample: Temperatures) -> None:
         """Publish a sample sensor by sensor; what is not to be believed is no number there."""

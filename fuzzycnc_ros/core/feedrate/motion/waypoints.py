@@ -4,11 +4,8 @@
 
 Between two waypoints each axis moves on the polynomial that their values fix: of the third degree
 by positions and velocities, of the fifth where accelerations are given too.  Waypoints without
-velocities get those of the monotone interpolation of Fritsch and Carlson, which never passes
-beyond a waypoint [1]_.
-
-.. [1] F. N. Fritsch, R. E. Carlson, "Monotone piecewise cubic interpolation", SIAM J. Numer.
-   Anal. 17 (1980) 238-246.
+velocities get those of the monotone interpolation of [fritsch1984], which never passes beyond a
+waypoint.
 """
 
 from dataclasses import dataclass
