@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Series
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Series, View
 from fuzzycnc_ros.studies.page.drawing import (
     AFTER,
     ANOTHER,
@@ -352,6 +352,7 @@ def tracks_picture(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Picture:
     with plot_style():
         figure, panels = panel_grid(len(tracks), columns=min(2, len(tracks)), height=2.9)
         handles: list[Any] = []
+        views = []
         for axes, (title, points) in zip(panels, tracks.items(), strict=True):
             nominal, before, after = points
             handles = [
@@ -362,6 +363,9 @@ def tracks_picture(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Picture:
             axes.set_aspect('equal', adjustable='datalim')
             axes.set_title(title)
             axes.set_xlabel('X [mm]')
+            rows = len(columns['track']) + np.arange(len(nominal))
+            shown = 1e3 * np.concatenate(points)
+            views.append(View(axes, *shown.T, rows=np.tile(rows, len(points))))
             columns['track'] += [title] * len(nominal)
             for name, place in zip(names, points, strict=True):
                 for number, axis in enumerate('XY'):
@@ -369,7 +373,7 @@ def tracks_picture(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Picture:
         for axes in panels[::2]:
             axes.set_ylabel('Y [mm]')
         add_legend(figure, handles, ['nominal', 'stitched before', 'stitched after'])
-        return Picture(figure, columns)
+        return Picture(figure, columns, views)
 
 
 def deviation_chart(
