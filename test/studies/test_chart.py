@@ -166,7 +166,7 @@ def test_a_series_of_another_length_is_refused():
 
 def test_a_picture_has_its_table():
     table = Picture(None, {'job': ['a', 'b'], 'error [µm]': [1.0 / 3.0, np.nan]}).document()
-    assert table == {'table': [['job', 'error [µm]'], ['a', 0.3333333], ['b', '']]}
+    assert table == {'table': [['job', 'error [µm]'], ['a', 0.3333333], ['b', '']], 'views': []}
 
 
 def test_each_colour_has_one_name():

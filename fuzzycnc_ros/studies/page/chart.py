@@ -289,8 +289,7 @@ class View:
             'id': self.axes.get_gid(),
             'title': self.axes.get_title(loc='left'),
             'box': [
-                round(point * value, 2)
-                for value in (box.x0, top - box.y1, box.width, box.height)
+                round(point * value, 2) for value in (box.x0, top - box.y1, box.width, box.height)
             ],
             'together': self.axes.get_aspect() != 'auto',
             'x': _shown_axis(self.axes.xaxis, self.axes.get_xlim()),

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pages of sections with tables, remarks and figures, as self-contained HTML.
 
-A declared figure is drawn by the page's own script, a picture is a copy of its SVG; both are zoomed
-into.  On paper and without scripts the SVG stands in their place.  All follow the light or dark
-theme.
+A declared figure is drawn by the page's own script, a picture is a copy of its SVG; both are
+zoomed into.  On paper and without scripts the SVG stands in their place.  All follow the light or
+dark theme.
 """
 
 import json

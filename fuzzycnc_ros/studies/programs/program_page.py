@@ -462,7 +462,10 @@ def path_picture(trace: PathTrace) -> Picture:
         return Picture(
             figure,
             {**columns, 'feed [mm/min]': 1e3 * MINUTE * feed},
-            [View(a, *place[:, view].T, rows=rows) for a, view in zip(panels, views, strict=True)],
+            [
+                View(axes, place[:, across], place[:, up], rows=rows)
+                for axes, (across, up) in zip(panels, views, strict=True)
+            ],
         )
 
 

@@ -342,9 +342,7 @@ def latency_picture(latency: Latency) -> Picture:
         # One straggler must not squeeze all others into a single bar.
         edge = max(1.5e3 * latency.p99, float(milliseconds.min()) + 1e-3)
         bins = np.linspace(0.0, edge, 61)
-        count, _, _ = axes.hist(
-            np.minimum(milliseconds, edge), bins=bins, color=AFTER, alpha=0.55
-        )
+        count, _, _ = axes.hist(np.minimum(milliseconds, edge), bins=bins, color=AFTER, alpha=0.55)
         for value, label, colour in (
             (latency.median, 'median', INK),
             (latency.p99, '99th percentile', WARNING),

@@ -303,6 +303,8 @@
             const rows = self.root.querySelectorAll('.u-legend .u-series');
             panel.series.forEach((item, i) => { rows[i + 1].hidden = item.quiet; });
             panel.bands.forEach((_, i) => { rows[first + 2 * i].hidden = true; });
+            const view = viewOf(self, course ? ['x'] : ['x', 'y'], () => (linked ? one.plots : [self]));
+            gestures(self.over, view, panel.title || panel.y.name);
           }],
         },
       },
@@ -312,8 +314,6 @@
     );
     if (quiet) place.append(note);
     place.append(stretch);
-    const kin = () => (linked ? one.plots : [u]);
-    gestures(u.over, viewOf(u, course ? ['x'] : ['x', 'y'], kin), panel.title || panel.y.name);
     new ResizeObserver(() => {
       if (place.clientWidth > 0 && place.clientWidth !== u.width) u.setSize(sizeOf());
     }).observe(place);

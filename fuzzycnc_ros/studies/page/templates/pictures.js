@@ -8,6 +8,8 @@ const pictures = (() => {
   const SVG = 'http://www.w3.org/2000/svg';
   const SPAN_MIN = 0.02; // shown of an axis at least; places have no more digits
   const TICKS = {x: 70, y: 34}; // between ticks at least, in units of the drawing
+  const GAP = 2; // between numbers and the name of an axis, in units of the drawing
+  const MARGIN = 9; // that a name may stand beside the drawing, in its units
   const CLICK = 5; // pixels that a click may move
   const STRIP = 30; // pixels; a drag that is narrower is meant along its length only
   const ALL = {x: [0, 1], y: [0, 1]};
@@ -62,6 +64,23 @@ const pictures = (() => {
 
   const number = (node, name) => Number(node.getAttribute(name));
 
+  // The name of an axis makes room for numbers that are longer than those on paper.
+  function makeRoom(own, ticks) {
+    const name = [...own.children].find(part => part.id.includes('text_'));
+    if (!name) return;
+    name.removeAttribute('transform');
+    name.style.visibility = '';
+    const numbers = [...ticks.querySelectorAll('text')].map(text => text.getBoundingClientRect().left);
+    const pixel = own.ownerSVGElement.getScreenCTM()?.a;
+    if (!numbers.length || !pixel) return;
+    const room = Math.min(...numbers) / pixel - GAP;
+    const box = name.getBoundingClientRect();
+    const way = Math.min(0, room - box.right / pixel);
+    name.setAttribute('transform', `translate(${way} 0)`);
+    const edge = own.ownerSVGElement.getBoundingClientRect().left;
+    if ((box.left - edge) / pixel + way < -MARGIN) name.style.visibility = 'hidden';
+  }
+
   // The ticks of an axis, for any stretch of it: copies of its first one.
   function ticksOf(group, key, axis, [left, top, width, height]) {
     const letter = key === 'x' ? '1' : '2';
@@ -75,6 +94,7 @@ const pictures = (() => {
       const whole = low === 0 && high === 1;
       for (const part of drawn) part.style.display = whole ? '' : 'none';
       shown.replaceChildren();
+      if (key === 'y') makeRoom(own, shown);
       if (whole || !first) return;
       const ends = [valueAt(axis, low), valueAt(axis, high)].sort((a, b) => a - b);
       const length = key === 'x' ? width : height;
@@ -93,6 +113,7 @@ const pictures = (() => {
         tick.querySelector('text').textContent = plain(value).replace('-', '−');
         shown.append(tick);
       }
+      if (key === 'y') makeRoom(own, shown);
     };
   }
 
