@@ -148,7 +148,9 @@ def install(
 def show(machine: MachineName = 'mill', system: System = False) -> None:
     """Print the units of a machine and of the page as they are installed.
 
-    fuzzycnc service show --machine mill
+    What `install` would write is printed by its option --dry-run.
+
+        fuzzycnc service show --machine mill
     """
     found = _installed(machine_name(machine), system, page=True)
     if not found:
