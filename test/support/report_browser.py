@@ -118,6 +118,17 @@ class Reader:
                 event = {'type': kind, 'touchPoints': points, 'timestamp': self._touched_at}
                 self._send('Input.dispatchTouchEvent', event)
 
+    def swipe(self, area: Any) -> None:
+        """Move one finger up over a plot, as if to scroll on."""
+        begin = self._place(area, 0.5)
+        places = [{**begin, 'y': begin['y'] - 15.0 * step} for step in range(11)]
+        for kind, points in [
+            ('touchStart', places[:1]),
+            *(('touchMove', [place]) for place in places[1:]),
+            ('touchEnd', []),
+        ]:
+            self._send('Input.dispatchTouchEvent', {'type': kind, 'touchPoints': points})
+
     def _place(self, area: Any, share: float) -> dict[str, float]:
         left, top, width, height = self.run(
             'const box = arguments[0].getBoundingClientRect();'

@@ -10,6 +10,7 @@ const pictures = (() => {
   const TICKS = {x: 70, y: 34}; // between ticks at least, in units of the drawing
   const GAP = 2; // between numbers and the name of an axis, in units of the drawing
   const MARGIN = 9; // that a name may stand beside the drawing, in its units
+  const BESIDE = 8; // from a place to the words beside it at most, in units of the drawing
   const CLICK = 5; // pixels that a click may move
   const STRIP = 30; // pixels; a drag that is narrower is meant along its length only
   const ALL = {x: [0, 1], y: [0, 1]};
@@ -117,15 +118,19 @@ const pictures = (() => {
     };
   }
 
-  // Words beside the data move with them, and leave with them.
-  function wordsOf(group, [left, top, width, height]) {
+  // Words between the axes move with the place that they stand beside, and leave with it.
+  function wordsOf(group, [left, top, width, height], spots) {
     return [...group.children]
       .filter(part => part.id.includes('text_') && part.querySelector('text'))
       .map(part => {
         const text = part.querySelector('text');
         return {part, x: number(text, 'x'), y: number(text, 'y')};
       })
-      .filter(({x, y}) => x >= left && x <= left + width && y >= top && y <= top + height);
+      .filter(({x, y}) => x >= left && x <= left + width && y >= top && y <= top + height)
+      .map(({part, x, y}) => {
+        const beside = spots.find(spot => Math.hypot(spot.x - x, spot.y - y) < BESIDE);
+        return {part, x: beside?.x ?? x, y: beside?.y ?? y};
+      });
   }
 
   function spotsOf(view, table) {
@@ -153,10 +158,10 @@ const pictures = (() => {
     const inner = framed(group, view.box);
     const free = KEYS.filter(key => !view[key].fixed);
     const ticks = free.map(key => [key, ticksOf(group, key, view[key], view.box)]);
-    const words = wordsOf(group, view.box);
     const marks = [...inner.querySelectorAll('use')].map(mark =>
       ({mark, x: number(mark, 'x'), y: number(mark, 'y')}));
     const spots = spotsOf(view, table);
+    const words = wordsOf(group, view.box, spots);
     const dot = element('span', 'spot', over);
     const strip = element('span', 'strip', over);
     let shown = ALL; // shares of the axes, from their lower ends
