@@ -90,7 +90,7 @@ COMMANDS: Commands = {
     'operate': Later(
         'Run',
         'fuzzycnc_ros.cli.live.operate',
-        'Operate a running machine: status, activate, set limits, reference and probe.',
+        'Operate a running machine: status, activate, set limits, reference, probe and mark.',
     ),
     'watch': Later(
         'Run',
