@@ -112,6 +112,11 @@ COMMANDS: Commands = {
         'fuzzycnc_ros.cli.bags.info:info',
         'Show what is in a bag: topics, counts, types, times, attachments, and what is wrong.',
     ),
+    'report': Later(
+        'Run',
+        'fuzzycnc_ros.cli.reports.thermal',
+        'Reports on recordings, as pages and as PDF.',
+    ),
     'advise': Later(
         'Part programs',
         'fuzzycnc_ros.cli.programs.advise:advise',

@@ -37,8 +37,7 @@ def drawn(chart: Chart) -> Any:
             axes.remove()
         handles: dict[str, Any] = {}
         for number, (axes, panel) in enumerate(zip(places, chart.panels, strict=False)):
-            rows_max = max(_ROWS_MIN, min(_ROWS, _POINTS // max(1, len(panel.series))))
-            for name, handle in _panel(axes, panel.thinned(rows_max), chart.x_axis).items():
+            for name, handle in draw_panel(axes, panel, chart.x_axis).items():
                 handles.setdefault(name, handle)
             if not (stacked and chart.linked) or number == rows - 1:
                 axes.set_xlabel(chart.x_axis.label)
@@ -56,11 +55,24 @@ def plain_ticks(axis: Any, low: float, high: float, every: tuple[int, ...] = (1,
     axis.set_ticks([], minor=True)
 
 
-def _panel(axes: Any, panel: Panel, x_axis: Axis) -> dict[str, Any]:
-    """Draw a panel; return what its legend names."""
+def draw_panel(axes: Any, panel: Panel, x_axis: Axis) -> dict[str, Any]:
+    """Draw a panel into axes, in as many rows as paper shows; return what its legend names."""
+    panel = panel.thinned(max(_ROWS_MIN, min(_ROWS, _POINTS // max(1, len(panel.series)))))
     handles: dict[str, Any] = {}
     axes.set_title(panel.title)
     axes.set_ylabel(panel.y_axis.label)
+    for span in panel.spans:
+        axes.axvspan(span.low, span.high, color=span.colour, alpha=0.14, linewidth=0.0, zorder=0)
+        axes.annotate(
+            span.name,
+            (span.low, 0.99),
+            xycoords=('data', 'axes fraction'),
+            xytext=(2.0, -2.0),
+            textcoords='offset points',
+            va='top',
+            fontsize=7.0,
+            color=MUTED,
+        )
     for band in panel.bands:
         handles[band.name] = axes.fill_between(
             panel.x, band.low, band.high, color=band.colour, alpha=0.2, linewidth=0.0

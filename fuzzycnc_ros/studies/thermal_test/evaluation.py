@@ -115,7 +115,8 @@ def judge_phase(
                 found[name] = judge(recording, column, phase, _resolution(name, set_up))
             found[COMBINED] = _combined(recording, values, phase, probes)
         sides.append(found)
-    return JudgedPhase(phase, *sides, includes)
+    bare, compensated = sides
+    return JudgedPhase(phase, bare, compensated, includes)
 
 
 def quantities(
@@ -205,7 +206,7 @@ def noise(values: Floats) -> float:
 
 
 def _inside(time: Floats, phase: Phase) -> NDArray[np.bool_]:
-    """Return which samples belong to a phase; one at its end belongs to the next, if one follows."""
+    """Return which samples belong to a phase: all but those at its end, where the next begins."""
     last = time[-1] <= phase.end
     return (time >= phase.start) & ((time < phase.end) | last)
 

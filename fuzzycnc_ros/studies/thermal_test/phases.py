@@ -165,23 +165,19 @@ def _marked(marks: Sequence[Mark], last: float) -> tuple[Phase, ...]:
     )
 
 
-def _by_speed(recording: TestRecording, speed: NDArray[np.float64]) -> tuple[Phase, ...]:
+def _by_speed(recording: TestRecording, told: NDArray[np.float64]) -> tuple[Phase, ...]:
     """Return the stretches of one spindle speed, those on the way to it included."""
-    known = np.isfinite(speed)
+    known = np.isfinite(told)
     last = float(recording.time[-1])
-    stretches = _stretches(recording.time[known], speed[known])
-    merged: list[list[float]] = []
-    begin = None
-    for start, end, speed in stretches:
+    merged: list[tuple[float, float, float]] = []
+    begin: float | None = None
+    for start, end, speed in _stretches(recording.time[known], told[known]):
         begin = start if begin is None else begin
         if end - begin >= SHORTEST:
             if merged and _alike(merged[-1][2], speed):
-                merged[-1][1] = end
-            else:
-                merged.append([begin, end, speed])
+                begin = merged.pop()[0]
+            merged.append((begin, end, speed))
             begin = None
-    if begin is not None and merged:
-        merged[-1][1] = stretches[-1][1]
     if len(merged) > PHASES_MAX:
         raise RunError(
             f'{recording.name}: expected at most {PHASES_MAX} stretches of one spindle speed but '
@@ -207,16 +203,14 @@ def _stretches(
     """Return start, end and speed of the stretches in which it stays what it was."""
     found = []
     first, total = 0, 0.0
-    for row in range(len(speed) + 1):
-        within = row - first
-        if row < len(speed) and (not within or _alike(speed[row], total / within)):
-            total += speed[row]
-            continue
-        end = time[min(row, len(speed) - 1)]
-        found.append((float(time[first]), float(end), float(total / within)))
-        if row < len(speed):
-            first, total = row, speed[row]
-    return found
+    told = [float(value) for value in speed]
+    for row, value in enumerate(told):
+        mean = total / (row - first) if row > first else value
+        if not _alike(value, mean):
+            found.append((float(time[first]), float(time[row]), mean))
+            first, total = row, 0.0
+        total += value
+    return [*found, (float(time[first]), float(time[-1]), total / (len(told) - first))]
 
 
 def _alike(one: float, other: float) -> bool:

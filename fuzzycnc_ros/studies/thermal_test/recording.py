@@ -60,6 +60,8 @@ class TestRecording:
     ----------
     name, machine : str
         Name of the bag, and namespace of the machine; empty if it has none.
+    start : int
+        Stamp of the first displacement [ns].
     time : ndarray, shape (n,)
         When displacements were measured [s], increasing.
     channel, axis : tuple of str, length c
@@ -85,6 +87,7 @@ class TestRecording:
 
     name: str
     machine: str
+    start: int
     time: Floats
     channel: tuple[str, ...]
     axis: tuple[str, ...]
@@ -180,6 +183,7 @@ def read_test(path: str | os.PathLike[str], machine: str | None = None) -> TestR
     return TestRecording(
         name=source.name,
         machine=space.strip('/'),
+        start=start,
         time=_since(start, series.stamp),
         channel=channel,
         axis=axis,
