@@ -52,9 +52,7 @@ class _InstrumentFields(Fields):
     """What measured."""
 
     name: Words = Field('', description='Make, type, number')
-    uncertainty: Length | None = Field(
-        None, description='Expanded uncertainty, k = 2, such as 0.6um'
-    )
+    uncertainty: Length | None = Field(None, description='Expanded (k = 2), such as 0.6um')
     repeatability: Length | None = Field(
         None, description='Standard deviation at rest, such as 0.05um'
     )
@@ -102,7 +100,7 @@ def read_thermal_test_file(path: Path) -> TestSetUp:
         If something is unknown or not valid; the text names file, line and field.
     """
     found = read_file(path, ThermalTestFile, 'a file of a thermal test')
-    instrument = found.instrument or _InstrumentFields()
+    instrument = found.instrument or _InstrumentFields.model_validate({})
 
     def stated(length: float | None) -> float:
         return nan if length is None else length

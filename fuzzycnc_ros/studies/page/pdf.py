@@ -40,8 +40,11 @@ CELL = 0.045
 CELL_SIZES = (7.5, 7.0, 6.5, 6.0, 5.5)
 """Sizes of type in tables [pt]: the first in which all words fit."""
 
-AXES_LEFT, AXES_BELOW, AXES_ABOVE, LEGEND_LINE = 0.62, 0.42, 0.24, 0.2
-"""Room for the labels of a panel, for its title, and for a line of the legend [in]."""
+AXES_LEFT, AXES_BELOW, AXES_ABOVE = 0.62, 0.42, 0.24
+"""Room for the labels of a panel and for its title [in]."""
+
+LEGEND_LINE, LEGEND_KEY = 0.2, 0.55
+"""Height of a line of a legend, and width of a key with its gaps [in]."""
 
 PANEL_SHARE = 0.75
 """Height of a panel beside that on a page, which is wider [-]."""

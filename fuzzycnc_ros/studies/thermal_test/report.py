@@ -276,14 +276,14 @@ def _ambient_cell(test: ThermalTest, item: JudgedPhase) -> str:
 def phase_table(test: ThermalTest, number: int) -> Table:
     """Return what all probes, tilts and the combined drift did in a phase, counted from 1."""
     item = test.phases[number - 1]
-    sides = [(f'Without compensation, {_how(item, bare=True)}', item.bare)]
+    sides = [(f'without, {_how(item, bare=True)}', item.bare)]
     if test.compensated:
-        sides.append((f'With compensation, {_how(item, bare=False)}', item.compensated))
+        sides.append((f'with, {_how(item, bare=False)}', item.compensated))
     columns = [Column('Quantity', numeric=False)]
     for group, _ in sides:
         columns += [
-            Column('range, first hour', group),
-            Column('range, whole phase', group),
+            Column('first hour', group),
+            Column('whole phase', group),
             Column('change', group),
             Column('to 90 % [min]', group),
         ]
@@ -385,7 +385,7 @@ def budget_table(test: ThermalTest) -> Table:
     )
     rows.append(
         (
-            f'Expanded, k = {COVERAGE:g}',
+            f'Expanded, k = {COVERAGE:g}{", at least" if _incomplete(test) else ""}',
             '',
             f'combined times {COVERAGE:g}',
             *(_budget_cell(budget.expanded(name)) for name in probes),
@@ -398,6 +398,12 @@ def budget_table(test: ThermalTest) -> Table:
         highlight=frozenset({len(rows) - 1}),
         highlight_means='expanded uncertainty',
     )
+
+
+def _incomplete(test: ThermalTest) -> list[str]:
+    """Return the terms that some probe has no number for."""
+    missing = (name for probe in test.probes for name in test.budget.missing(probe))
+    return list(dict.fromkeys(missing))
 
 
 def _budget_cell(size: float) -> str:
