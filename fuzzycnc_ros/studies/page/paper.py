@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.studies.page.chart import DOTS_MAX, Axis, Chart, Panel, Series
+from fuzzycnc_ros.studies.page.chart import DOTS_MAX, Axis, Chart, Panel, Series, Span
 from fuzzycnc_ros.studies.page.drawing import INK, MUTED, add_legend, new_figure, plot_style
 from fuzzycnc_ros.studies.page.requirement import require
 
 _ROWS, _POINTS, _ROWS_MIN = 240, 1200, 60
 """Rows of a panel on paper: no printer shows more extremes; fewer where there are many series."""
+
+_CHARACTER = 0.062
+"""Width of a character of a stretch's name, about [in]."""
 
 _DOT = 3.0
 """Size of a dot [pt]."""
@@ -63,6 +66,8 @@ def draw_panel(axes: Any, panel: Panel, x_axis: Axis) -> dict[str, Any]:
     axes.set_ylabel(panel.y_axis.label)
     for span in panel.spans:
         axes.axvspan(span.low, span.high, color=span.colour, alpha=0.14, linewidth=0.0, zorder=0)
+        if _room(axes, panel, span) < _CHARACTER * len(span.name):
+            continue
         axes.annotate(
             span.name,
             (span.low, 0.99),
@@ -101,6 +106,13 @@ def draw_panel(axes: Any, panel: Panel, x_axis: Axis) -> dict[str, Any]:
     if courses and x_axis.scale == 'linear' and len(panel.x) > 1 and x_axis.low is None:
         axes.set_xlim(panel.x[0], panel.x[-1])
     return handles
+
+
+def _room(axes: Any, panel: Panel, span: Span) -> float:
+    """Return how wide a stretch is on paper, about [in]."""
+    width = axes.get_position().width * axes.get_figure().get_figwidth()
+    low, high = (float(panel.x[row]) for row in (0, -1)) if len(panel.x) else (0.0, 0.0)
+    return width * (span.high - span.low) / (high - low) if high > low else width
 
 
 def _series(axes: Any, panel: Panel, series: Series) -> Any:

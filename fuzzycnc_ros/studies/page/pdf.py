@@ -34,8 +34,11 @@ BODY, SMALL, HEADING, TITLE = 9.0, 7.5, 12.0, 17.0
 LEADING = 1.32
 """Distance of lines in sizes of type."""
 
-CELL = 0.045
-"""Room beside a cell of a table [in]."""
+KEPT = 2.2
+"""Room that a heading asks for, so that something follows it on its sheet [in]."""
+
+CELL, ABOVE_ROW, BELOW_ROW = 0.045, 0.025, 0.035
+"""Room beside a cell of a table, above and below a row [in]."""
 
 CELL_SIZES = (7.5, 7.0, 6.5, 6.0, 5.5)
 """Sizes of type in tables [pt]: the first in which all words fit."""
@@ -161,7 +164,7 @@ class _Writer:
 
     def heading(self, text: str) -> None:
         """Write a heading, where something can follow it."""
-        self.need(1.3)
+        self.need(KEPT)
         self.y += 0.16
         self.paragraph(text, HEADING, weight='bold')
 
@@ -263,7 +266,7 @@ class _Sheet:
                 self.writer.shade(LEFT, self.writer.y, sum(self._widths), height, TINT)
             self._row(row, number)
             self.writer.y += height
-            self.writer.line(LEFT, LEFT + sum(self._widths), self.writer.y - 0.01, GRID, 0.6)
+            self.writer.line(LEFT, LEFT + sum(self._widths), self.writer.y, GRID, 0.6)
         self.writer.y += 0.05
 
     def _in_lines(self, cells: Sequence[str], weight: str) -> list[list[str]]:
@@ -273,7 +276,7 @@ class _Sheet:
         ]
 
     def _row_height(self, row: list[list[str]]) -> float:
-        return self._height * max(map(len, row)) + 0.05
+        return self._height * max(map(len, row)) + ABOVE_ROW + BELOW_ROW
 
     def _head(self) -> None:
         """Draw the headings, with two rows below them on the same sheet."""
@@ -293,7 +296,7 @@ class _Sheet:
         self.writer.y += above
         self._row(self._headings, None)
         self.writer.y += height - above
-        self.writer.line(LEFT, LEFT + sum(self._widths), self.writer.y - 0.01, MUTED, 0.9)
+        self.writer.line(LEFT, LEFT + sum(self._widths), self.writer.y, MUTED, 0.9)
 
     def _groups(self) -> list[tuple[list[str], float, float]]:
         """Return the lines, and the ends [in], of the headings of groups."""
@@ -323,7 +326,7 @@ class _Sheet:
                 weight = 'bold' if c == 0 else 'normal'
             first = most - len(lines) if number is None else 0
             for place, line in enumerate(lines, start=first):
-                y = self.writer.y + place * self._height
+                y = self.writer.y + ABOVE_ROW + place * self._height
                 if column.numeric:
                     x, ha = left + width - CELL, 'right'
                 else:

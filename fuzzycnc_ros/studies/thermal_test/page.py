@@ -55,7 +55,7 @@ COLOURS = {
 NAMED_MAX = 5
 """Most phases whose names fit into a figure; of more, their numbers stand there."""
 
-SENSORS_MAX = 10
+SENSORS_MAX = 16
 """Most sensors that a legend names."""
 
 
@@ -68,9 +68,16 @@ def thermal_test_page(test: ThermalTest) -> Page:
         summary=f'{count} phase{"s" if count > 1 else ""} in {hours:.1f} h, probes '
         f'{", ".join(test.probes)}. No statement of conformity.',
         sections=[
-            Section('Test', judged=[Remark(NO_CONFORMITY)], tables=[facts_table(test)]),
+            Section(
+                'Test',
+                judged=[Remark(NO_CONFORMITY), Remark(how_remark(test))],
+                tables=[facts_table(test)],
+            ),
             Section('Phases', tables=[phases_table(test)], figures=[*_figures(test)]),
-            *_results(test),
+            *(
+                Section(f'Phase {number}: {item.phase.name}', tables=[phase_table(test, number)])
+                for number, item in enumerate(test.phases, start=1)
+            ),
             Section('Uncertainty', tables=[budget_table(test)], remarks=budget_remarks(test)),
         ],
         facts={
@@ -80,14 +87,6 @@ def thermal_test_page(test: ThermalTest) -> Page:
         },
         notes=_notes(test),
     )
-
-
-def _results(test: ThermalTest) -> Iterator[Section]:
-    for number, item in enumerate(test.phases, start=1):
-        texts = [how_remark(test)] if number == 1 else []
-        yield Section(
-            f'Phase {number}: {item.phase.name}', texts=texts, tables=[phase_table(test, number)]
-        )
 
 
 def _notes(test: ThermalTest) -> list[str]:
@@ -199,7 +198,7 @@ def speed_chart(test: ThermalTest) -> Chart:
         raise ValueError(f'{recording.name}: expected a spindle speed but found none')
     rpm = 60.0 * recording.speed / (2.0 * np.pi)
     series = [Series('spindle speed', rpm, MEASURED, kind='steps')]
-    axis = Axis('spindle speed', 'rpm')
+    axis = Axis('speed', 'rpm')
     panel = _panel(test, recording.time / 3600.0, axis, series, '')
     return Chart(Axis('time', 'h'), [panel], height=1.8)
 

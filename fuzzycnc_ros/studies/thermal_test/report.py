@@ -148,7 +148,7 @@ def facts(test: ThermalTest) -> list[Fact]:
         _either('Operator', set_up.operator, f'marks by {", ".join(by)}' if by else ''),
         *(_either(name, text, '') for name, text in stated),
         *(_probe_fact(test, name, column) for name, column in test.probes.items()),
-        *(_distance_fact(test, axis) for axis, _ in TILTS.values()),
+        *(_distance_fact(test, axis) for axis in sorted(axis for axis, _ in TILTS.values())),
         Fact('Compensation', compensation_text(recording), BAG),
         Fact(*_ambient_text(test)),
         Fact('Bag', recording.name, BAG),
