@@ -79,7 +79,7 @@ class ThermalTestFile(Fields):
     )
 
     @model_validator(mode='after')
-    def _check_names(self) -> 'ThermalTestFile':
+    def _check_probes(self) -> 'ThermalTestFile':
         for name in self.probes:
             if name not in (*PROBES, 'X', 'Y'):
                 raise wrong(

@@ -141,21 +141,22 @@ def displacement_chart(test: ThermalTest) -> Chart:
     if test.compensated:
         sides.append(('with compensation', recording.compensated))
     panels = []
-    for number, (name, values) in enumerate(sides):
+    for name, values in sides:
         courses = quantities(values, test.probes, test.set_up.distance)
         series = [
             Series(probe, 1e6 * courses[probe], colour)
             for probe, colour in zip(test.probes, CLUSTER_COLOURS, strict=False)
         ]
-        axis = Axis('displacement', 'µm')
-        panels.append(_panel(test, x, axis, series, f'Probes {name}', named=number == 0))
-        tilts = [
-            Series(f'tilt {tilt}', 1e6 * courses[tilt], colour)
-            for tilt, colour in zip(TILTS, (INK, '#b84a8f'), strict=True)
-            if tilt in courses
-        ]
-        if tilts and number == 0:
-            panels.append(_panel(test, x, Axis('tilt', 'µm/m'), tilts, 'Tilts'))
+        panels.append(_panel(test, x, Axis('displacement', 'µm'), series, f'Probes {name}'))
+    # Offsets shift both probes of an axis alike: tilts are what they are.
+    courses = quantities(recording.measured, test.probes, test.set_up.distance)
+    tilts = [
+        Series(f'tilt {tilt}', 1e6 * courses[tilt], colour)
+        for tilt, colour in zip(TILTS, (INK, OTHER), strict=True)
+        if tilt in courses
+    ]
+    if tilts:
+        panels.append(_panel(test, x, Axis('tilt', 'µm/m'), tilts, 'Tilts'))
     return Chart(Axis('time', 'h'), panels, height=2.6)
 
 
@@ -209,8 +210,6 @@ def _panel(
     axis: Axis,
     series: list[Series],
     title: str,
-    *,
-    named: bool = True,
 ) -> Panel:
     """Return a panel with the phases behind its series."""
     few = len(test.phases) <= NAMED_MAX
@@ -219,7 +218,7 @@ def _panel(
             max(item.phase.start, 0.0) / 3600.0,
             item.phase.end / 3600.0,
             COLOURS[item.phase.kind],
-            (f'{number} {item.phase.name}' if few else str(number)) if named else '',
+            f'{number} {item.phase.name}' if few else str(number),
         )
         for number, item in enumerate(test.phases, start=1)
     ]

@@ -293,7 +293,10 @@ def phase_table(test: ThermalTest, number: int) -> Table:
         for _, drifts in sides:
             row += _cells(name, drifts.get(name))
         rows.append(tuple(row))
-    title = f'{number} {item.phase.name}: {item.phase.kind}, {item.phase.duration / 3600.0:.2f} h'
+    title = (
+        f'{number} {item.phase.name}: {item.phase.kind}, {item.phase.duration / 3600.0:.2f} h; '
+        'ranges and change without and with compensation'
+    )
     return Table(title, tuple(columns), tuple(rows))
 
 
