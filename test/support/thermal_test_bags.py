@@ -86,18 +86,7 @@ def write_test(
     time, measured = spoilt(time, measured)
     records = [('node_event', mark(at, phase)) for at, phase in marks]
     records += [
-        (
-            'displacement',
-            Displacement(
-                stamp=stamp(at),
-                frame_id='mill/workpiece',
-                axis=AXES,
-                channel=CHANNELS,
-                displacement=row,
-                standard_deviation=np.full(len(CHANNELS), np.nan),
-                includes_compensation=includes,
-            ),
-        )
+        ('displacement', displacement(at, row, includes=includes))
         for at, row in zip(time, measured, strict=True)
     ]
     for at, row in zip(told, applied, strict=True):
@@ -126,6 +115,18 @@ def mark(at, phase, by='anna'):
         node='operator',
         name='mark',
         request=json.dumps({'phase': phase, 'by': by}),
+    )
+
+
+def displacement(at, values, *, includes):
+    return Displacement(
+        stamp=stamp(at),
+        frame_id='mill/workpiece',
+        axis=AXES,
+        channel=CHANNELS,
+        displacement=values,
+        standard_deviation=np.full(len(CHANNELS), np.nan),
+        includes_compensation=includes,
     )
 
 

@@ -291,6 +291,7 @@ def mark(
     from fuzzycnc_ros.ros.recording import is_recorded
     from fuzzycnc_ros.runtime.component import HISTORY
     from fuzzycnc_ros.runtime.host import NodeEvent
+    from fuzzycnc_ros.studies.thermal_test.recording import MARK
 
     machine = machine_name(machine)
     with Operator(machine, patience=PATIENCE) as operator:
@@ -299,7 +300,7 @@ def mark(
             stamp=_now(operator),
             frame_id=f'{machine}/machine',
             node=operator.node.get_name(),
-            name='mark',
+            name=MARK,
             request=json.dumps({'phase': phase, 'by': visible(by)}, sort_keys=True),
         )
         try:

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 HELP = """Reports on recordings, as pages and as PDF.
 
-    fuzzycnc report thermal BAG --out report.html --pdf report.pdf
+    fuzzycnc report thermal spindle_test --out report.html --pdf report.pdf
+
+Each is one file that holds everything it needs, to be mailed or archived.
 """
 
 Repeated = Optional[list[str]]  # noqa: UP045 - typer 0.9 does not read the newer form

@@ -424,19 +424,16 @@ def _draw_figure(writer: _Writer, figure: Figure, number: int) -> None:
             handles.setdefault(name, handle)
         if row == rows - 1 or not chart.linked:
             axes.set_xlabel(chart.x_axis.label)
-    writer.sheet.add_artist(
-        require('matplotlib.legend').Legend(
-            writer.sheet,
-            list(handles.values()),
-            list(handles),
-            loc='upper left',
-            bbox_to_anchor=(LEFT / WIDTH, 1.0 - legend_at / HEIGHT),
-            ncol=columns,
-            fontsize=SMALL,
-            borderaxespad=0.0,
-            handlelength=1.6,
-            columnspacing=1.2,
-        )
+    writer.sheet.legend(
+        list(handles.values()),
+        list(handles),
+        loc='upper left',
+        bbox_to_anchor=(LEFT / WIDTH, 1.0 - legend_at / HEIGHT),
+        ncol=columns,
+        fontsize=SMALL,
+        borderaxespad=0.0,
+        handlelength=1.6,
+        columnspacing=1.2,
     )
     writer.y += rows * each + 0.08
     writer.paragraph(f'Figure {number}. {figure.title}. {figure.caption}', SMALL, colour=MUTED)

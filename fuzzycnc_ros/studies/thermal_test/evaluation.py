@@ -151,7 +151,7 @@ def combined_probes(probes: Mapping[str, int]) -> tuple[str, ...]:
     """Return the probes whose drift is combined: the first one of each axis."""
     first: dict[str, str] = {}
     for name in probes:
-        first.setdefault(name.rstrip('12'), name)
+        first.setdefault(name[0], name)
     return tuple(first.values())
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from math import nan
 
 from fuzzycnc_ros.bags.errors import RunError
+from fuzzycnc_ros.core.machine.machine_data import LINEAR_AXES
 from fuzzycnc_ros.studies.thermal_test.recording import TestRecording
 
 PROBES = ('X1', 'X2', 'Y1', 'Y2', 'Z')
@@ -71,7 +72,8 @@ def probe_channels(set_up: TestSetUp, recording: TestRecording) -> dict[str, int
     Raises
     ------
     RunError
-        If a channel is unknown or of two probes, or a probe is none of its axis.
+        If a channel is unknown or of two probes, a probe is none of its axis, or channels that
+        are not along X, Y or Z have to be named.
     """
     channels = ', '.join(recording.channel)
     found: dict[str, int] = {}
@@ -84,14 +86,19 @@ def probe_channels(set_up: TestSetUp, recording: TestRecording) -> dict[str, int
         axis = recording.axis[column]
         if column in found.values():
             raise RunError(f'probe {probe}: expected a channel of its own but {channel} has one')
-        if probe.rstrip('12') != axis:
+        if probe[0] != axis:
             raise RunError(
-                f'probe {probe}: expected a channel along {probe.rstrip("12")} but {channel} is '
-                f'along {axis}'
+                f'probe {probe}: expected a channel along {probe[0]} but {channel} is along {axis}'
             )
         found[probe] = column
     if found:
         return dict(sorted(found.items()))
+    for channel, axis in zip(recording.channel, recording.axis, strict=True):
+        if axis not in LINEAR_AXES:
+            raise RunError(
+                f'{recording.name}: expected probes along X, Y and Z but channel {channel} is '
+                f'along {axis}; name the probes by --probe, such as X1={recording.channel[0]}'
+            )
     for axis in sorted(set(recording.axis)):
         columns = [column for column, name in enumerate(recording.axis) if name == axis]
         alone = len(columns) == 1

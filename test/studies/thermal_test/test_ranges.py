@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ranges, times, tilts and phases of thermal tests that are known exactly."""
 
+from dataclasses import replace
 from math import nan, sqrt
 
 import numpy as np
@@ -16,15 +17,18 @@ from thermal_test_bags import (
     REMOVED,
     RISE,
     TIME_CONSTANT,
+    displacement,
+    mark,
     write_test,
 )
 
 from fuzzycnc_ros.bags.errors import BagTopicError, RunError
 from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.thermal_test.phases import Phase, find_phases, kind_of
 from fuzzycnc_ros.studies.thermal_test.recording import read_test
 from fuzzycnc_ros.studies.thermal_test.report import judge_test, phase_table
-from fuzzycnc_ros.studies.thermal_test.set_up import TestSetUp
+from fuzzycnc_ros.studies.thermal_test.set_up import TestSetUp, probe_channels
 
 DISTANCE = {'X': 0.1, 'Y': 0.08}
 MICRO = 1e-6
@@ -314,6 +318,21 @@ def test_phases_that_there_are_not_are_refused(phases, named, plain):
 def test_set_ups_that_do_not_fit_the_bag_are_refused(set_up, named, plain):
     with pytest.raises(RunError, match=named):
         judged(plain, set_up)
+
+
+def test_channels_that_are_no_probes_have_to_be_named(plain):
+    recording = replace(read_test(plain), axis=('X', 'X', 'Y', 'Y', 'A'))
+    with pytest.raises(RunError, match='channel Z is along A; name the probes by --probe'):
+        probe_channels(SET_UP, recording)
+    assert probe_channels(TestSetUp(probes={'Y2': 'Y1'}), recording) == {'Y2': 2}
+
+
+def test_a_mark_that_is_none_is_refused(tmp_path):
+    with PublishedBag(tmp_path / 'odd') as bag:
+        bag('node_event', replace(mark(0.0, 'rest'), request='{"face": 1}'))
+        bag('displacement', displacement(0.0, np.zeros(5), includes=False))
+    with pytest.raises(RunError, match='expected a phase as `fuzzycnc operate mark` writes it'):
+        read_test(tmp_path / 'odd')
 
 
 def test_bags_without_displacements_are_refused(tmp_path):
