@@ -295,7 +295,7 @@ def phase_table(test: ThermalTest, number: int) -> Table:
         rows.append(tuple(row))
     title = (
         f'{number} {item.phase.name}: {item.phase.kind}, {item.phase.duration / 3600.0:.2f} h; '
-        'ranges and change without and with compensation'
+        f'ranges and change without{" and with" if test.compensated else ""} compensation'
     )
     return Table(title, tuple(columns), tuple(rows))
 
