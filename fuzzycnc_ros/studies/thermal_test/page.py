@@ -91,10 +91,10 @@ def thermal_test_page(test: ThermalTest) -> Page:
 
 def _notes(test: ThermalTest) -> list[str]:
     found = [
-        'Range: largest less smallest sample, noise included. Change: last less first sample of the phase. To '
-        '90 %: time from the beginning of the phase until a sample first reaches 90 % of the '
-        'change, between samples by a straight line. Combined: largest distance of the tool from '
-        'where it was at the first sample of the phase.',
+        'Range: largest less smallest sample, noise included. Change: last less first sample of '
+        'the phase. To 90 %: time from the beginning of the phase until a sample first reaches '
+        '90 % of the change, between samples by a straight line. Combined: largest distance of '
+        'the tool from where it was at the first sample of the phase.',
         'Tilts are rotations about X (A) and Y (B), positive by the right-hand rule, from the '
         'difference of two probes over their distance along Z. 1 µm/m is 1 µrad, or 0.206 arc '
         'seconds.',

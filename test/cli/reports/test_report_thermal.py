@@ -71,6 +71,7 @@ def test_the_report_is_written_as_page_pdf_and_figures(fuzzycnc, bag):
         'on in 100 % of the time, at most 27.',
         'without, measured',
         'with, computed',
+        '"spans":[{"low":0.0,"high":2.0,"colour":"--another","name":"1 environment"}',
     ):
         assert text in page, text
     figures = json.loads(Path('r.json').read_text())
