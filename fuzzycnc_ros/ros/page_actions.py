@@ -316,7 +316,7 @@ class Actions:
             f'{bag.name} is not closed yet; it is, when the recorder has written all',
             CLOSED,
         )
-        del self._recorders[machine]
+        self._recorders.pop(machine, None)  # whoever has asked meanwhile has noticed its end
         if process.returncode:
             raise GraphError(
                 f'the recorder of {bag.name} ended with code {process.returncode}; make the bag '
