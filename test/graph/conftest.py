@@ -42,7 +42,7 @@ def command(graph, tmp_path):
 
     def begin(*words):
         folder = tmp_path / words[0]
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
         line = [sys.executable, '-m', 'fuzzycnc_ros.cli.main', *map(str, words)]
         return graph.launch(words[0], line, folder)
 
