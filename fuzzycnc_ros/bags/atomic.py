@@ -10,8 +10,15 @@ from pathlib import Path
 from fuzzycnc_ros.bags.os_errors import about
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file; after an error or a kill it is the old one or none.
+def write_text(path: Path, text: str | bytes) -> None:
+    """Write a file; after an error or a kill it is the old one or none.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    text : str or bytes
+        What stands in it.
 
     Raises
     ------
@@ -23,8 +30,8 @@ def write_text(path: Path, text: str) -> None:
     except OSError as error:
         raise about(error, path) from None
     try:
-        with os.fdopen(handle, 'w', encoding='utf-8') as file:
-            file.write(text)
+        with os.fdopen(handle, 'wb') as file:
+            file.write(text.encode() if isinstance(text, str) else text)
         os.chmod(name, 0o666 & ~_umask())
         os.replace(name, path)
     except BaseException as error:

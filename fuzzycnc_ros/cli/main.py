@@ -90,12 +90,17 @@ COMMANDS: Commands = {
     'operate': Later(
         'Run',
         'fuzzycnc_ros.cli.live.operate',
-        'Operate a running machine: status, activate, set limits, reference and probe.',
+        'Operate a running machine: status, activate, set limits, reference, probe and mark.',
     ),
     'watch': Later(
         'Run',
         'fuzzycnc_ros.cli.live.watch:watch',
         'Watch a running machine in the terminal: state, offsets, sensors, probes, alarms.',
+    ),
+    'service': Later(
+        'Run',
+        'fuzzycnc_ros.cli.live.service',
+        'Run a machine as a service of systemd: from boot on, watched, started anew.',
     ),
     'record': Later(
         'Run',
@@ -111,6 +116,11 @@ COMMANDS: Commands = {
         'Run',
         'fuzzycnc_ros.cli.bags.info:info',
         'Show what is in a bag: topics, counts, types, times, attachments, and what is wrong.',
+    ),
+    'report': Later(
+        'Run',
+        'fuzzycnc_ros.cli.reports.thermal',
+        'Reports on recordings, as pages and as PDF.',
     ),
     'advise': Later(
         'Part programs',
