@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.bags.finding import NamedBag, find_bags
 from fuzzycnc_ros.cli.completion import one_of, some_of
 from fuzzycnc_ros.cli.console import (
     JsonFile,
@@ -23,9 +24,7 @@ from fuzzycnc_ros.cli.console import (
 from fuzzycnc_ros.cli.models.many_bags import (
     BadBag,
     Jobs,
-    NamedBag,
     check_some_left,
-    find_bags,
     jobs_of,
     say_bad,
     with_each,
