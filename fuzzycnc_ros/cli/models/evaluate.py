@@ -158,15 +158,13 @@ def judge_bag(
         If the bag or its run cannot be used.
     """
     from fuzzycnc_ros.bags.runs import read_run
-    from fuzzycnc_ros.core.thermal.fit import evaluate as judge
     from fuzzycnc_ros.core.thermal.model import load_model
-    from fuzzycnc_ros.studies.thermal.missing_readings import as_predicted
+    from fuzzycnc_ros.studies.thermal.missing_readings import judge_recorded
 
     progress('evaluating', bag.name, 0, 1)
     trained = load_model(model_text)
     recorded = read_run(bag.path, stop=end, name=bag.name)
-    run, bridged = as_predicted(trained, recorded)
-    result = judge(trained, run, start=start, stop=end, recorded=recorded)
+    result, run, bridged = judge_recorded(trained, recorded, start=start, stop=end)
     probed = None
     if probe_every is not None:
         from fuzzycnc_ros.studies.thermal.probed import evaluate_probed

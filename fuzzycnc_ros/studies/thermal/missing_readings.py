@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a predictor would have read where readings of a recorded run are missing."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from fuzzycnc_ros.core.thermal.fit import Evaluation
     from fuzzycnc_ros.core.thermal.model import ThermalModel
     from fuzzycnc_ros.core.thermal.run import ThermalRun
 
@@ -74,6 +76,48 @@ def as_predicted(
     return whole, tuple(
         Bridged(*gap, by=LINE if (gap.sensor, gap.start) in left else MATES) for gap in gaps
     )
+
+
+def judge_recorded(
+    model: 'ThermalModel',
+    recorded: 'ThermalRun',
+    *,
+    start: float | None = None,
+    stop: float | None = None,
+    candidates: Collection[str] | None = None,
+) -> 'tuple[Evaluation, ThermalRun, tuple[Bridged, ...]]':
+    """Judge a model on a recorded run as it would have run on the machine.
+
+    Parameters
+    ----------
+    model, recorded : ThermalModel, ThermalRun
+        The model and the run as it was recorded, readings missing or not.
+    start, stop : float, optional
+        Times between which residuals count [s].
+    candidates : collection of str, optional
+        Candidates that are judged beside the default; all if absent.
+
+    Returns
+    -------
+    evaluation : Evaluation
+        What is left.
+    run : ThermalRun
+        The run as the predictor would have read it.
+    bridged : tuple of Bridged
+        What was missing, and what stood in for it.
+
+    Raises
+    ------
+    ThermalDataError
+        If the model cannot be judged on the run.
+    ModelMismatchError
+        If the run lacks inputs of the model.
+    """
+    from fuzzycnc_ros.core.thermal.fit import evaluate
+
+    run, bridged = as_predicted(model, recorded)
+    judged = evaluate(model, run, start=start, stop=stop, recorded=recorded, candidates=candidates)
+    return judged, run, bridged
 
 
 def _with_mates(model: 'ThermalModel', run: 'ThermalRun') -> 'NDArray[Any]':
