@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures of bags that were judged before, by content of bag and model and by version of the code.
 
-A file of SQLite, whose transactions survive a kill and keep two runs at once apart.
+A file of SQLite, whose transactions survive a kill and keep two runs at once apart.  Its log
+(WAL) makes a transaction cost no wait for the disk, and needs a disk of this host.
 """
 
 import json
 import sqlite3
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,10 +24,9 @@ FILE = 'judged.sqlite'
 PATIENCE = 60.0
 """Longest time that another run may hold the file [s]."""
 
-PERIOD = 0.5
-"""Time between two transactions [s]: what a kill costs at most."""
-
 _TABLES = """
+pragma journal_mode = wal;
+pragma synchronous = normal;
 create table if not exists bags (path text primary key, size integer, files text, sha256 text);
 create index if not exists bags_by_size on bags (size);
 create table if not exists judged (
@@ -89,7 +88,6 @@ class Cache:
         with self._named():
             self._base = sqlite3.connect(self._path, timeout=PATIENCE, isolation_level=None)
             self._base.executescript(_TABLES)
-        self._due = 0.0
 
     def __enter__(self) -> 'Cache':
         """Return the cache."""
@@ -101,10 +99,8 @@ class Cache:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Keep what was put in, also after an error."""
-        with self._named():
-            self.keep()
-            self._base.close()
+        """Close the file; what was put in is there, also after an error or a kill."""
+        self._base.close()
 
     def content_of(self, path: str, files: tuple[FileState, ...]) -> str | None:
         """Return the hash of the content of a bag, if its files are as they were."""
@@ -133,15 +129,13 @@ class Cache:
         return Known(found.pop((_FACTS, _FACTS), None), found)
 
     def put(self, path: str, judged: Judged) -> None:
-        """Remember a bag; within half a second it is safe from a kill."""
+        """Remember a bag; then it is safe from a kill."""
         documents = [
             (_FACTS, _FACTS, judged.facts),
             *((machine, model, found) for (machine, model), found in judged.figures.items()),
         ]
-        with self._named():
-            if not self._base.in_transaction:
-                self._base.execute('begin immediate')
-                self._due = time.monotonic() + PERIOD
+        with self._named(), self._base:
+            self._base.execute('begin immediate')
             self._base.execute(
                 'insert or replace into bags values (?, ?, ?, ?)',
                 (path, _size(judged.files), json.dumps(judged.files), judged.sha256),
@@ -154,13 +148,6 @@ class Cache:
                     if document
                 ],
             )
-            if time.monotonic() >= self._due:
-                self.keep()
-
-    def keep(self) -> None:
-        """End the transaction that is open, if one is."""
-        if self._base.in_transaction:
-            self._base.execute('commit')
 
     @contextmanager
     def _named(self) -> Iterator[None]:
@@ -169,12 +156,10 @@ class Cache:
             yield
         except sqlite3.OperationalError as error:
             if 'locked' in str(error):
-                cause = (
-                    f'another run has held it for {PATIENCE:g} s; wait for that, or name another'
-                )
+                cause = f'another run has held it for {PATIENCE:g} s; wait for that'
             else:
-                cause = f'{error}; name a folder that can be written'
-            raise ValueError(f'{self._path}: {cause} with --cache') from None
+                cause = f'{error}; free some space or change its rights'
+            raise ValueError(f'{self._path}: {cause}, or name another with --cache') from None
         except sqlite3.DatabaseError as error:
             raise ValueError(
                 f'{self._path}: expected figures of earlier runs but found something else '

@@ -178,7 +178,8 @@ class _Fleet:
 
     def judge(self, crew: Crew | None) -> None:
         """Bring everything into the cache that it does not have."""
-        moved, unknown = [], []
+        moved: list[int] = []
+        unknown: list[int] = []
         for at, bag in enumerate(self._bags):
             try:
                 files = files_of(bag.path)
@@ -207,7 +208,6 @@ class _Fleet:
             self._take(task, judged)
             done += 1
             self._say(done)
-        self._cache.keep()
 
     def write(self) -> None:
         """Write the rows that are not in the table yet."""
@@ -243,7 +243,9 @@ class _Fleet:
         for namespace in facts.get('machines', ()):
             machine = machine_name(namespace, _place(self._bags[at]), self._by)
             fitting = [model for model in self._models if model.fits(machine)]
-            for model in fitting or [None]:
+            if not fitting:
+                yield namespace, machine, None
+            for model in fitting:
                 yield namespace, machine, model
 
     def _take(self, task: Task, judged: Judged | Killed) -> None:

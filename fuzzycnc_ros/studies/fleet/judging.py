@@ -139,7 +139,7 @@ def judge_bag(task: Task) -> Judged:
         return Judged(sha256, files, result_version(), {}, {})
     with _one_at_a_time:
         lasting, facts = _tried(partial(_facts, path), task)
-        figures = {}
+        figures: dict[tuple[str, str], Document] = {}
         for namespace in facts.get('machines', ()):
             machine = machine_name(namespace, task.path, task.machine_by)
             fitting = [model for model in task.models if model.fits(machine)]
