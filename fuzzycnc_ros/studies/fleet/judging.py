@@ -33,7 +33,7 @@ Document = dict[str, Any]
 MACHINE_BY = ('bag', 'folder')
 """What names the machine of a bag: its topics, or the folder that it lies in."""
 
-_one_at_a_time = threading.Lock()
+one_at_a_time = threading.Lock()
 """Held while figures are computed: the number of threads of linear algebra is one per process."""
 
 
@@ -137,8 +137,8 @@ def judge_bag(task: Task) -> Judged:
         return Judged('', (), result_version(), facts, {}, lasting=False)
     if task.only_hash:
         return Judged(sha256, files, result_version(), {}, {})
-    with _one_at_a_time:
-        lasting, facts = _tried(partial(_facts, path), task)
+    with one_at_a_time:
+        lasting, facts = _tried(partial(bag_facts, path), task)
         figures: dict[tuple[str, str], Document] = {}
         for namespace in facts.get('machines', ()):
             machine = machine_name(namespace, task.path, task.machine_by)
@@ -172,7 +172,19 @@ def _place(task: Task) -> Document:
     return {'path': task.path, 'name': task.name}
 
 
-def _facts(path: Path) -> Document:
+def bag_facts(path: Path) -> Document:
+    """Return what a bag says of itself.
+
+    Returns
+    -------
+    dict
+        `machines`: namespaces with temperatures; `begin` [ns]; `duration_s`.
+
+    Raises
+    ------
+    BagError
+        If it cannot be read.
+    """
     with BagReader(path) as reader:
         spaces = [
             topic.rpartition('/')[0].strip('/')

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a predictor would have read where readings of a recorded run are missing."""
 
+import os
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -76,6 +77,25 @@ def as_predicted(
     return whole, tuple(
         Bridged(*gap, by=LINE if (gap.sensor, gap.start) in left else MATES) for gap in gaps
     )
+
+
+def read_usable(path: 'str | os.PathLike[str]', interval: float, **options: Any) -> 'ThermalRun':
+    """Read a run that can be trained on at an interval [s]; options are those of `read_run`.
+
+    Raises
+    ------
+    BagError
+        If it cannot be read.
+    ThermalDataError
+        If it is too slow, or lacks readings for longer than is bridged.
+    """
+    from fuzzycnc_ros.bags.runs import read_run
+    from fuzzycnc_ros.core.thermal.fit.training import at_interval
+    from fuzzycnc_ros.core.thermal.fit.training_runs import check_gaps
+
+    run = read_run(path, **options)
+    check_gaps([at_interval(run, interval)])
+    return run
 
 
 def judge_recorded(

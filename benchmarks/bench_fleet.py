@@ -1,0 +1,210 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Thousands of bags judged on a Dask scheduler: what a second worker gains, what the cache saves.
+
+Makes bags of 3 sensors and 300 samples, varied from one warm-up of a machine, and judges them with
+`fuzzycnc_ros.studies.fleet`: on one worker process, on two, again from the cache, and in one
+process without Dask, whose figures have to be the same to the last bit.  What counts are ratios:
+two workers take at most 0.6 of the time of one, a run from the cache 0.02 of the first.  With
+`--sizes 100,1000,10000` it also prints how time and memory of the driver grow.
+Run with `python benchmarks/bench_fleet.py`; it needs the extra `fleet`, and an idle computer.
+"""
+
+import os
+
+# One thread, set before numpy starts its pool, and handed down to the workers.
+os.environ |= dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'), '1')
+
+import argparse
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from fuzzycnc_ros.bags.finding import find_bags
+from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.core.thermal.run import ThermalRun
+from fuzzycnc_ros.runtime.records import SECOND, Displacement, Temperatures
+from fuzzycnc_ros.studies.fleet.dask_crew import dask_crew
+from fuzzycnc_ros.studies.fleet.evaluation import evaluate_fleet, read_models
+from fuzzycnc_ros.studies.fleet.results import read_rows
+from fuzzycnc_ros.studies.published_bag import PublishedBag
+
+SAMPLES, SENSORS = 300, ('front', 'rear', 'bed')
+FIRST_DAY, DAY = 1_767_600_000 * SECOND, 86_400 * SECOND
+MACHINES = 4
+RATIO_MAX, CACHED_MAX = 0.6, 0.02
+
+WORKER = """
+import sys
+from distributed import LocalCluster
+cluster = LocalCluster(
+    n_workers=int(sys.argv[1]), threads_per_worker=1, dashboard_address=None, host='127.0.0.1'
+)
+print(cluster.scheduler_address, flush=True)
+sys.stdin.read()
+cluster.close()
+"""
+
+
+def warm_up(seed: int, drift: float = 0.0) -> ThermalRun:
+    """Return a run of a machine that warms up and cools down; `drift` it has beside that [m]."""
+    rng = np.random.default_rng(seed)
+    time = 60.0 * np.arange(SAMPLES)
+    half = time[-1] / 2.0
+    heat = np.where(time < half, 1 - np.exp(-time / 1800), np.exp(-(time - half) / 1800))
+    heat *= rng.uniform(0.9, 1.1)
+    noise = rng.standard_normal((SAMPLES, len(SENSORS) + 2))
+    return ThermalRun(
+        name=str(seed),
+        time=time,
+        sensor=SENSORS,
+        temperature=20.0 + np.outer(heat, (8.0, 5.0, 3.0)) + 0.05 * noise[:, :-2],
+        channel=('y', 'z'),
+        axis=('Y', 'Z'),
+        displacement=np.outer(heat, (12e-6, 6e-6)) + drift * heat[:, None] + 1e-7 * noise[:, -2:],
+    )
+
+
+def write_bag(run: ThermalRun, path: Path, begin: int, machine: str) -> None:
+    """Write a run into a bag that begins at a time [ns]."""
+    with PublishedBag(path, machine=machine) as bag:
+        for time, temperature, displacement in zip(
+            run.time, run.temperature, run.displacement, strict=True
+        ):
+            stamp = begin + round(time * SECOND)
+            known = np.isfinite(temperature)
+            bag(
+                'displacement',
+                Displacement(
+                    stamp=stamp,
+                    frame_id=f'{machine}/workpiece',
+                    axis=run.axis,
+                    channel=run.channel,
+                    displacement=displacement,
+                    standard_deviation=np.full(len(displacement), 1e-7),
+                    includes_compensation=False,
+                ),
+            )
+            bag(
+                'temperatures',
+                Temperatures(
+                    stamp=stamp,
+                    frame_id=f'{machine}/machine',
+                    sensor=run.sensor,
+                    temperature=np.where(known, temperature, 0.0),
+                    status=np.where(known, 0, 1).astype(np.uint8),
+                    readings=1,
+                ),
+            )
+
+
+def make_shop(folder: Path, count: int) -> list[Path]:
+    """Write bags of some machines, one of which drifts; return their places in order."""
+    places = []
+    for number in range(count):
+        machine, day = f'mill_{number % MACHINES + 1}', number // MACHINES
+        place = folder / machine / f'{machine}_{day:05d}'
+        drift = 2e-8 * day if machine == 'mill_2' else 0.0
+        if not place.exists():
+            write_bag(warm_up(number + 100, drift), place, FIRST_DAY + day * DAY, machine)
+        places.append(place)
+    return places
+
+
+@contextmanager
+def scheduler(workers: int) -> Iterator[str]:
+    """Run a Dask scheduler with worker processes in a process of its own; return its address."""
+    process = subprocess.Popen(
+        [sys.executable, '-c', WORKER, str(workers)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        yield process.stdout.readline().strip()
+    finally:
+        process.stdin.close()
+        process.wait(60.0)
+
+
+def judged(places: list[Path], model: Path, out: Path, address: str = '') -> float:
+    """Judge bags, on the workers of a scheduler or in this process; return the time it took."""
+    bags = find_bags(places)
+    models, _ = read_models([model])
+    options = {'cache': out.with_suffix('.cache')}
+    begin = perf_counter()
+    if not address:
+        evaluate_fleet(bags, models, out, **options)
+        return perf_counter() - begin
+    with dask_crew(address) as crew:
+        begin = perf_counter()
+        evaluate_fleet(bags, models, out, crew=crew, **options)
+        return perf_counter() - begin
+
+
+def main() -> None:
+    """Print the ratios."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--bags', type=int, default=2000)
+    parser.add_argument('--sizes', default='', help='numbers of bags, such as 100,1000,10000')
+    parser.add_argument('--keep', type=Path, help='folder of bags that is made once')
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        shop = given.keep or folder / 'shop'
+        sizes = [int(text) for text in given.sizes.split(',') if text]
+        places = make_shop(shop, max(given.bags, *sizes, 0))
+        model = folder / 'model.json'
+        model.write_text(train_model([warm_up(1), warm_up(2)]).to_json(), encoding='utf-8')
+        judged(places[:4], model, folder / 'warm.parquet')  # imports, and the hash of the code
+        print_ratios(places[: given.bags], model, folder)
+        if sizes:
+            print_growth(sizes, places, model, folder)
+
+
+def print_ratios(places: list[Path], model: Path, folder: Path) -> None:
+    """Print what a second worker gains and what the cache saves."""
+    print(f'{len(places)} bags of {len(SENSORS)} sensors and {SAMPLES} samples')
+    times, rows = {}, {}
+    for workers in (1, 2):
+        out = folder / f'{workers}.parquet'
+        with scheduler(workers) as address:
+            judged(places[:8], model, folder / f'warm_{workers}.parquet', address)
+            times[workers] = judged(places, model, out, address)
+            cached = judged(places, model, out, address)
+        rows[workers] = out.read_bytes()
+        print(f'  {workers} worker(s): {times[workers]:.1f} s, again {cached:.2f} s')
+    alone = judged(places, model, folder / 'alone.parquet')
+    print(f'  one process without Dask: {alone:.1f} s')
+    print(f'two workers : one      {times[2] / times[1]:.2f} (at most {RATIO_MAX})')
+    print(f'again : first          {cached / times[2]:.3f} (below {CACHED_MAX})')
+    same = rows[1] == rows[2] == (folder / 'alone.parquet').read_bytes()
+    print(f'files are the same     {same}')
+
+
+def print_growth(sizes: list[int], places: list[Path], model: Path, folder: Path) -> None:
+    """Print how time and memory of the driver grow with the number of bags."""
+    print('   bags    s      ms per bag   again ms per bag   rows   peak memory of the driver MiB')
+    with scheduler(2) as address:
+        for size in sorted(sizes):
+            out = folder / f'size_{size}.parquet'
+            first = judged(places[:size], model, out, address)
+            again = judged(places[:size], model, out, address)
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            print(
+                f'{size:7d} {first:7.1f} {1e3 * first / size:9.1f} {1e3 * again / size:16.2f}'
+                f' {len(read_rows(out)) if size <= 1000 else 2 * size:10d} {peak:14.0f}'
+            )
+
+
+if __name__ == '__main__':
+    main()
