@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from time import perf_counter
 
@@ -33,7 +33,6 @@ from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.runtime.records import SECOND, Displacement, Temperatures
 from fuzzycnc_ros.studies.fleet.dask_crew import dask_crew
 from fuzzycnc_ros.studies.fleet.evaluation import evaluate_fleet, read_models
-from fuzzycnc_ros.studies.fleet.results import read_rows
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 
 SAMPLES, SENSORS = 300, ('front', 'rear', 'bed')
@@ -138,16 +137,10 @@ def scheduler(workers: int) -> Iterator[str]:
 
 def judged(places: list[Path], model: Path, out: Path, address: str = '') -> float:
     """Judge bags, on the workers of a scheduler or in this process; return the time it took."""
-    bags = find_bags(places)
-    models, _ = read_models([model])
-    options = {'cache': out.with_suffix('.cache')}
-    begin = perf_counter()
-    if not address:
-        evaluate_fleet(bags, models, out, **options)
-        return perf_counter() - begin
-    with dask_crew(address) as crew:
+    with dask_crew(address) if address else nullcontext() as crew:
         begin = perf_counter()
-        evaluate_fleet(bags, models, out, crew=crew, **options)
+        models, _ = read_models([model])
+        evaluate_fleet(find_bags(places), models, out, crew=crew, cache=out.with_suffix('.cache'))
         return perf_counter() - begin
 
 
@@ -193,7 +186,7 @@ def print_ratios(places: list[Path], model: Path, folder: Path) -> None:
 
 def print_growth(sizes: list[int], places: list[Path], model: Path, folder: Path) -> None:
     """Print how time and memory of the driver grow with the number of bags."""
-    print('   bags    s      ms per bag   again ms per bag   rows   peak memory of the driver MiB')
+    print('   bags       s  ms a bag  again ms a bag  peak memory of the driver MiB')
     with scheduler(2) as address:
         for size in sorted(sizes):
             out = folder / f'size_{size}.parquet'
@@ -201,8 +194,8 @@ def print_growth(sizes: list[int], places: list[Path], model: Path, folder: Path
             again = judged(places[:size], model, out, address)
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             print(
-                f'{size:7d} {first:7.1f} {1e3 * first / size:9.1f} {1e3 * again / size:16.2f}'
-                f' {len(read_rows(out)) if size <= 1000 else 2 * size:10d} {peak:14.0f}'
+                f'{size:7d} {first:7.1f} {1e3 * first / size:9.1f} {1e3 * again / size:15.2f}'
+                f' {peak:30.0f}'
             )
 
 
