@@ -25,18 +25,15 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from time import perf_counter
 
-import numpy as np
+sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'support'))
+
+from fleet_bags import DAY, FIRST_DAY, SAMPLES, SENSORS, warm_up, write_bag
 
 from fuzzycnc_ros.bags.finding import find_bags
 from fuzzycnc_ros.core.thermal.fit import train_model
-from fuzzycnc_ros.core.thermal.run import ThermalRun
-from fuzzycnc_ros.runtime.records import SECOND, Displacement, Temperatures
 from fuzzycnc_ros.studies.fleet.dask_crew import dask_crew
 from fuzzycnc_ros.studies.fleet.evaluation import evaluate_fleet, read_models
-from fuzzycnc_ros.studies.published_bag import PublishedBag
 
-SAMPLES, SENSORS = 300, ('front', 'rear', 'bed')
-FIRST_DAY, DAY = 1_767_600_000 * SECOND, 86_400 * SECOND
 MACHINES = 4
 RATIO_MAX, CACHED_MAX = 0.6, 0.02
 
@@ -50,58 +47,6 @@ print(cluster.scheduler_address, flush=True)
 sys.stdin.read()
 cluster.close()
 """
-
-
-def warm_up(seed: int, drift: float = 0.0) -> ThermalRun:
-    """Return a run of a machine that warms up and cools down; `drift` it has beside that [m]."""
-    rng = np.random.default_rng(seed)
-    time = 60.0 * np.arange(SAMPLES)
-    half = time[-1] / 2.0
-    heat = np.where(time < half, 1 - np.exp(-time / 1800), np.exp(-(time - half) / 1800))
-    heat *= rng.uniform(0.9, 1.1)
-    noise = rng.standard_normal((SAMPLES, len(SENSORS) + 2))
-    return ThermalRun(
-        name=str(seed),
-        time=time,
-        sensor=SENSORS,
-        temperature=20.0 + np.outer(heat, (8.0, 5.0, 3.0)) + 0.05 * noise[:, :-2],
-        channel=('y', 'z'),
-        axis=('Y', 'Z'),
-        displacement=np.outer(heat, (12e-6, 6e-6)) + drift * heat[:, None] + 1e-7 * noise[:, -2:],
-    )
-
-
-def write_bag(run: ThermalRun, path: Path, begin: int, machine: str) -> None:
-    """Write a run into a bag that begins at a time [ns]."""
-    with PublishedBag(path, machine=machine) as bag:
-        for time, temperature, displacement in zip(
-            run.time, run.temperature, run.displacement, strict=True
-        ):
-            stamp = begin + round(time * SECOND)
-            known = np.isfinite(temperature)
-            bag(
-                'displacement',
-                Displacement(
-                    stamp=stamp,
-                    frame_id=f'{machine}/workpiece',
-                    axis=run.axis,
-                    channel=run.channel,
-                    displacement=displacement,
-                    standard_deviation=np.full(len(displacement), 1e-7),
-                    includes_compensation=False,
-                ),
-            )
-            bag(
-                'temperatures',
-                Temperatures(
-                    stamp=stamp,
-                    frame_id=f'{machine}/machine',
-                    sensor=run.sensor,
-                    temperature=np.where(known, temperature, 0.0),
-                    status=np.where(known, 0, 1).astype(np.uint8),
-                    readings=1,
-                ),
-            )
 
 
 def make_shop(folder: Path, count: int) -> list[Path]:

@@ -131,6 +131,11 @@ class Course:
         return _median(newest(self.rms))
 
     @property
+    def newest_bare(self) -> float:
+        """Median `bare` of the newest bags [um]."""
+        return _median(newest(self.bare))
+
+    @property
     def newest_in_domain(self) -> float:
         """Median share of the newest bags in the domain [-]."""
         return _median(newest(self.in_domain))

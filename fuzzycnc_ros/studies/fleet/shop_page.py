@@ -24,7 +24,7 @@ from fuzzycnc_ros.studies.fleet.condition import (
     newest,
 )
 from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Rule, Series
-from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, INK, LIMIT, MUTED, WARNING
+from fuzzycnc_ros.studies.page.drawing import AFTER, INK, LIMIT, MUTED, WARNING
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 
@@ -218,13 +218,14 @@ def _drift_table(courses: Sequence[Course]) -> Table:
                 _drift_verdict(item),
                 str(len(item.rms)),
                 f'{item.days:.0f}',
+                _number(item.newest_bare, 1),
                 _number(item.newest_rms, 1),
                 _signed(item.trend.slope, 2),
                 _interval(item.trend, 2),
             )
         )
         if item.trend.rises:
-            warning |= {(number, 0), (number, 3), (number, 7)}
+            warning |= {(number, 0), (number, 3), (number, 8)}
     columns = (
         Column('Machine', numeric=False),
         Column('Model', numeric=False),
@@ -232,7 +233,8 @@ def _drift_table(courses: Sequence[Course]) -> Table:
         Column('Verdict', numeric=False),
         Column('bags'),
         Column('days'),
-        Column('newest rmse'),
+        Column('uncompensated', 'newest bags'),
+        Column('rmse', 'newest bags'),
         Column('trend', f'per {MONTH:.0f} days'),
         Column('interval', f'per {MONTH:.0f} days'),
     )
@@ -266,7 +268,8 @@ def _stale_table(courses: Sequence[Course]) -> Table:
             warning |= {(number, 0), (number, 3)}
             warning |= {(number, 6)} if item.ratio_low > STALE_RATIO else set()
             warning |= {(number, 9)} if item.diverged else set()
-            warning |= {(number, 7)} if item.newest_in_domain < DOMAIN_MIN else set()
+            leaves = item.domain_trend.falls and item.newest_in_domain < DOMAIN_MIN
+            warning |= {(number, 7)} if leaves else set()
     columns = (
         Column('Machine', numeric=False),
         Column('Model', numeric=False),
@@ -334,8 +337,8 @@ def _sensor_table(sensors: Sequence[SensorCourse]) -> Table:
 def _unjudged_table(condition: ShopCondition) -> Table:
     columns = tuple(Column(name, numeric=False) for name in ('Machine', 'Bag', 'Reason'))
     rows = tuple((item.machine, item.bag, item.problem) for item in condition.unjudged[:SHOWN])
-    title = f'{len(condition.unjudged)} times a bag could not be judged'
-    return Table(title if rows else 'Every bag could be judged', columns, rows)
+    title = f'Not judged: {len(condition.unjudged)}' if rows else 'All were judged'
+    return Table(title, columns, rows)
 
 
 def _drift_verdict(item: Course) -> str:
@@ -369,7 +372,6 @@ def _figures(
 def _residual_panel(item: Course, condition: ShopCondition) -> Panel:
     days = _days(item.begin, condition)
     series = [
-        Series('uncompensated', item.bare, BEFORE, kind='dots', quiet=True),
         Series('with the model', item.rms, AFTER, kind='dots'),
     ]
     known = np.isfinite(item.rms)
