@@ -270,8 +270,8 @@ def compared_table(found: 'Sequence[OfMachine]') -> 'Table':
         Column('held out'),
         Column('uncompensated'),
         Column('Best model', numeric=False),
-        Column('its rmse'),
-        Column('rmse of the automatic choice'),
+        Column('rmse', 'best'),
+        Column('rmse', 'automatic'),
     )
     return Table('Residual over all held-out bags [µm]', columns, tuple(rows))
 

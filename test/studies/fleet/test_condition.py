@@ -124,20 +124,24 @@ def test_bags_that_the_model_was_trained_on_tell_no_drift():
     assert (len(course.rms), course.stale) == (0, False)
 
 
-def test_tables_page_and_document_say_the_same(shop):
+def test_tables_and_document_say_the_same(shop):
     drifts, stale, sensors, unjudged = shop_tables(shop)
     assert drifts.rows[0][:4] == ('mill_2', 'mill', 'y', 'drifts')
     assert stale.rows[0][0] == 'mill_5'
     assert sensors.rows[0][:3] == ('mill_4', 'rear', 'fails')
     assert unjudged.rows == (('mill_6', 'mill_6/0', 'mill: too <slow>'),)
+    document = shop_document(shop)
+    assert document['drifts'][0]['slope_um_per_30_days'] == shop.drifts[0].trend.slope
+    assert [item['stale'] for item in document['models']] == [True] * 3 + [False] * 2
+
+
+@pytest.mark.slow
+def test_the_page_says_how_many(shop):
     text = render_page(shop_page(shop, 'shop.parquet'))
     assert '1 of 6 machines drift beyond chance, 3 of 5 models are stale' in text
     assert '1 of 1 sensors fail, 1 of 251 bags could not be judged' in text
     assert 'too &lt;slow&gt;' in text
     assert '2026-01-05 to 2026-03-05' in text
-    document = shop_document(shop)
-    assert document['drifts'][0]['slope_um_per_30_days'] == shop.drifts[0].trend.slope
-    assert [item['stale'] for item in document['models']] == [True] * 3 + [False] * 2
 
 
 def test_an_empty_table_is_refused():
