@@ -35,6 +35,7 @@ from fuzzycnc_ros.studies.fleet.dask_crew import dask_crew
 from fuzzycnc_ros.studies.fleet.evaluation import evaluate_fleet, read_models
 
 MACHINES = 4
+TURN = 100
 RATIO_MAX, CACHED_MAX = 0.6, 0.02
 
 WORKER = """
@@ -80,12 +81,16 @@ def scheduler(workers: int) -> Iterator[str]:
         process.wait(60.0)
 
 
-def judged(places: list[Path], model: Path, out: Path, address: str = '') -> float:
+def judged(
+    places: list[Path], model: Path, out: Path, address: str = '', cache: Path | None = None
+) -> float:
     """Judge bags, on the workers of a scheduler or in this process; return the time it took."""
     with dask_crew(address) if address else nullcontext() as crew:
         begin = perf_counter()
         models, _ = read_models([model])
-        evaluate_fleet(find_bags(places), models, out, crew=crew, cache=out.with_suffix('.cache'))
+        evaluate_fleet(
+            find_bags(places), models, out, crew=crew, cache=cache or out.with_suffix('.cache')
+        )
         return perf_counter() - begin
 
 
@@ -112,21 +117,33 @@ def main() -> None:
 def print_ratios(places: list[Path], model: Path, folder: Path) -> None:
     """Print what a second worker gains and what the cache saves."""
     print(f'{len(places)} bags of {len(SENSORS)} sensors and {SAMPLES} samples')
-    times, rows = {}, {}
-    for workers in (1, 2):
-        out = folder / f'{workers}.parquet'
-        with scheduler(workers) as address:
-            judged(places[:8], model, folder / f'warm_{workers}.parquet', address)
-            times[workers] = judged(places, model, out, address)
-            cached = judged(places, model, out, address)
-        rows[workers] = out.read_bytes()
-        print(f'  {workers} worker(s): {times[workers]:.1f} s, again {cached:.2f} s')
+    counts = (1, 2)
+    times: dict[int, list[float]] = {workers: [] for workers in counts}
+    with scheduler(1) as one, scheduler(2) as two:
+        for workers, address in zip(counts, (one, two), strict=True):
+            judged(places[:8], model, folder / 'warm.parquet', address, folder / f'warm{workers}')
+        # By turns, so that other work on the computer slows both alike.
+        for first in range(0, len(places), TURN):
+            for workers, address in zip(counts, (one, two), strict=True):
+                part, cache = places[first : first + TURN], folder / f'cache_{workers}'
+                taken = judged(part, model, folder / 'part.parquet', address, cache)
+                times[workers].append(taken)
+    again = []
+    for workers in counts:
+        out, cache = folder / f'{workers}.parquet', folder / f'cache_{workers}'
+        again.append(judged(places, model, out, cache=cache))
+        print(f'  {workers} worker(s): {sum(times[workers]):.1f} s, again {again[-1]:.2f} s')
     alone = judged(places, model, folder / 'alone.parquet')
     print(f'  one process without Dask: {alone:.1f} s')
-    print(f'two workers : one      {times[2] / times[1]:.2f} (at most {RATIO_MAX})')
-    print(f'again : first          {cached / times[2]:.3f} (below {CACHED_MAX})')
-    same = rows[1] == rows[2] == (folder / 'alone.parquet').read_bytes()
-    print(f'files are the same     {same}')
+    ratios = sorted(two / one for one, two in zip(*times.values(), strict=True))
+    gain = sum(times[2]) / sum(times[1])
+    print(
+        f'two workers : one      {gain:.2f} (at most {RATIO_MAX}), '
+        f'by turns {ratios[0]:.2f} to {ratios[-1]:.2f}, median {ratios[len(ratios) // 2]:.2f}'
+    )
+    print(f'again : first          {again[1] / sum(times[2]):.4f} (below {CACHED_MAX})')
+    files = [(folder / f'{name}.parquet').read_bytes() for name in ('1', '2', 'alone')]
+    print(f'files are the same     {files[0] == files[1] == files[2]}')
 
 
 def print_growth(sizes: list[int], places: list[Path], model: Path, folder: Path) -> None:

@@ -49,6 +49,8 @@ def dask_crew(address: str) -> Iterator[Crew]:
 def _client(address: str) -> Any:
     distributed = fleet_library('distributed')
     try:
+        # A client that is given none hangs for its patience when it is dropped.
+        fleet_library('distributed.comm').get_address_host_port(address)
         client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ValueError(

@@ -133,6 +133,16 @@ def test_a_missing_dask_is_named(refused, monkeypatch):
     )  # fmt: skip
 
 
+@pytest.mark.parametrize('address', ['nonsense', 'zzz://127.0.0.1:1'])
+def test_an_address_that_is_none_is_refused(refused, monkeypatch, address):
+    pytest.importorskip('distributed')
+    monkeypatch.setattr(
+        'fuzzycnc_ros.studies.fleet.evaluation.read_models', lambda places: ((), [])
+    )
+    arguments = ('bags', '--model', 'm.json', '--out', 'o.parquet', '--dask', address)
+    refused('fleet', 'evaluate', *arguments, naming=(f'at {address} but this is no address',))
+
+
 def test_a_table_that_is_none_is_refused(refused):
     Path('shop.parquet').write_text('no table')
     refused(

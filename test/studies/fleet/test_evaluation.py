@@ -26,6 +26,8 @@ from fuzzycnc_ros.studies.fleet.in_flight import Crew, only
 from fuzzycnc_ros.studies.fleet.judging import judge_bag
 from fuzzycnc_ros.studies.fleet.results import COLUMNS, read_rows
 
+pytest.importorskip('pyarrow', reason="a fleet needs pip install 'fuzzycnc_ros[fleet]'")
+
 
 def judged(shop, *places, models=None, **options):
     found, problems = read_models(models or [shop.model])
@@ -279,7 +281,7 @@ def test_a_missing_library_is_named(shop, monkeypatch):
 
 
 def test_a_table_of_others_is_refused(tmp_path):
-    pyarrow = pytest.importorskip('pyarrow')
+    import pyarrow
     from pyarrow import parquet
 
     path = tmp_path / 'other.parquet'
