@@ -16,6 +16,8 @@ FLOOR_TESTS := test/core test/simulation test/runtime test/components test/studi
 # What a sourced ROS installation or another environment left behind would be mixed with ours.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unexport LD_LIBRARY_PATH PYTHONHOME PYTHONPATH VIRTUAL_ENV RMW_IMPLEMENTATION
+# Without compiled modules on disk each of the many processes would compile all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 
 # The environment is a whole ROS prefix; one thread a process, as two cores hold many processes.
 ROS := AMENT_PREFIX_PATH='$(VENV)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1

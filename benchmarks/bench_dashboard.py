@@ -8,15 +8,20 @@ A machine with 76 sensors is played at 1 Hz.  Measured are, one after the other:
 - *page closed*: `dashboard` beside the graph, with no page open;
 - *ten pages*: ten clients that take every frame;
 - *history*: what 24 hours of 76 sensors at 1 Hz take in memory;
-- *latency*: from the publication of temperatures to the frame that shows them;
-- *NiceGUI*: its empty page with ten clients, where `nicegui` is installed (it is not in the lock).
+- *latency*: from the publication of temperatures to the frame that shows them, and to what is
+  written on the page;
+- *NiceGUI*: its empty page, closed and in ten windows, if the Python of an environment that has
+  it is named (it is not in the lock).
+
+The windows are those of a headless Chromium, which needs its driver.
 
 Processor time is that of the process, from /proc, as a part of one core; memory is resident.
-Run with `python benchmarks/bench_dashboard.py [SECONDS]`.
+Run with `python benchmarks/bench_dashboard.py [SECONDS [PYTHON WITH NICEGUI]]`.
 """
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -24,7 +29,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -34,6 +38,8 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from selenium import webdriver
+from selenium.webdriver.support.wait import WebDriverWait
 from websockets.sync.client import connect
 
 from fuzzycnc_ros.cli.live.free_domain import own_domain
@@ -62,6 +68,17 @@ from nicegui import ui
 def page():
     ui.label('empty')
 ui.run(port={PORT + 1}, show=False, reload=False)
+"""
+OFFSET_SHOWN = 'return document.querySelector(`[data-field="Y offset"]`)'
+WATCH_OFFSET = """
+const place = document.querySelector(`[data-field="Y offset"]`);
+let shown = place.textContent;
+window.seen = [];
+new MutationObserver(() => {
+  if (place.textContent === shown) return;
+  shown = place.textContent;
+  requestAnimationFrame(() => window.seen.push(Date.now()));
+}).observe(place, {childList: true, characterData: true, subtree: true});
 """
 _TICKS = os.sysconf('SC_CLK_TCK')
 
@@ -140,7 +157,7 @@ class Machine:
 
     def _tick(self) -> None:
         stamp = time.time_ns()
-        axes, warm = ('Y', 'Z'), np.array([3e-6, 5e-6]) + 1e-8 * (stamp // SECOND % 100)
+        axes, warm = ('Y', 'Z'), np.array([3e-6, 5e-6]) + 1e-7 * (stamp // SECOND % 100)
         no, none = np.zeros(2, bool), np.zeros(2)
         records = {
             'machine_state': MachineState(
@@ -239,18 +256,57 @@ def history_memory() -> float:
     return history.nbytes / 2**20
 
 
-def nicegui(seconds: float) -> None:
-    """Measure NiceGUI's empty page, closed and with ten clients."""
+@contextmanager
+def browser() -> Iterator[webdriver.Chrome]:
+    """Start a headless browser."""
+    options = webdriver.ChromeOptions()
+    for flag in ('--headless', '--no-sandbox', '--disable-gpu', '--disable-dev-shm-usage'):
+        options.add_argument(flag)
+    service = webdriver.ChromeService(shutil.which('chromedriver'))
+    with webdriver.Chrome(options=options, service=service) as driver:
+        yield driver
+
+
+def on_screen(sent: dict[float, float], seconds: float) -> list[float]:
+    """Return the times from the publication of offsets to what stands on a page [s].
+
+    An observer in the page notes when the offset changes: the clock of the page and ours are one
+    host's.
+    """
+    with browser() as driver:
+        driver.get(f'http://127.0.0.1:{PORT}/')
+        WebDriverWait(driver, 30).until(lambda page: page.execute_script(OFFSET_SHOWN))
+        driver.execute_script(WATCH_OFFSET)
+        time.sleep(seconds)
+        seen = driver.execute_script('return window.seen')
+    offset = time.time() - time.monotonic()
+    begun = sorted(monotonic + offset for monotonic in sent.values())
+    ages = []
+    for moment in (1e-3 * number for number in seen):
+        before = [value for value in begun if value <= moment]
+        ages.append(moment - before[-1])
+    return ages
+
+
+def nicegui(python: str, seconds: float) -> None:
+    """Measure NiceGUI's empty page, closed and in ten windows."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         script = Path(folder) / 'empty.py'
         script.write_text(NICEGUI)
-        pid = stack.enter_context(running(sys.executable, str(script)))
+        pid = stack.enter_context(running(python, str(script)))
         time.sleep(2 * SETTLING)
         share, resident = cost(pid, seconds)
         print(f'NiceGUI, empty page closed: {100 * share:.2f} % of a core, {resident:.0f} MiB')
+        driver = stack.enter_context(browser())
+        for _ in range(PAGES):
+            driver.switch_to.new_window('window')
+            driver.get(f'http://127.0.0.1:{PORT + 1}/')
+        time.sleep(SETTLING)
+        share, resident = cost(pid, seconds)
+        print(f'NiceGUI, {PAGES} windows: {100 * share:.2f} % of a core, {resident:.0f} MiB')
 
 
-def main(seconds: float) -> None:
+def main(seconds: float, python: str) -> None:
     """Measure and print."""
     prepare_environment()
     own_domain()
@@ -272,14 +328,16 @@ def main(seconds: float) -> None:
             latencies.clear()
             share, resident = cost(pid, seconds)
             age = f'{1e3 * median(latencies):.0f} ms, at most {1e3 * max(latencies):.0f} ms'
+        shown = on_screen(machine.sent, seconds)
         print(f'{PAGES} pages at 1 Hz: {100 * share:.2f} % of a core, {resident:.0f} MiB')
         print(f'from the topic to the frame: median {age}, of {len(latencies)}')
+        age = f'{1e3 * median(shown):.0f} ms, at most {1e3 * max(shown):.0f} ms'
+        print(f'from the topic to the screen: median {age}, of {len(shown)}')
     print(f'history of 24 h, {SENSORS} sensors at 1 Hz: {history_memory():.1f} MiB')
-    if find_spec('nicegui') is None:
-        print('NiceGUI is not installed: pip install nicegui')
-    else:
-        nicegui(seconds)
+    if python:
+        nicegui(python, seconds)
 
 
 if __name__ == '__main__':
-    main(float(sys.argv[1]) if len(sys.argv) > 1 else 30.0)
+    given = sys.argv[1:]
+    main(float(given[0]) if given else 30.0, given[1] if len(given) > 1 else '')

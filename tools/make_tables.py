@@ -84,9 +84,10 @@ EXTRAS = (
         'node_event',
         NodeEvent.TYPE,
         STREAM,
-        'every node with a component; dashboard',
+        'every node with a component; dashboard; operator',
         'recorder, replay',
-        'a service, action or transition changed the state; somebody acted on the live page',
+        'a service, action or transition changed the state; somebody acted on the live page, or '
+        'marked the phase of a test',
     ),
     Extra(
         'deadline_fired',

@@ -61,13 +61,15 @@ for entry in distribution('fuzzycnc_ros').entry_points:
 """
 
 # The ROS wheels and a sourced ROS installation leave these behind; in another environment's
-# Python they load the wrong libraries or skip the set-up of the right ones.
+# Python they load the wrong libraries or skip the set-up of the right ones; without byte code
+# each of the many processes compiles all that it imports.
 FOREIGN = (
     '_ROS_WHEELS_BOOTSTRAP_COMPLETE',
     'AMENT_PREFIX_PATH',
     'CMAKE_PREFIX_PATH',
     'COLCON_PREFIX_PATH',
     'LD_LIBRARY_PATH',
+    'PYTHONDONTWRITEBYTECODE',
     'PYTHONHOME',
     'PYTHONPATH',
     'VIRTUAL_ENV',

@@ -30,7 +30,7 @@ try:
     from pydantic_core import PydanticCustomError, core_schema
 except ImportError as error:
     raise ParameterError(
-        f'files of devices and controls need pydantic 2 ({error}); run pip install '
+        f'files of devices, controls and thermal tests need pydantic 2 ({error}); run pip install '
         "'fuzzycnc_ros[modbus,opcua]'"
     ) from error
 

@@ -39,16 +39,23 @@ def whole_file(path: Path) -> Iterator[Path]:
         raise
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file; after an error or a kill it is the old one or none.
+def write_text(path: Path, text: str | bytes) -> None:
+    """Write a file; after an error or a kill it is the old one or none.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    text : str or bytes
+        What stands in it.
 
     Raises
     ------
     OSError
         If it cannot be written.
     """
-    with whole_file(path) as draft, draft.open('w', encoding='utf-8') as file:
-        file.write(text)
+    with whole_file(path) as draft:
+        draft.write_bytes(text.encode() if isinstance(text, str) else text)
 
 
 def _umask() -> int:

@@ -108,9 +108,9 @@ def read_run(
         other = find_topic(
             reader, displacement, DISPLACEMENT_TYPE, machine if namespace is None else namespace
         )
-        sources = _speed_topics(reader, machine if namespace is None else namespace)
-        temperature = _Samples(source, topic, ('sensor',), 'sensor')
-        moving = _Samples(source, other, ('axis', 'channel'), 'channel')
+        sources = speed_topics(reader, machine if namespace is None else namespace)
+        temperature = Samples(source, topic, ('sensor',), 'sensor')
+        moving = Samples(source, other, ('axis', 'channel'), 'channel')
         told: list[tuple[str, int, float]] = []
         for kind, _, _, message in reader.messages([topic, other, *sources]):  # one pass
             if kind in sources:
@@ -224,8 +224,20 @@ def find_topic(reader: BagReader, name: str, type_name: str, namespace: str | No
     return topic
 
 
-class _Samples:
-    """The samples of a topic as they come, with the name arrays, which must stay the same."""
+class Samples:
+    """The samples of a topic as they come, with the name arrays, which must stay the same.
+
+    Parameters
+    ----------
+    path : Path
+        The bag, for messages.
+    topic : str
+        The topic.
+    fields : tuple of str
+        Fields of a message that hold the name arrays.
+    unique : str
+        The one of them whose names must differ.
+    """
 
     def __init__(self, path: Path, topic: str, fields: tuple[str, ...], unique: str) -> None:
         self._where = f'{path}: {topic}'
@@ -286,7 +298,7 @@ class _Samples:
         return Series(stamp, names, np.array(self._rows, dtype=np.float64))
 
 
-def _speed_topics(reader: BagReader, machine: str) -> dict[str, str]:
+def speed_topics(reader: BagReader, machine: str) -> dict[str, str]:
     """Return the machine's topics that may tell the spindle speed, to the name of the source."""
     wanted = {_absolute(f'{machine}/{name}'): name for name in TOPICS}
     found = {}

@@ -95,7 +95,7 @@ COMMANDS: Commands = {
     'operate': Later(
         'Run',
         'fuzzycnc_ros.cli.live.operate',
-        'Operate a running machine: status, activate, set limits, reference and probe.',
+        'Operate a running machine: status, activate, set limits, reference, probe and mark.',
     ),
     'watch': Later(
         'Run',
@@ -116,6 +116,11 @@ COMMANDS: Commands = {
         'Run',
         'fuzzycnc_ros.cli.bags.info:info',
         'Show what is in a bag: topics, counts, types, times, attachments, and what is wrong.',
+    ),
+    'report': Later(
+        'Run',
+        'fuzzycnc_ros.cli.reports.thermal',
+        'Reports on recordings, as pages and as PDF.',
     ),
     'advise': Later(
         'Part programs',

@@ -103,7 +103,7 @@ def access_of(node: str) -> Access:
         )
     if node == OPERATOR:
         return Access(
-            publish=('displacement', *own),
+            publish=('displacement', 'node_event', *own),
             subscribe=(EVERYTHING, '/clock', '/diagnostics'),
             reply=PARAMETERS,
             request=_offered(),

@@ -18,7 +18,7 @@ from rclpy.serialization import deserialize_message
 
 from fuzzycnc_ros.components.dashboard.machine_view import SOURCES, MachineView
 from fuzzycnc_ros.ros.presence import lives
-from fuzzycnc_ros.ros.topics import create_subscription, message_class
+from fuzzycnc_ros.ros.topics import create_subscription, durable, message_class
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.convert import decode
 from fuzzycnc_ros.runtime.host import NodeConfiguration
@@ -127,7 +127,7 @@ class WatchedMachine:
                 NodeConfiguration.TYPE,
                 f'/{machine}/{CONFIGURATIONS}',
                 self._on_configuration,
-                _latched(_DEPTH),
+                durable(_DEPTH),
             )
         )
         self._told = told
@@ -248,7 +248,7 @@ class MachineWatch:
 def _profile(name: str) -> QoSProfile:
     """Return how a topic is read: nobody shall wait for this reader, or repeat anything."""
     if name in LATCHED:
-        return _latched(1)
+        return durable(1)
     if name in RARE:
         profile = _stream(_DEPTH)
         profile.reliability = ReliabilityPolicy.RELIABLE
@@ -262,13 +262,4 @@ def _stream(depth: int) -> QoSProfile:
         depth=depth,
         reliability=ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.VOLATILE,
-    )
-
-
-def _latched(depth: int) -> QoSProfile:
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
     )

@@ -27,7 +27,7 @@ from fuzzycnc_ros.components.dashboard.machine_view import MachineView
 from fuzzycnc_ros.ros.bring_up import GraphError
 from fuzzycnc_ros.ros.probing import check_unprobed, probe_record
 from fuzzycnc_ros.ros.processes import child_set_up
-from fuzzycnc_ros.ros.recording import recorder_command
+from fuzzycnc_ros.ros.recording import is_recorded, recorder_command
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher
 from fuzzycnc_ros.runtime.component import HISTORY, STREAM
 from fuzzycnc_ros.runtime.convert import encode
@@ -282,20 +282,13 @@ class Actions:
         process = await self.thread.do(lambda: self._start_recorder(machine, bag))
         # It records once it listens: what is done before that would be missing in the bag.
         await self._until(
-            lambda: self._is_heard(machine) or process.poll() is not None,
+            lambda: is_recorded(self._node, machine) or process.poll() is not None,
             f'the recorder did not begin {bag.name}; look at the log of dashboard',
             ANSWERED,
         )
         if process.poll() is not None:
             raise GraphError(f'the recorder ended with code {process.returncode}; see its log')
         return f'recording to {bag.name}'
-
-    def _is_heard(self, machine: str) -> bool:
-        """Whether a recorder listens to what is done at a machine."""
-        return any(
-            (item.node_namespace, item.node_name) == (f'/{machine}', 'recorder')
-            for item in self._node.get_subscriptions_info_by_topic(f'/{machine}/node_event')
-        )
 
     def _start_recorder(self, machine: str, bag: Path) -> subprocess.Popen[bytes]:
         # By this thread: the kernel ends a process when the thread that started it is gone.
@@ -323,7 +316,7 @@ class Actions:
             f'{bag.name} is not closed yet; it is, when the recorder has written all',
             CLOSED,
         )
-        del self._recorders[machine]
+        self._recorders.pop(machine, None)  # whoever has asked meanwhile has noticed its end
         if process.returncode:
             raise GraphError(
                 f'the recorder of {bag.name} ended with code {process.returncode}; make the bag '

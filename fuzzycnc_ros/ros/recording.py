@@ -1,13 +1,16 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command that records a machine in a process of its own."""
+"""The command that records a machine in a process of its own, and whether a recorder listens."""
 
 import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
 
 
 def recorder_command(
@@ -30,3 +33,19 @@ def recorder_command(
         # JSON is YAML: a bag named 2024 stays a text.
         command += ['-p', f'{name}:={json.dumps(value)}']
     return command
+
+
+def is_recorded(node: 'Node', machine: str) -> bool:
+    """Return whether a recorder of a machine listens to what is done there.
+
+    Parameters
+    ----------
+    node : Node
+        Who looks.
+    machine : str
+        Name of the machine.
+    """
+    return any(
+        (item.node_namespace, item.node_name) == (f'/{machine}', 'recorder')
+        for item in node.get_subscriptions_info_by_topic(f'/{machine}/node_event')
+    )

@@ -86,14 +86,14 @@ def publisher_qos(durability: Durability) -> QoSProfile:
     """Return the QoS of a publisher."""
     if durability is LATCHED:
         # A reader keeps the newest; a recorder that pauses must still get every one.
-        return _durable(PUBLISHER_DEPTH)
-    return _durable(HISTORY_DEPTH) if durability is HISTORY else _stream(PUBLISHER_DEPTH)
+        return durable(PUBLISHER_DEPTH)
+    return durable(HISTORY_DEPTH) if durability is HISTORY else _stream(PUBLISHER_DEPTH)
 
 
 def subscription_qos(durability: Durability, *, lockstep: bool = False) -> QoSProfile:
     """Return the QoS of a component's subscription."""
     if durability is LATCHED:
-        return _durable(1)
+        return durable(1)
     return _stream(LOCKSTEP_DEPTH if lockstep else SUBSCRIPTION_DEPTH)
 
 
@@ -127,7 +127,8 @@ def routes_matched(
     )
 
 
-def _durable(depth: int) -> QoSProfile:
+def durable(depth: int) -> QoSProfile:
+    """Return the QoS of what reaches those that come later, up to `depth` messages of it."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,

@@ -132,6 +132,7 @@ def test_publishers_whose_settings_are_repeated_are_bounded(tmp_path):
     assert found == list(range(10, LATCHED_MAX + 10))
 
 
+@pytest.mark.slow
 def test_more_parts_than_a_process_may_open(tmp_path):
     record(tmp_path / 'bag', 300, split_duration=STEP / 1e9)
     parts = storage_files(tmp_path / 'bag')

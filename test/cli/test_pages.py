@@ -55,6 +55,7 @@ LONG = {
     'docs/reference/machine-file.md',
     'docs/tutorials/first-part.md',
     'docs/tutorials/try-it.md',
+    'docs/tutorials/your-own-recording.md',
 }
 """Pages whose commands take more than some seconds, or start nodes."""
 

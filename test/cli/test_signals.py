@@ -18,9 +18,9 @@ TRIES = 20
 """How often a command is started that may be done before it is seen at work."""
 ENDS = [
     pytest.param(signal.SIGTERM, 'default', 143, id='SIGTERM'),
-    pytest.param(signal.SIGTERM, 'ignored', 143, id='SIGTERM-background'),
+    pytest.param(signal.SIGTERM, 'ignored', 143, id='SIGTERM-background', marks=pytest.mark.slow),
     pytest.param(signal.SIGINT, 'ignored', 130, id='SIGINT-background'),
-    pytest.param(signal.SIGHUP, 'default', 129, id='SIGHUP'),
+    pytest.param(signal.SIGHUP, 'default', 129, id='SIGHUP', marks=pytest.mark.slow),
 ]
 KILLED = pytest.param(signal.SIGKILL, 'default', -9, id='SIGKILL')
 """Signal, what SIGINT is at the beginning, and exit code; SIGINT at its default: test_main.py."""

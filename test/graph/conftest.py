@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fixtures of tests on a live graph."""
 
+import sys
+
+import pytest
 from live_graph import (
     bag_hashes,
     graph,
@@ -31,3 +34,16 @@ __all__ = [
     'shared_graph',
     'shared_observer',
 ]
+
+
+@pytest.fixture
+def command(graph, tmp_path):
+    """Start a command in the domain of the test: `command('record', '--out', bag)`."""
+
+    def begin(*words):
+        folder = tmp_path / words[0]
+        folder.mkdir(exist_ok=True)
+        line = [sys.executable, '-m', 'fuzzycnc_ros.cli.main', *map(str, words)]
+        return graph.launch(words[0], line, folder)
+
+    return begin

@@ -74,6 +74,7 @@ def test_live_and_replayed_equal_in_process(graph, tmp_path):
     assert report.identical, report.topics
 
 
+@pytest.mark.slow
 def test_machine_rests_on_the_path_when_the_scheduler_dies(graph, observer):
     """Killed in mid-path: the axes follow the tail of the newest part to rest, and say so."""
     axes = observer.records('axis_state', AxisState)

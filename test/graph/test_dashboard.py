@@ -47,11 +47,10 @@ class Page:
         observer.until(lambda: 'live page: ' in running.output, running.output)
         self.running, self.observer = running, observer
         self.url = re.findall(r'live page: (\S+)', running.output)[0]
-        secure = 'https' in self.url
-        address = self.url.replace('https' if secure else 'http', 'wss' if secure else 'ws')
+        self.live = self.url.replace('http', 'ws', 1) + 'live'
         self._open = ExitStack()
         self._socket = self._open.enter_context(
-            connect(f'{address}live', max_size=None, max_queue=None, ping_interval=None)
+            connect(self.live, max_size=None, max_queue=None, ping_interval=None)
         )
         self.hello = {}
         self.views = []
@@ -236,6 +235,7 @@ def test_a_shift_is_shown_as_it_is_and_acted_at(graph, observer, model_file, ope
     assert page.get('history/mill?series=error')['time']
 
 
+@pytest.mark.slow
 def test_who_kills_the_page_touches_nothing(graph, observer, model_file, open_page):
     page = open_page()
     told = observer.records('compensation', Compensation)
@@ -249,16 +249,22 @@ def test_who_kills_the_page_touches_nothing(graph, observer, model_file, open_pa
     again.view_until(compensates, 'the same')
 
 
-def test_a_lock_step_run_does_not_know_of_the_page(
+@pytest.mark.slow
+def test_a_lock_step_run_does_not_know_of_a_hundred_pages(
     graph, model_file, open_page, tmp_path, in_process, bag_hashes
 ):
     machine = {'duties': ('T2',), 'tick_period': 30.0, 'seed': 3}
     page = open_page()
-    nodes = graph.start_shift(model_file, bag=tmp_path / 'bag', **machine)
-    assert nodes['simulated_machine'].wait() == 0
-    assert nodes['simulated_machine'].outcome['degraded'] is False
-    page.view_until(lambda view: axis_of(view), 'it was seen')
-    graph.stop()
+    with ExitStack() as others:
+        for _ in range(99):  # they take a few frames, and then no more
+            others.enter_context(
+                connect(page.live, max_queue=4, ping_interval=None, close_timeout=0)
+            )
+        nodes = graph.start_shift(model_file, bag=tmp_path / 'bag', **machine)
+        assert nodes['simulated_machine'].wait() == 0
+        assert nodes['simulated_machine'].outcome['degraded'] is False
+        page.view_until(lambda view: axis_of(view), 'it was seen')
+        graph.stop()
     assert bag_hashes(tmp_path / 'bag') == in_process.hashes(**machine)
 
 

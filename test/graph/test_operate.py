@@ -3,17 +3,21 @@
 """`fuzzycnc operate` on running nodes: what it shows and changes, and what it refuses."""
 
 import itertools
+import json
 import threading
+import time
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.cli.live import operate
 from fuzzycnc_ros.cli.main import run
+from fuzzycnc_ros.ros.recording import is_recorded
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
-from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.convert import encode, stamp_of
 from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
@@ -136,6 +140,11 @@ def test_a_compensator_is_looked_at_limited_activated_and_put_to_rest(
         (('activate', 'compensator'), 'expected compensator of /mill but none reports'),
         (('reference',), 'expected temperature_acquisition of /mill but none reports'),
         (('status', '--machine', 'lathe'), 'expected nodes of /lathe but none reports'),
+        (('mark', ' '), 'PHASE: expected a text of 1 to 80 characters but found 0'),
+        (
+            ('mark', 'cooling'),
+            'mill: expected a recorder that writes the mark down',
+        ),
         (('probe', 'Y'), 'expected AXIS=LENGTH such as Z=12um'),
         (('probe', 'Y=3'), 'Y: expected a unit'),
         (('probe', 'Y=1um,Y=2um'), 'expected each axis once'),
@@ -162,11 +171,28 @@ def test_a_node_that_refuses_is_quoted(graph, observer, command, tmp_path):
     assert f'mill/thermal_predictor: model: {model}: model file: expected JSON' in err
 
 
-def test_a_reference_is_asked_for(graph, observer, command):
+def test_a_reference_and_a_phase_are_asked_for_and_written_down(
+    graph, observer, command, tmp_path
+):
+    bag = tmp_path / 'bag'
+    recorder = graph.start('recorder', {'output': str(bag)})
     graph.start('temperature_acquisition')
+    observer.until(lambda: is_recorded(observer.node, 'mill'), 'the recorder listens')
     code, out, err = command('reference', '--by', 'anna')
     assert (code, err) == (0, '')
     assert 'thermal reference' in out
+    before = time.time_ns()
+    code, out, err = command('mark', 'spindle  6000\x1b', '--by', 'anna')
+    assert (code, err) == (0, '')
+    assert out == 'mill: spindle 6000\\x1b has begun, as the recorder has noted\n'
+    graph.stop()
+    assert recorder.process.returncode == 0
+    with BagReader(bag) as reader:
+        events = [item.message for item in reader.messages(['/mill/node_event'])]
+    (mark,) = [event for event in events if event.name == 'mark']
+    assert json.loads(mark.request) == {'by': 'anna', 'phase': 'spindle 6000\\x1b'}
+    assert before <= stamp_of(mark.header.stamp) <= time.time_ns()
+    assert (mark.node, mark.header.frame_id) == ('operator', 'mill/machine')
 
 
 def test_a_reference_over_offsets_is_asked_for_with_force(graph, observer, command):

@@ -22,19 +22,6 @@ ROOM = 100_000
 """What a disk takes before it is full [bytes]."""
 
 
-@pytest.fixture
-def command(graph, tmp_path):
-    """Start a command in the domain of the test: `command('record', '--out', bag)`."""
-
-    def begin(*words):
-        folder = tmp_path / words[0]
-        folder.mkdir()
-        line = [sys.executable, '-m', 'fuzzycnc_ros.cli.main', *map(str, words)]
-        return graph.launch(words[0], line, folder)
-
-    return begin
-
-
 def recorder_of(running):
     """Return the process id of the recorder of a command, which begins its bag by then."""
     wait_for(lambda: children(running.process.pid, 'nodes.recorder'), 'the recorder is started')
@@ -90,6 +77,7 @@ def test_full_disk_ends_a_recording(command, observer, graph, tmp_path):
     assert 'the file would be larger than allowed' in line
 
 
+@pytest.mark.slow
 def test_full_disk_is_no_success_of_a_supervised_run(command, observer, tmp_path):
     states = observer.records('machine_state', MachineState)
     running = up(command, tmp_path / 'bag', tmp_path)
@@ -104,6 +92,7 @@ def test_full_disk_is_no_success_of_a_supervised_run(command, observer, tmp_path
     assert [f'error: {text}' for text in outcome['lacking']] == [line]
 
 
+@pytest.mark.slow
 def test_samples_that_are_lost(command, observer, tmp_path):
     """A node stands still while the machine goes on; in the other bag nothing is missing."""
     states = observer.records('machine_state', MachineState)
@@ -126,6 +115,7 @@ def test_samples_that_are_lost(command, observer, tmp_path):
     assert said['/mill/temperatures']['longest_s'] > 300.0
 
 
+@pytest.mark.slow
 def test_a_whole_recording_is_a_success(command, observer, tmp_path):
     """So slow that a busy computer loses nothing either."""
     samples = observer.records('temperatures', Temperatures)

@@ -3,7 +3,6 @@
 """The recorder node and its commands with parts, a budget, a disk without room and shipping."""
 
 import json
-import sys
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -18,23 +17,11 @@ pytestmark = pytest.mark.ros
 NODES = 'temperature_acquisition'
 
 
-@pytest.fixture
-def fuzzycnc(graph, tmp_path):
-    """Start a command in the domain of the test: `fuzzycnc('record', '--out', bag)`."""
-
-    def begin(*words):
-        folder = tmp_path / words[0]
-        folder.mkdir()
-        line = [sys.executable, '-m', 'fuzzycnc_ros.cli.main', *map(str, words)]
-        return graph.launch(words[0], line, folder)
-
-    return begin
-
-
-def test_run_in_parts(fuzzycnc, tmp_path):
+@pytest.mark.slow
+def test_run_in_parts(command, tmp_path):
     """A lock-step run, an hour of machine time in each part, shipped; replayed as one bag."""
     bag, archive = tmp_path / 'bag', tmp_path / 'archive'
-    running = fuzzycnc(
+    running = command(
         *('up', '--simulate', 'T2', '--lockstep', '--nodes', NODES, '--record', bag),
         *('--split-duration', '1h', '--ship', archive, '--json', tmp_path / 'outcome.json'),
     )
@@ -71,8 +58,8 @@ def test_disk_without_room(graph, observer, tmp_path):
         assert reader.message_count == 0
 
 
-def test_budget_without_parts_is_refused(fuzzycnc, tmp_path):
-    running = fuzzycnc('record', '--out', tmp_path / 'bag', '--budget', '100MB')
+def test_budget_without_parts_is_refused(command, tmp_path):
+    running = command('record', '--out', tmp_path / 'bag', '--budget', '100MB')
     assert running.wait() != 0
     assert 'expected --split-size or --split-duration, too' in running.output
     assert not (tmp_path / 'bag').exists()

@@ -97,6 +97,7 @@ AXIS_PARAMETERS = """\
 """
 
 
+@pytest.mark.slow
 def test_an_axis_of_a_machine_file_is_driven_and_replayed_without_it(graph, tmp_path):
     """`fuzzycnc up` as a user calls it; the file has gone when the bag is replayed."""
     folder = tmp_path / 'up'

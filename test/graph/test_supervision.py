@@ -177,6 +177,7 @@ def test_killed_nodes_come_back_without_a_step(supervised, observer):
     assert not [event for event in events if event.name == 'sources'], 'a restart is no stranger'
 
 
+@pytest.mark.slow
 def test_killed_recorder_goes_on_in_another_bag(supervised, observer):
     """The machine, which makes time, ends the run when it dies."""
     states = observer.records('machine_state', MachineState)

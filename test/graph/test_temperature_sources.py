@@ -162,6 +162,7 @@ def write_csv(path, cells=None):
     return path
 
 
+@pytest.mark.slow
 def test_csv_file_is_played(graph, observer, tmp_path):
     """It is played as soon as anybody listens: what reads it first may be a while ahead of us."""
     file = write_csv(tmp_path / 'log.csv', {(row, 2): '' for row in range(1, 19)})

@@ -242,6 +242,7 @@ def test_wrong_values_have_the_right_status(shared_observer, shop):
     assert max(len(message) for _, message in observer.statuses[control]) < 1000
 
 
+@pytest.mark.slow
 def test_frozen_values_are_stuck(graph, observer, shop, start):
     samples, _ = start(stuck_time=2.0)
     moving = iter(range(10**6))

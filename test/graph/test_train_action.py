@@ -99,6 +99,7 @@ def test_training_tells_every_step_and_its_model_is_used(client, observer, bags,
     )
 
 
+@pytest.mark.slow
 def test_training_can_be_cancelled_and_asked_for_again(client, observer, bags):
     observer.watch_diagnostics()
     handle = client.send(bags)

@@ -64,6 +64,7 @@ def test_second_of_the_same_name_is_refused(up):
     assert 'found /mill/compensator, /mill/temperature_acquisition at work' in line
 
 
+@pytest.mark.slow
 def test_two_machines_of_one_name(up):
     """A second one that makes time, though no node has the name of another."""
     started(up('first', '--simulate', 'T2', '--nodes', 'temperature_acquisition'))
@@ -71,6 +72,7 @@ def test_two_machines_of_one_name(up):
     assert 'found /mill/simulated_machine at work' in line
 
 
+@pytest.mark.slow
 def test_of_two_that_start_at_once_one_is_refused(up):
     """Neither could find the other in the graph yet."""
     both = [up(name, '--nodes', NODES) for name in ('first', 'second')]
@@ -81,6 +83,7 @@ def test_of_two_that_start_at_once_one_is_refused(up):
     started(early)
 
 
+@pytest.mark.slow
 def test_who_is_in_nobodys_way_may_join(up, tmp_path):
     started(up('first', '--nodes', 'compensator', '--record', str(tmp_path / 'first_bag')))
     others = ('--nodes', 'sensor_selector', '--record', str(tmp_path / 'second_bag'))
@@ -89,6 +92,7 @@ def test_who_is_in_nobodys_way_may_join(up, tmp_path):
     started(up('meant', '--nodes', 'compensator', '--takeover'))
 
 
+@pytest.mark.slow
 def test_a_bridge_by_itself_is_refused_beside_another(up, graph, observer):
     started(up('first', '--simulate', 'T2', '--nodes', 'temperature_acquisition'))
     bridge = graph.start('opcua_bridge', {'axes': ['Y']})
@@ -101,7 +105,7 @@ def test_a_bridge_by_itself_is_refused_beside_another(up, graph, observer):
     assert elsewhere.process.poll() is None
 
 
-@pytest.mark.parametrize('dead', ['command', 'nodes'])
+@pytest.mark.parametrize('dead', ['command', pytest.param('nodes', marks=pytest.mark.slow)])
 def test_what_was_killed_locks_nobody_out(up, dead):
     """The nodes of a killed command end by themselves; killed nodes linger in the graph."""
     first = started(up('first', '--nodes', NODES))

@@ -97,7 +97,7 @@ def test_wrong_names_are_refused(capfd, tmp_path):
     assert 'expected an existing folder' in capfd.readouterr().err
 
 
-@pytest.mark.parametrize('kind', ['devices', 'control', 'machine'])
+@pytest.mark.parametrize('kind', ['devices', 'control', 'machine', 'thermal-test'])
 def test_what_is_printed_is_what_is_written_and_is_json(kind, tmp_path, capsys):
     path = tmp_path / 'schema.json'
     assert run(['schema', kind, '--out', str(path)]) == 0

@@ -107,6 +107,7 @@ def fitting():
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.paper
 @pytest.mark.parametrize('kind', KINDS)
 def test_two_deviations_cover_the_residual(fitting, kind):

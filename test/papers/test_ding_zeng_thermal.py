@@ -127,6 +127,7 @@ def test_regression_bounds_on_unseen_duties(residuals, model, run, limit):
     assert (median(residuals, model, run) <= limit).all()
 
 
+@pytest.mark.slow
 @pytest.mark.paper
 def test_default_model_on_unseen_duties(recordings):
     figures = []

@@ -53,7 +53,8 @@ def test_healthy_sensors_are_trusted():
     assert np.mean(seen) < 0.05
 
 
-@pytest.mark.parametrize('step', [5.0, pytest.param(-5.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize('step', [5.0, -5.0])
 def test_a_jump_is_substituted_within_a_few_samples(step):
     found, moved = [], []
     for shift, sensor, beside in with_fault(f'jump:{{}}:{step}', FAULTY_SEEDS, samples=75):
@@ -118,6 +119,7 @@ def test_candidates_are_judged_by_the_rises_that_were_read_instead():
         )
 
 
+@pytest.mark.slow
 def test_a_stuck_sensor_is_found_by_its_readings_and_costs_little():
     for shift, sensor, beside in with_fault('stuck:{}', FAULTY_SEEDS, ['T2']):
         # Ten minutes without the change of a bit; the sample of the minute holds the last of them.
@@ -194,7 +196,13 @@ CHANGED = {
 """Factor on the model, and displacement [m] from that of the mill and the share of the duty."""
 
 
-@pytest.mark.parametrize('name', CHANGED)
+@pytest.mark.parametrize(
+    'name',
+    [
+        pytest.param(name, marks=pytest.mark.slow) if 'machine' in name else name
+        for name in CHANGED
+    ],
+)
 def test_a_machine_that_has_changed_raises_the_drift_alarm(name):
     factor, changed = CHANGED[name]
     found = []

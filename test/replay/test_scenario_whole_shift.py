@@ -75,6 +75,7 @@ def test_compensation_is_what_makes_the_difference(shift, model):
     assert table.rows[1][0] == 'X:0.01,Z:-0.005'
 
 
+@pytest.mark.slow
 @pytest.mark.replay
 def test_bag_and_second_run_are_the_same(shift, model, tmp_path):
     after, bag = shift
@@ -124,6 +125,7 @@ M2
 """What the jobs of a shift do not have: sharp corners, tight arcs at full feed, a spline."""
 
 
+@pytest.mark.slow
 @pytest.mark.replay
 def test_another_program_keeps_its_tolerance(model):
     check_program(CURVES)

@@ -38,8 +38,12 @@ COMMANDS = {
     'stability': ('servo', 'stability'),
     'foam': ('foam', 'demo', '--runs', '1'),
     'samples': ('foam', 'train', 'samples.csv', '--out', 'foam.json'),
+    'thermal test': ('report', 'thermal', 'shift_calibration/D0'),
 }
 """A command of each kind of report."""
+
+OUT = {'thermal test': '--out'}
+"""Option that names the page, where it is another one than --report."""
 
 BARS_ONLY = {'grinder'}
 """Reports without curves: they have data, but nothing to zoom into."""
@@ -173,7 +177,7 @@ def test_each_kind_of_report_fits_all_screens(reader, recordings, name, monkeypa
 
     monkeypatch.chdir(recordings)
     page = recordings / f'{name}.html'
-    assert run([*COMMANDS[name], '--report', str(page)]) == 0
+    assert run([*COMMANDS[name], OUT.get(name, '--report'), str(page)]) == 0
     assert page.stat().st_size <= SIZE_MAX
     check(reader, page)
     reader.open(page)

@@ -112,6 +112,7 @@ def test_text_annotations_indices_and_messages_stay(lines_after):
     ''')
 
 
+@pytest.mark.slow
 def test_every_mutant_of_the_package_is_python(tool):
     root = TOOLS.parent
     for name in ('core/config.py', 'bags/mcapfile.py', 'runtime/convert.py', 'runtime/records.py'):

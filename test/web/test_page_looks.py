@@ -10,6 +10,7 @@ from live_page import TABS
 from selenium.webdriver.common.keys import Keys
 
 SIZES = ((1920, 1080), (1280, 800), (400, 800))
+SEEN = ((SIZES[0], 'light'), (SIZES[-1], 'dark'))
 TOO_WIDE = """
 const wide = [];
 for (const element of document.querySelectorAll('body *')) {
@@ -26,8 +27,15 @@ return [document.documentElement.scrollWidth - innerWidth, wide];
 """
 
 
-@pytest.mark.parametrize('theme', ['light', 'dark'])
-@pytest.mark.parametrize(('width', 'height'), SIZES)
+@pytest.mark.parametrize(
+    ('width', 'height', 'theme'),
+    [
+        # Themes differ in colours: the fast tests see each once, on the widest and the narrowest.
+        pytest.param(*size, theme, marks=() if (size, theme) in SEEN else pytest.mark.slow)
+        for size in SIZES
+        for theme in ('light', 'dark')
+    ],
+)
 def test_nothing_sticks_out(page, fake, width, height, theme):
     crowded = busy_view('a_machine_with_a_long_name', alarms=busy_view()['alarms'] * 1)
     crowded['axes'][0] |= {'offset': -2.004e-4, 'predicted': -2.004e-4, 'band': 1.23e-5}

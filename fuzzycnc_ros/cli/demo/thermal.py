@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Outcome, Steps, ended
+from fuzzycnc_ros.cli.live.free_domain import other_domain
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.ros.bring_up import node_specs
 
@@ -60,7 +61,7 @@ def thermal(out: Path, seed: int, progress: Steps) -> Outcome:
     model = load_model(model_file)
     with progress.step('replayed the bag and compared every output'):
         replayed = replay(out / 'bag')
-    with progress.step('measured latency between two processes'):
+    with progress.step('measured latency between two processes'), other_domain():
         latency = measure_latency(model_file, out / 'latency')
     log = ShiftLog.from_bag(out / 'bag')
     runs = compensation_runs(log, model, UNSEEN, offset_max=CompensatorConfig().offset_max)

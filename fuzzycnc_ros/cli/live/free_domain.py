@@ -56,6 +56,26 @@ def own_domain() -> None:
     os.environ['ROS_DOMAIN_ID'] = str(_held(os.getpid())[0])
 
 
+@contextmanager
+def other_domain() -> Iterator[None]:
+    """Put what is started within it on a domain of its own, so that nobody's page shows it.
+
+    Raises
+    ------
+    GraphError
+        If there is none.
+    """
+    before = os.environ.get('ROS_DOMAIN_ID')
+    with free_domain() as number:
+        os.environ['ROS_DOMAIN_ID'] = str(number)
+        try:
+            yield
+        finally:
+            os.environ.pop('ROS_DOMAIN_ID')
+            if before is not None:
+                os.environ['ROS_DOMAIN_ID'] = before
+
+
 @cache
 def _held(process: int) -> tuple[int, ExitStack]:
     """Take a domain; the stack keeps its lock, which a fork of `process` does not own."""

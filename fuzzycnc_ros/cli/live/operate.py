@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc operate`: what a person does at a running machine."""
 
+import json
 import os
 import time
 from collections.abc import Callable
@@ -14,19 +15,21 @@ from fuzzycnc_ros.cli.completion import live_settings, managed_nodes, one_of
 from fuzzycnc_ros.cli.console import JsonFile, check_ros, say, show, words, write_json
 from fuzzycnc_ros.cli.options import node_parameters
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros.bring_up import GraphError, machine_name
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.live.operator_client import Operator
     from fuzzycnc_ros.runtime.records import CompensationApplied
 
-HELP = """Operate a running machine: status, activate, set limits, reference and probe.
+HELP = """Operate a running machine: status, activate, set limits, reference, probe and mark.
 
     fuzzycnc operate status
     fuzzycnc operate reference --by anna
     fuzzycnc operate set compensator.offset_max=5um
     fuzzycnc operate activate
     fuzzycnc operate probe Y=-3um Z=12um
+    fuzzycnc operate mark "spindle 6000"
     fuzzycnc operate deactivate
 
 `ros2 lifecycle`, `ros2 param` and `ros2 service` do the same where they are installed.
@@ -36,11 +39,16 @@ PATIENCE = 6.0
 """Wall time [s] until a node must answer: those of this host are found within one."""
 LISTENING = 2.5
 """Wall time [s] in which every node reports, once a second, also on a busy host."""
+FOUND = 0.5
+"""Wall time [s] in which the topics of this host are found."""
+PHASE_MAX, NAME_MAX = 80, 80
+"""Longest name of a phase, and of a person [characters]."""
 MICRO = 1e-6
 
 MachineName = Annotated[
     str, typer.Option('--machine', help='Name of the machine: the namespace of its nodes.')
 ]
+Person = Annotated[str, typer.Option('--by', help='Name of the person; kept in recordings.')]
 ManagedNode = Annotated[
     str,
     typer.Argument(metavar='[NODE]', help='A managed node.', autocompletion=one_of(managed_nodes)),
@@ -190,7 +198,7 @@ def set_values(
 
 
 def reference(
-    by: Annotated[str, typer.Option(help='Name of the person; kept in recordings.')] = 'operator',
+    by: Person = 'operator',
     force: Annotated[
         bool,
         typer.Option('--force', help='Also while offsets are in force, which then change.'),
@@ -254,6 +262,67 @@ def probe(
         f'sent to {readers} node{"s" if readers > 1 else ""} of /{machine}, '
         f'{"with" if includes else "without"} compensation in force'
     )
+
+
+def mark(
+    phase: Annotated[
+        str, typer.Argument(metavar='PHASE', help='What begins now, such as "spindle 6000".')
+    ],
+    by: Person = 'operator',
+    machine: MachineName = 'mill',
+) -> None:
+    """Write into the recording that a phase of a test begins now.
+
+    A phase lasts until the next mark; the mark `end` ends one and begins none. A recorder must be
+    running. `fuzzycnc report thermal` finds the phases in the bag.
+
+        fuzzycnc operate mark "spindle 6000" --by anna
+        fuzzycnc operate mark cooling --by anna
+        fuzzycnc operate mark end
+    """
+    phase = visible(' '.join(phase.split()))
+    for name, text, longest in (('PHASE', phase, PHASE_MAX), ('--by', by, NAME_MAX)):
+        if not 0 < len(text) <= longest:
+            raise ValueError(
+                f'{name}: expected a text of 1 to {longest} characters but found {len(text)}'
+            )
+    check_ros('operate')
+    from fuzzycnc_ros.cli.live.operator_client import Operator
+    from fuzzycnc_ros.ros.recording import is_recorded
+    from fuzzycnc_ros.runtime.component import HISTORY
+    from fuzzycnc_ros.runtime.host import NodeEvent
+    from fuzzycnc_ros.studies.thermal_test.recording import MARK
+
+    machine = machine_name(machine)
+    with Operator(machine, patience=PATIENCE) as operator:
+        operator.pause(FOUND)
+        event = NodeEvent(
+            stamp=_now(operator),
+            frame_id=f'{machine}/machine',
+            node=operator.node.get_name(),
+            name=MARK,
+            request=json.dumps({'phase': phase, 'by': visible(by)}, sort_keys=True),
+        )
+        try:
+            operator.publish(
+                event, 'node_event', HISTORY, lambda: is_recorded(operator.node, machine)
+            )
+        except GraphError as error:
+            raise GraphError(
+                f'{machine}: expected a recorder that writes the mark down but found none '
+                f'({error}); start one with `fuzzycnc record --machine {machine} --out NAME` or '
+                'on the live page'
+            ) from error
+    say(f'{machine}: {phase} has begun, as the recorder has noted')
+
+
+def _now(operator: 'Operator') -> int:
+    """Return the machine time [ns]: on a real machine that of the clock."""
+    from fuzzycnc_ros.runtime.records import MachineState
+
+    if operator.has_publisher('/clock') or operator.has_publisher('clock'):
+        return operator.newest(MachineState, 'machine_state').stamp
+    return time.time_ns()
 
 
 def _displacements(values: list[str]) -> dict[str, float]:
@@ -349,4 +418,5 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     'set': set_values,
     'reference': reference,
     'probe': probe,
+    'mark': mark,
 }

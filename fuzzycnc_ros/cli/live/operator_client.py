@@ -125,18 +125,35 @@ class Operator:
             self.node.destroy_subscription(subscription)
         return decode(record, heard[-1])
 
-    def publish(self, record: Record, topic: str) -> int:
+    def publish(
+        self,
+        record: Record,
+        topic: str,
+        durability: Durability = Durability.STREAM,
+        heard: Callable[[], bool] = lambda: True,
+    ) -> int:
         """Publish a record once, to all that read the topic; return how many they are.
+
+        Parameters
+        ----------
+        record : Record
+            What is published.
+        topic : str
+            Where.
+        durability : Durability
+            How the topic is offered.
+        heard : callable
+            Whether those read it who must.
 
         Raises
         ------
         GraphError
             If nobody reads it.
         """
-        publisher = create_publisher(self.node, record.TYPE, topic, Durability.STREAM)
+        publisher = create_publisher(self.node, record.TYPE, topic, durability)
         try:
             self.spin_until(
-                lambda: publisher.get_subscription_count() > 0,
+                lambda: publisher.get_subscription_count() > 0 and heard(),
                 self._patience,
                 f'readers of topic {topic}',
             )

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.components.dashboard.machine_view import MachineView
     from fuzzycnc_ros.ros.machine_watch import MachineWatch
 
-FOUND_WITHIN = 3.0
-"""Wall time [s] until a machine must be found."""
-COMPLETE_WITHIN = 2.5
+FOUND_WITHIN = 8.0
+"""Wall time [s] until a machine must be found, also on a busy host."""
+COMPLETE_WITHIN = 8.0
 """Wall time [s] in which every node reports, once a second, also on a busy host."""
 REFRESH = 0.5
 """Wall time [s] between two screens."""

@@ -21,7 +21,6 @@ from fuzzycnc_ros.studies.fleet.condition import (
     SensorCourse,
     ShopCondition,
     Trend,
-    newest,
 )
 from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import AFTER, INK, LIMIT, MUTED, WARNING
@@ -300,16 +299,11 @@ def _sensor_table(sensors: Sequence[SensorCourse]) -> Table:
                 item.sensor,
                 'fails' if item.fails else 'works',
                 str(len(item.missing)),
-                *(
-                    _number(100.0 * float(values.mean()), 1)
-                    for values in (
-                        newest(item.missing),
-                        item.missing,
-                        item.substituted,
-                        item.bridged,
-                    )
-                ),
+                _number(100.0 * item.newest_missing, 1),
+                _number(100.0 * float(item.missing.mean()), 1),
                 _signed(100.0 * item.trend.slope, 1),
+                _number(100.0 * float(item.substituted.mean()), 1),
+                _number(100.0 * float(item.bridged.mean()), 1),
             )
         )
         if item.fails:
@@ -321,9 +315,9 @@ def _sensor_table(sensors: Sequence[SensorCourse]) -> Table:
         Column('bags'),
         Column('newest', 'missing'),
         Column('all', 'missing'),
+        Column(f'per {MONTH:.0f} days', 'missing'),
         Column('substituted'),
         Column('bridged'),
-        Column(f'per {MONTH:.0f} days', 'missing'),
     )
     return Table(
         'Share of the samples of each sensor [%]',

@@ -146,6 +146,26 @@ class Rule:
     upright: bool = False
 
 
+@dataclass(frozen=True)
+class Span:
+    """A stretch of the x axis that is shaded behind all else, such as a phase.
+
+    Parameters
+    ----------
+    low, high : float
+        Its ends.
+    colour : str
+        Its colour.
+    name : str
+        What it is; stands in it, at the top.
+    """
+
+    low: float
+    high: float
+    colour: str
+    name: str = ''
+
+
 @dataclass(frozen=True, eq=False)
 class Panel:
     """One pair of axes.
@@ -164,6 +184,8 @@ class Panel:
         Areas behind the series.
     rules : sequence of Rule
         Straight lines.
+    spans : sequence of Span
+        Stretches of x that are shaded.
     share : float
         Its height, where panels of a column differ.
     """
@@ -174,6 +196,7 @@ class Panel:
     title: str = ''
     bands: Sequence[Band] = ()
     rules: Sequence[Rule] = ()
+    spans: Sequence[Span] = ()
     share: float = 1.0
 
     def __post_init__(self) -> None:
@@ -402,6 +425,15 @@ def _panel_document(panel: Panel, x_axis: Axis) -> dict[str, Any]:
                 'upright': rule.upright,
             }
             for rule in panel.rules
+        ],
+        'spans': [
+            {
+                'low': span.low,
+                'high': span.high,
+                'colour': shown_colour(span.colour),
+                'name': span.name,
+            }
+            for span in panel.spans
         ],
     }
     if kept < total:

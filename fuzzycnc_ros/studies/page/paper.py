@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.studies.page.chart import DOTS_MAX, Axis, Chart, Panel, Series
+from fuzzycnc_ros.studies.page.chart import DOTS_MAX, Axis, Chart, Panel, Series, Span
 from fuzzycnc_ros.studies.page.drawing import INK, MUTED, add_legend, new_figure, plot_style
 from fuzzycnc_ros.studies.page.requirement import require
 
 _ROWS, _POINTS, _ROWS_MIN = 240, 1200, 60
 """Rows of a panel on paper: no printer shows more extremes; fewer where there are many series."""
+
+_CHARACTER = 0.062
+"""Width of a character of a stretch's name, about [in]."""
 
 _DOT = 3.0
 """Size of a dot [pt]."""
@@ -37,8 +40,7 @@ def drawn(chart: Chart) -> Any:
             axes.remove()
         handles: dict[str, Any] = {}
         for number, (axes, panel) in enumerate(zip(places, chart.panels, strict=False)):
-            rows_max = max(_ROWS_MIN, min(_ROWS, _POINTS // max(1, len(panel.series))))
-            for name, handle in _panel(axes, panel.thinned(rows_max), chart.x_axis).items():
+            for name, handle in draw_panel(axes, panel, chart.x_axis).items():
                 handles.setdefault(name, handle)
             if not (stacked and chart.linked) or number == rows - 1:
                 axes.set_xlabel(chart.x_axis.label)
@@ -56,11 +58,26 @@ def plain_ticks(axis: Any, low: float, high: float, every: tuple[int, ...] = (1,
     axis.set_ticks([], minor=True)
 
 
-def _panel(axes: Any, panel: Panel, x_axis: Axis) -> dict[str, Any]:
-    """Draw a panel; return what its legend names."""
+def draw_panel(axes: Any, panel: Panel, x_axis: Axis) -> dict[str, Any]:
+    """Draw a panel into axes, in as many rows as paper shows; return what its legend names."""
+    panel = panel.thinned(max(_ROWS_MIN, min(_ROWS, _POINTS // max(1, len(panel.series)))))
     handles: dict[str, Any] = {}
     axes.set_title(panel.title)
     axes.set_ylabel(panel.y_axis.label)
+    for span in panel.spans:
+        axes.axvspan(span.low, span.high, color=span.colour, alpha=0.14, linewidth=0.0, zorder=0)
+        if _room(axes, panel, span) < _CHARACTER * len(span.name):
+            continue
+        axes.annotate(
+            span.name,
+            (span.low, 0.99),
+            xycoords=('data', 'axes fraction'),
+            xytext=(2.0, -2.0),
+            textcoords='offset points',
+            va='top',
+            fontsize=7.0,
+            color=MUTED,
+        )
     for band in panel.bands:
         handles[band.name] = axes.fill_between(
             panel.x, band.low, band.high, color=band.colour, alpha=0.2, linewidth=0.0
@@ -89,6 +106,13 @@ def _panel(axes: Any, panel: Panel, x_axis: Axis) -> dict[str, Any]:
     if courses and x_axis.scale == 'linear' and len(panel.x) > 1 and x_axis.low is None:
         axes.set_xlim(panel.x[0], panel.x[-1])
     return handles
+
+
+def _room(axes: Any, panel: Panel, span: Span) -> float:
+    """Return how wide a stretch is on paper, about [in]."""
+    width = axes.get_position().width * axes.get_figure().get_figwidth()
+    low, high = (float(panel.x[row]) for row in (0, -1)) if len(panel.x) else (0.0, 0.0)
+    return width * (span.high - span.low) / (high - low) if high > low else width
 
 
 def _series(axes: Any, panel: Panel, series: Series) -> Any:

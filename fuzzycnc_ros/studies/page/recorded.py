@@ -42,7 +42,7 @@ def recording_facts(bags: Sequence[Path]) -> dict[str, str]:
                 for topic in reader.connections
                 if topic.endswith('/temperatures')
             ]
-    dates = [_date(start) for start in starts if start >= _DATED]
+    dates = [date for date in map(recorded_date, starts) if date]
     return {
         'Recorded': _listed(dates) if dates else 'in machine time, without a date',
         'Machine': _listed(machines) or 'not named in the bag',
@@ -50,7 +50,10 @@ def recording_facts(bags: Sequence[Path]) -> dict[str, str]:
     }
 
 
-def _date(start: int) -> str:
+def recorded_date(start: int) -> str:
+    """Return the date of a stamp [ns], nothing if it counts from the start of a simulation."""
+    if start < _DATED:
+        return ''
     return datetime.fromtimestamp(start // 10**9, timezone.utc).strftime('%Y-%m-%d %H:%M UTC')
 
 

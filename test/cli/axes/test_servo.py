@@ -96,6 +96,7 @@ def test_no_or_an_unknown_command(refused):
     refused('servo', 'tnue', naming=["'tnue'", 'fuzzycnc servo --help'])
 
 
+@pytest.mark.slow
 def test_compare(fuzzycnc, tmp_path):
     outcome = fuzzycnc(
         'servo', 'compare', '--controllers', 'variable_universe,variable_universe_static',

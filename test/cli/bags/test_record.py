@@ -64,8 +64,15 @@ def recording(arguments, folder, environment, **options):
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize('interrupts', ['default', 'ignored'])
-@pytest.mark.parametrize('wish', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ('wish', 'interrupts'),
+    [
+        (signal.SIGTERM, 'ignored'),
+        pytest.param(signal.SIGINT, 'default', marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, 'ignored', marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, 'default', marks=pytest.mark.slow),
+    ],
+)
 def test_record_until_asked_to_end(tmp_path, environment, machine, wish, interrupts):
     pytest.importorskip('rclpy')
     file = tmp_path / 'bag' / 'bag_0.mcap'

@@ -102,6 +102,7 @@ def test_best_candidate_is_trusted_on_every_run(fuzzycnc, here, bag):
         assert all(figures['held_out'][run]['refused'][name] == why for run, why in runs.items())
 
 
+@pytest.mark.slow
 def test_figures_do_not_depend_on_the_number_of_processes(fuzzycnc, bag):
     bags = bag('a'), bag('b', rows=100)
     for jobs in ('1', '2'):

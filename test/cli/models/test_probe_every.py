@@ -46,6 +46,7 @@ def test_without_it_nothing_is_probed(fuzzycnc, bag, model):
     assert json.loads(Path('e.json').read_text())['probed'] is None
 
 
+@pytest.mark.slow
 def test_several_bags_have_one_table_and_a_short_one_is_named(fuzzycnc, bag, model):
     bags = (bag('a'), bag('b', rows=100), bag('short', rows=40))
     outcome = fuzzycnc(

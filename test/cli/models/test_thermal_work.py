@@ -201,6 +201,7 @@ def test_evaluate_prints_what_the_core_finds(fuzzycnc, bag, model):
     assert '<svg' in Path('e.html').read_text()
 
 
+@pytest.mark.slow
 def test_evaluate_judges_several_bags(fuzzycnc, bag, model):
     outcome = fuzzycnc('evaluate', bag('a'), bag('b', rows=100), '--model', model)
     assert outcome.code == 0, outcome
@@ -224,6 +225,7 @@ def test_simulate_writes_table_figures_and_report(fuzzycnc):
     assert 'T2 Y max' in outcome.out
 
 
+@pytest.mark.slow
 def test_simulate_gives_the_median_over_seeds(fuzzycnc):
     outcome = fuzzycnc('simulate', *SHORT, '--seed', '3', '--seeds', '3', '--json', 's.json')
     assert outcome.code == 0, outcome
@@ -306,6 +308,7 @@ def test_replay_finds_a_changed_message_and_ends_with_1(fuzzycnc):
     assert topics[CHANGED]['identical'] == topics[CHANGED]['recorded'] - 1
 
 
+@pytest.mark.slow
 def test_replay_accepts_the_rounding_of_another_processor_and_says_so(fuzzycnc):
     assert fuzzycnc('simulate', *SHORT, '--out', 'shift').code == 0
     copy_with_another_error('shift', 'rounded', lambda error: error * (1.0 + 1e-13))
@@ -327,6 +330,7 @@ def test_simulate_with_a_model_file(fuzzycnc):
     assert read_json('b.json')['runs'] == read_json('a.json')['runs']
 
 
+@pytest.mark.slow
 def test_simulate_with_fault_and_parameter(fuzzycnc):
     options = ('--param', 'compensator.offset_max=20e-6', '--param', 'sensor_selector.clusters=5')
     assert fuzzycnc('simulate', *SHORT, *options, '--json', 'limited.json').code == 0

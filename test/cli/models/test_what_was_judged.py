@@ -183,6 +183,7 @@ def test_a_model_that_is_worse_than_none_is_called_so(fuzzycnc, lagging):
     assert 'class="key warning"' in page
 
 
+@pytest.mark.slow
 def test_the_best_candidate_may_be_none(fuzzycnc, lagging):
     runs = [lagging(name, seed, unrelated) for seed, name in enumerate('ab', start=4)]
     options = ('--models', 'least_squares,static_ridge', '--jobs', '1', '--json', 'c.json')

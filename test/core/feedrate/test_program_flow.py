@@ -50,6 +50,7 @@ def allowed(program, feeds):
     return least
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10**6))
 def test_random_programs_run_as_linuxcnc_runs_them(seed, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:

@@ -89,6 +89,7 @@ def address(observer, running):
     return url
 
 
+@pytest.mark.slow
 def test_two_machines_and_their_bags(graph, observer, opened, model_file, tmp_path):
     with socket.socket() as free:
         free.bind(('127.0.0.1', 0))
@@ -138,6 +139,7 @@ def machine_killed(nodes):
     return lambda seen: 'NO DATA' in seen['noData']
 
 
+@pytest.mark.slow
 @pytest.mark.realtime
 @pytest.mark.parametrize('trouble', [predictor_killed, machine_killed])
 def test_trouble_is_seen_in_time_with_its_cause(graph, observer, opened, model_file, trouble):
@@ -167,6 +169,7 @@ def test_a_page_that_hangs_is_told(graph, observer, opened):
         page.send(signal.SIGCONT)
 
 
+@pytest.mark.slow
 def test_a_limit_and_a_sensor(graph, observer, opened, model_file):
     graph.start_shift(
         model_file,

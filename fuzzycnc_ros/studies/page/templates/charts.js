@@ -130,6 +130,16 @@
     ctx.font = `${11 * ratio}px system-ui, sans-serif`;
     ctx.textAlign = 'left';
     ctx.textBaseline = 'alphabetic';
+    for (const span of panel.spans) {
+      const [from, to] = [span.low, span.high].map(end => u.valToPos(end, 'x', true));
+      ctx.fillStyle = `${colour(span.colour)}24`;
+      ctx.fillRect(from, bbox.top, to - from, bbox.height);
+      ctx.fillStyle = colour('--muted');
+      // A name that does not fit waits until a reader zooms in.
+      const room = to - Math.max(from, bbox.left) - 4 * ratio;
+      if (ctx.measureText(span.name).width < room)
+        ctx.fillText(span.name, Math.max(from, bbox.left) + 3 * ratio, bbox.top + 12 * ratio);
+    }
     for (const rule of panel.rules) {
       const at = Math.round(u.valToPos(rule.at, rule.upright ? 'x' : 'y', true));
       ctx.strokeStyle = colour(rule.colour);

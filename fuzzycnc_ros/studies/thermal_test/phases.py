@@ -1,0 +1,217 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Phases of a thermal test: from options, from marks, or from the spindle speed."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf, isfinite, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.bags.errors import RunError
+from fuzzycnc_ros.studies.thermal_test.recording import Mark, TestRecording
+
+KINDS = ('environment', 'spindle', 'axis', 'cooling', 'other')
+"""What a phase may be."""
+
+END = 'end'
+"""Mark that ends a phase and begins none."""
+
+SHORTEST = 120.0
+"""Shorter stretches of one speed belong to the next: the spindle is on its way there [s]."""
+
+SPEED_SHARE, SPEED_LEAST = 0.05, 1.0
+"""Speeds are one while they differ by less than this share, or this much [-, rad/s]."""
+
+PHASES_MAX = 40
+"""Most phases that are found by speed: more are a program, and no test."""
+
+_WORDS = {
+    'cooling': r'cool(ing)?|cool-?down|rest|stop(ped)?|standstill|off',
+    'environment': r'environment(al)?|etve|ambient|room',
+    'spindle': r'spindle|rpm|\d+ ?rpm',
+    'axis': r'ax[ei]s|feed|linear|traverse',
+}
+"""Words by which a name tells what a phase is; the first that is found counts."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A phase of a test.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    kind : str
+        What it is, one of `KINDS`.
+    start, end : float
+        From when to when, since the first displacement [s].
+    """
+
+    name: str
+    kind: str
+    start: float
+    end: float
+
+    @property
+    def duration(self) -> float:
+        """How long it lasts [s]."""
+        return self.end - self.start
+
+
+@dataclass(frozen=True)
+class PhaseList:
+    """Phases in order, and what told of them."""
+
+    phases: tuple[Phase, ...]
+    source: str
+
+
+def kind_of(name: str) -> str:
+    """Return what a phase is by the words of its name.
+
+    Examples
+    --------
+    >>> kind_of('spindle 6000'), kind_of('X axis 10 m/min'), kind_of('Spindle off'), kind_of('B')
+    ('spindle', 'axis', 'cooling', 'other')
+    """
+    for kind, words in _WORDS.items():
+        if re.search(rf'\b({words})\b', name.casefold()):
+            return kind
+    return 'other'
+
+
+def find_phases(
+    recording: TestRecording, given: Sequence[Phase] = (), kinds: Mapping[str, str] | None = None
+) -> PhaseList:
+    """Return the phases of a test.
+
+    Parameters
+    ----------
+    recording : TestRecording
+        The test.
+    given : sequence of Phase
+        Phases that somebody names; without them those of the marks count, else those of the
+        spindle speed, else the whole recording is one.
+    kinds : mapping of str to str
+        What phases are, by name, where their names do not say so.
+
+    Raises
+    ------
+    RunError
+        If a phase is empty or lies outside of the recording, a kind is of a phase that there is
+        not, or the speed changes too often.
+    """
+    last = float(recording.time[-1])
+    if given:
+        found = PhaseList(tuple(_cut(item, recording) for item in given), 'named by the reader')
+    elif recording.marks:
+        found = PhaseList(_marked(recording.marks, last), 'marked in the bag')
+        if not found.phases:
+            raise RunError(
+                f'{recording.name}: expected a mark that begins a phase before the last '
+                f'displacement at {last:.6g} s but found none; name phases by --phase'
+            )
+    elif recording.speed is not None:
+        found = PhaseList(_by_speed(recording, recording.speed), 'found by the spindle speed')
+    else:
+        found = PhaseList(
+            (Phase('whole recording', 'other', 0.0, last),),
+            'none: the bag has neither marks nor a spindle speed',
+        )
+    names = {item.name for item in found.phases}
+    for name in kinds or {}:
+        if name not in names:
+            raise RunError(
+                f'{recording.name}: --kind: expected a phase of {", ".join(sorted(names))} but '
+                f'found {name!r}'
+            )
+    told = kinds or {}
+    phases = tuple(replace(item, kind=told.get(item.name, item.kind)) for item in found.phases)
+    return replace(found, phases=phases)
+
+
+def _cut(phase: Phase, recording: TestRecording) -> Phase:
+    """Return a phase that ends with the recording at the latest."""
+    last = float(recording.time[-1])
+    if not 0.0 <= phase.start < last:
+        raise RunError(
+            f'phase {phase.name}: expected a start between 0 and {last:.6g} s, the time from the '
+            f'first to the last displacement of {recording.name}, but found {phase.start:.6g} s'
+        )
+    if not phase.start < phase.end:
+        raise RunError(
+            f'phase {phase.name}: expected an end after its start at {phase.start:.6g} s but '
+            f'found {phase.end:.6g} s'
+        )
+    if isfinite(phase.end) and phase.end > last + 0.5 * recording.spacing:
+        raise RunError(
+            f'phase {phase.name}: expected an end of {last:.6g} s at most, when the last '
+            f'displacement of {recording.name} was measured, but found {phase.end:.6g} s'
+        )
+    return replace(phase, end=min(phase.end, last))
+
+
+def _marked(marks: Sequence[Mark], last: float) -> tuple[Phase, ...]:
+    """Return the phases that marks begin."""
+    ends = [mark.time for mark in marks[1:]] + [inf]
+    return tuple(
+        Phase(mark.phase, kind_of(mark.phase), mark.time, min(end, last))
+        for mark, end in zip(marks, ends, strict=True)
+        if mark.phase.casefold() != END and mark.time < min(end, last) and end > 0.0
+    )
+
+
+def _by_speed(recording: TestRecording, told: NDArray[np.float64]) -> tuple[Phase, ...]:
+    """Return the stretches of one spindle speed, those on the way to it included."""
+    known = np.isfinite(told)
+    last = float(recording.time[-1])
+    merged: list[tuple[float, float, float]] = []
+    begin: float | None = None
+    for start, end, speed in _stretches(recording.time[known], told[known]):
+        begin = start if begin is None else begin
+        if end - begin >= SHORTEST:
+            if merged and _alike(merged[-1][2], speed):
+                begin = merged.pop()[0]
+            merged.append((begin, end, speed))
+            begin = None
+    if len(merged) > PHASES_MAX:
+        raise RunError(
+            f'{recording.name}: expected at most {PHASES_MAX} stretches of one spindle speed but '
+            f'found {len(merged)}; name the phases by --phase NAME=START:END'
+        )
+    phases, turned = [], False
+    for place, (start, end, speed) in enumerate(merged):
+        final = place == len(merged) - 1
+        stop = last if final else min(end, last)
+        if stop <= max(start, 0.0):
+            continue
+        turns = not _alike(speed, 0.0)
+        kind = 'spindle' if turns else 'cooling' if turned else 'environment'
+        name = f'spindle {60.0 * speed / (2.0 * pi):.0f} rpm' if turns else 'spindle at rest'
+        phases.append(Phase(name, kind, max(start, 0.0), stop))
+        turned = turned or turns
+    return tuple(phases) or (Phase('whole recording', 'other', 0.0, last),)
+
+
+def _stretches(
+    time: NDArray[np.float64], speed: NDArray[np.float64]
+) -> list[tuple[float, float, float]]:
+    """Return start, end and speed of the stretches in which it stays what it was."""
+    found = []
+    first, total = 0, 0.0
+    told = [float(value) for value in speed]
+    for row, value in enumerate(told):
+        mean = total / (row - first) if row > first else value
+        if not _alike(value, mean):
+            found.append((float(time[first]), float(time[row]), mean))
+            first, total = row, 0.0
+        total += value
+    return [*found, (float(time[first]), float(time[-1]), total / (len(told) - first))]
+
+
+def _alike(one: float, other: float) -> bool:
+    return abs(one - other) <= max(SPEED_LEAST, SPEED_SHARE * max(abs(one), abs(other)))
