@@ -16,8 +16,15 @@ from fuzzycnc_ros.bags.finding import STORAGE
 BLOCK = 1024 * 1024
 """Bytes that are read at a time."""
 
-FIGURES = ('core', 'runtime', 'components', 'bags', 'studies/thermal', 'studies/fleet')
-"""Folders of the package whose code figures depend on."""
+FIGURES = (
+    'core',
+    'runtime',
+    'components/thermal',
+    'bags',
+    'studies/thermal/missing_readings.py',
+    'studies/fleet/judging.py',
+)
+"""Folders and files of the package whose code figures depend on."""
 
 
 class FileState(NamedTuple):
@@ -72,8 +79,8 @@ def result_version() -> str:
     """
     digest = hashlib.sha256(f'{version("numpy")} {version("scipy")}'.encode())
     package = Path(__file__).parents[2]
-    for folder in FIGURES:
-        for path in sorted((package / folder).rglob('*.py')):
+    for place in FIGURES:
+        for path in sorted((package / place).rglob('*.py')) or [package / place]:
             digest.update(str(path.relative_to(package)).encode() + path.read_bytes())
     return f'{__version__}+{digest.hexdigest()[:12]}'
 
