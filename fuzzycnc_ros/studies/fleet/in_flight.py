@@ -39,9 +39,8 @@ class Killed:
     """A piece of work that ended its process, each time it was tried."""
 
 
-@dataclass(frozen=True)
 class Crew:
-    """Who does the work.
+    """Who does the work, one piece of it after another.
 
     Parameters
     ----------
@@ -53,9 +52,37 @@ class Crew:
         What it raises for a piece that ended all the workers that it was given to.
     """
 
-    start: Callable[[], Executor]
-    in_flight: int = IN_FLIGHT
-    killed: tuple[type[Exception], ...] = ()
+    def __init__(
+        self,
+        start: Callable[[], Executor],
+        in_flight: int = IN_FLIGHT,
+        killed: tuple[type[Exception], ...] = (),
+    ) -> None:
+        self.in_flight, self.killed = in_flight, killed
+        self._begin = start
+        self._executor: Executor | None = None
+
+    def submit(self, work: Callable[[Item], Result], item: Item) -> 'Future[Result]':
+        """Hand a piece out.
+
+        Raises
+        ------
+        BrokenExecutor
+            If a process of the executor was killed; the next piece goes to another one.
+        LostWorkersError
+            If there is no other.
+        """
+        if self._executor is None:
+            self._executor = self._begin()
+        try:
+            return self._executor.submit(work, item)
+        except BrokenExecutor:
+            self.broke()
+            raise
+
+    def broke(self) -> None:
+        """Have another executor started for the next piece."""
+        self._executor = None
 
 
 class InFlight(Generic[Item, Result]):
@@ -71,9 +98,7 @@ class InFlight(Generic[Item, Result]):
 
     def __init__(self, work: Callable[[Item], Result], crew: Crew | None) -> None:
         self._work, self._crew = work, crew
-        self._executor: Executor | None = None
         self._suspects: deque[Item] = deque()
-        self._killed = () if crew is None else crew.killed
 
     def done(self, items: Iterable[Item]) -> Iterator[tuple[Item, Result | Killed]]:
         """Yield pieces and what came of them, in the order in which they are done.
@@ -89,33 +114,29 @@ class InFlight(Generic[Item, Result]):
             for item in items:
                 yield item, self._work(item)
             return
-        source = iter(items)
+        crew, source = self._crew, iter(items)
         running: dict[Future[Result], Item] = {}
         more = True
         while True:
-            while more and not self._suspects and len(running) < self._crew.in_flight:
+            while more and not self._suspects and len(running) < crew.in_flight:
                 try:
                     item = next(source)
                 except StopIteration:
                     more = False
                 else:
-                    self._submit(item, running)
+                    try:
+                        running[crew.submit(self._work, item)] = item
+                    except BrokenExecutor:
+                        self._suspects.append(item)
             if not running and not self._suspects:
                 return
             if running:
-                yield from self._landed(running)
+                yield from self._landed(running, crew)
             if self._suspects and not running:
-                yield self._alone(self._suspects.popleft())
-
-    def _submit(self, item: Item, running: 'dict[Future[Result], Item]') -> None:
-        try:
-            running[self._start().submit(self._work, item)] = item
-        except BrokenExecutor:
-            self._executor = None
-            self._suspects.append(item)
+                yield self._alone(self._suspects.popleft(), crew)
 
     def _landed(
-        self, running: 'dict[Future[Result], Item]'
+        self, running: 'dict[Future[Result], Item]', crew: Crew
     ) -> Iterator[tuple[Item, Result | Killed]]:
         """Wait for some of what runs; of a broken executor all goes to the suspects."""
         done, _ = wait(running, return_when=FIRST_COMPLETED)
@@ -127,27 +148,21 @@ class InFlight(Generic[Item, Result]):
                 self._suspects.append(item)
             except CancelledError:
                 raise _lost() from None
-            except self._killed:
+            except crew.killed:
                 yield item, Killed()
             else:
                 yield item, result
         if self._suspects:
-            self._executor = None
+            crew.broke()
 
-    def _alone(self, item: Item) -> tuple[Item, Result | Killed]:
+    def _alone(self, item: Item, crew: Crew) -> tuple[Item, Result | Killed]:
         """Do one piece with nothing beside it."""
         for _ in range(TRIES):
             try:
-                return item, self._start().submit(self._work, item).result()
+                return item, crew.submit(self._work, item).result()
             except BrokenExecutor:
-                self._executor = None
+                crew.broke()
         return item, Killed()
-
-    def _start(self) -> Executor:
-        if self._executor is None:
-            assert self._crew is not None
-            self._executor = self._crew.start()
-        return self._executor
 
 
 def only(executor: Executor) -> Callable[[], Executor]:

@@ -191,11 +191,10 @@ def words(name, *options):
     )  # fmt: skip
 
 
-def begin(root, name, *options):
-    """Start the command in a process group of its own."""
+def begin(root, *command):
+    """Start a command in a process group of its own."""
     return start(
-        [sys.executable, '-c', 'from fuzzycnc_ros.cli.main import main; main()',
-         *words(name, *options)],
+        [sys.executable, '-c', 'from fuzzycnc_ros.cli.main import main; main()', *command],
         env={**os.environ, 'PYTHONPATH': str(root)},
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
@@ -221,13 +220,13 @@ def ended(process):
 
 @pytest.mark.slow
 def test_a_command_that_was_killed_goes_on_where_it_was(large, root):
-    process = begin(root, 'killed', '--workers', '2')
+    process = begin(root, *words('killed', '--workers', '2'))
     wait_for(lambda: kept('killed') >= 5, 'some bags were judged')
     process.kill()
     process.communicate()
     done = kept('killed')
     assert not Path('killed.parquet').exists()
-    out = ended(begin(root, 'killed', '--workers', '2'))
+    out = ended(begin(root, *words('killed', '--workers', '2')))
     known = int(re.search(r'(\d+) known from before', out).group(1))
     assert done <= known < BAGS
     assert Path('killed.parquet').read_bytes() == large
@@ -235,7 +234,7 @@ def test_a_command_that_was_killed_goes_on_where_it_was(large, root):
 
 @pytest.mark.slow
 def test_an_interrupt_ends_clean(large, root):
-    process = begin(root, 'stopped', '--workers', '2')
+    process = begin(root, *words('stopped', '--workers', '2'))
     wait_for(lambda: kept('stopped') >= 3, 'some bags were judged')
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=HANG)
@@ -248,7 +247,7 @@ def test_an_interrupt_ends_clean(large, root):
 @pytest.mark.slow
 def test_two_runs_at_once_share_a_cache(large, root):
     """Both finish, with the same table."""
-    processes = [begin(root, 'shared', '--workers', '1') for _ in range(2)]
+    processes = [begin(root, *words('shared', '--workers', '1')) for _ in range(2)]
     for process in processes:
         ended(process)
     assert Path('shared.parquet').read_bytes() == large
@@ -265,14 +264,17 @@ def test_a_killed_worker_of_dask_loses_nothing(large, root):
     )  # fmt: skip
     try:
         address, first, _ = cluster.stdout.readline().split()
-        process = begin(root, 'dask', '--dask', address)
+        process = begin(root, *words('dask', '--dask', address))
         wait_for(lambda: kept('dask') >= 5, 'some bags were judged')
         os.kill(int(first), signal.SIGKILL)
         assert f'{BAGS} bags: {BAGS} judged now' in ended(process)
         assert Path('dask.parquet').read_bytes() == large
+        quick = ('archive', '--runs', '2', '--models', 'static_ridge')
+        compared = begin(root, 'fleet', 'compare', *quick, '--dask', address)
+        assert 'mill_2' in ended(compared)
     finally:
         cluster.stdin.close()
         cluster.stdout.close()
         cluster.wait(HANG)
     # What is known needs nobody.
-    assert f'{BAGS} known from before' in ended(begin(root, 'dask', '--workers', '1'))
+    assert f'{BAGS} known from before' in ended(begin(root, *words('dask', '--workers', '1')))

@@ -51,6 +51,14 @@ def test_no_more_than_a_bound_is_under_way():
     assert executor.most == 3
 
 
+def test_one_crew_does_one_work_after_another():
+    crew = Crew(only(Slow()), in_flight=3)
+    for first in (0, 3):
+        items = [(number, '') for number in range(first, first + 3)]
+        found = dict(InFlight(doubled_or_killed, crew).done(items))
+        assert found == {item: 2 * item[0] for item in items}
+
+
 @pytest.fixture
 def pools():
     """Start pools of two processes; end them with the test."""
