@@ -42,7 +42,7 @@ WORKER = """
 import sys
 from distributed import LocalCluster
 cluster = LocalCluster(
-    n_workers=int(sys.argv[1]), threads_per_worker=1, dashboard_address=None, host='127.0.0.1'
+    n_workers=int(sys.argv[1]), threads_per_worker=1, dashboard_address=':0', host='127.0.0.1'
 )
 print(cluster.scheduler_address, flush=True)
 sys.stdin.read()
