@@ -208,6 +208,15 @@ class Application:
             print('interrupted', file=sys.stderr)
         return code if isinstance(code, int) else 0
 
+    def check(self, command: str, arguments: Sequence[str]) -> None:
+        """Refuse what a command would refuse of its arguments, without carrying it out."""
+        group = typer.main.get_command(self.typer)
+        with group.make_context(self.name, [command], resilient_parsing=True) as context:
+            words = with_their_units([self._with_value(word) for word in arguments])
+            group.get_command(context, command).make_context(  # type: ignore[attr-defined]
+                command, words, parent=context
+            ).close()
+
     def _with_value(self, word: str) -> str:
         """Return an option that stands alone with the value that it then has."""
         return f'{word}={self._alone[word]}' if word in self._alone else word

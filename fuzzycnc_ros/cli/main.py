@@ -102,6 +102,11 @@ COMMANDS: Commands = {
         'fuzzycnc_ros.cli.live.watch:watch',
         'Watch a running machine in the terminal: state, offsets, sensors, probes, alarms.',
     ),
+    'service': Later(
+        'Run',
+        'fuzzycnc_ros.cli.live.service',
+        'Run a machine as a service of systemd: from boot on, watched, started anew.',
+    ),
     'record': Later(
         'Run',
         'fuzzycnc_ros.cli.bags.record:record',

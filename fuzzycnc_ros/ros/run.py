@@ -25,6 +25,7 @@ from fuzzycnc_ros.ros.processes import (
     interruptible,
     prepare_environment,
 )
+from fuzzycnc_ros.ros.service_manager import ServiceManager
 
 LETTING_GO = 20
 """Wall time [s] that the middleware has for its part of the end; it takes 0.1 s, or forever."""
@@ -105,6 +106,7 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
     executor: SingleThreadedExecutor | None = None
     refused = 0
     presence = Presence()
+    manager = ServiceManager()
     try:
         with uninterrupted():  # what is half made could not be stopped
             initialise(arguments)
@@ -122,6 +124,9 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
             install_signal_handlers(SignalHandlerOptions.ALL)
         while rclpy.ok() and not any(host.done for host in hosts):
             executor.spin_once()
+            # Every node has work to do each second, if only to say how it is.
+            manager.ready()
+            manager.pulse()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass  # the wish is carried out below
     except RuntimeError:
@@ -133,6 +138,7 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
         tell_error(error)
         refused = REFUSED
     finally:
+        manager.stopping()
         for host in reversed(hosts):
             host.stop()
         # What a node holds may fail to be written to its end: the code is known only now.

@@ -117,6 +117,7 @@ class Reader:
             'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}',
             'ROS_DOMAIN_ID': str(domain),
             'COLUMNS': '100',
+            'XDG_CONFIG_HOME': str(folder.parent / 'config'),
         }
         self._beside: subprocess.Popen[bytes] | None = None
 

@@ -198,8 +198,11 @@ def test_commands_and_options_exist(page):
     )
     from fuzzycnc_ros.cli.main import APPLICATION
 
-    for line in used:
-        command, words = typer.main.get_command(APPLICATION.typer), line.split()[1:]
+    group = typer.main.get_command(APPLICATION.typer)
+    # behind two dashes stand options of `up`
+    parts = [part for line in used for part in line.replace(' -- ', '\nfuzzycnc up ').split('\n')]
+    for line in parts:
+        command, words = group, line.split()[1:]
         # down to the command itself: `servo tune` is one of `servo`
         while words and not words[0].startswith('--') and hasattr(command, 'commands'):
             command, words = command.get_command(None, words[0]), words[1:]

@@ -3,6 +3,7 @@
 """Figures as they are declared: what a browser gets, what is kept of many rows."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -18,9 +19,18 @@ from fuzzycnc_ros.studies.page.chart import (
     Picture,
     Rule,
     Series,
+    View,
     kept_rows,
 )
-from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, PALETTE, THEME
+from fuzzycnc_ros.studies.page.drawing import (
+    AFTER,
+    BEFORE,
+    PALETTE,
+    THEME,
+    new_figure,
+    plot_style,
+)
+from fuzzycnc_ros.studies.page.html import to_inline_svg
 
 
 def decoded(column):
@@ -166,7 +176,34 @@ def test_a_series_of_another_length_is_refused():
 
 def test_a_picture_has_its_table():
     table = Picture(None, {'job': ['a', 'b'], 'error [µm]': [1.0 / 3.0, np.nan]}).document()
-    assert table == {'table': [['job', 'error [µm]'], ['a', 0.3333333], ['b', '']]}
+    assert table == {'table': [['job', 'error [µm]'], ['a', 0.3333333], ['b', '']], 'views': []}
+
+
+@pytest.mark.parametrize('scale', ['linear', 'log'])
+def test_a_view_knows_where_its_places_were_drawn(scale):
+    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
+    x, y = np.array([1.0, 20.0, 300.0, -1.0]), np.array([3.0, 1.0, 2.0, np.nan])
+    with plot_style():
+        figure = new_figure(3.0)
+        axes = figure.subplots()
+        axes.plot(x[:3], y[:3], 'o')
+        axes.set_xscale(scale)
+        axes.set_xlabel('way [mm]; the rest')
+        axes.set_yticks([1.0, 2.0, 3.0], ['a', 'b', 'c'])
+    view = View(axes, x, y, rows=[4, 5, 6, 7])
+    picture = Picture(figure, {'x': x}, [view])
+    svg = to_inline_svg(figure, 'f1')
+    (found,) = picture.document()['views']
+    drawn = re.findall(r'<use [^>]*x="([\d.]+)" y="([\d.]+)" style="fill: #1f77b4', svg)
+    across, down = np.array(drawn, dtype=float).T
+    assert decoded(found['across']) == pytest.approx(across, abs=0.05)
+    assert decoded(found['down']) == pytest.approx(down, abs=0.05)
+    assert found['rows'] == [4, 5, 6]
+    left, top, _, height = found['box']
+    frame = re.search(r'id="f1-view-0">\s*<g [^>]*>\s*<path d="M ([\d.]+) ([\d.]+)', svg)
+    assert [left, top + height] == pytest.approx([*map(float, frame.groups())], abs=0.05)
+    assert (found['x']['name'], found['x']['unit'], found['x']['scale']) == ('way', 'mm', scale)
+    assert (found['x']['fixed'], found['y']['fixed']) == (False, True)
 
 
 def test_each_colour_has_one_name():

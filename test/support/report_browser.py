@@ -4,6 +4,7 @@
 
 import csv
 import re
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,6 +33,7 @@ class Reader:
     def __init__(self, driver: Any, downloads: Path) -> None:
         self.driver, self.downloads = driver, downloads
         self.run = driver.execute_script
+        self._touched_at = time.time()
 
     def open(self, page: Path, width: int = 1280, theme: str = 'light') -> None:
         """Open a page on a screen of a width [px], of a system that is light or dark."""
@@ -66,6 +68,78 @@ class Reader:
         low, high = re.fullmatch(r'Shown: .* (\S+) to (\S+)(?: .*)?', said).groups()
         return [float(low), float(high)]
 
+    def view(self, figure: int, number: int = 0) -> Any:
+        """Return a view of a picture, in sight."""
+        found = self.driver.find_elements('css selector', f'#figure-{figure} .over')[number]
+        self.run("arguments[0].scrollIntoView({block: 'center'})", found)
+        return found
+
+    def shown(self, figure: int) -> dict[str, list[float]]:
+        """Return the stretches that a picture says it shows, by axis; none while it is whole."""
+        said = self.run(
+            'return document.querySelector(`#figure-${arguments[0]} .panel`)'
+            '.lastElementChild.textContent',
+            figure,
+        )
+        found = re.findall(r'(\w+) (\S+) to (\S+?)(?: µm| mm)?(?:, |; |$)', said)
+        assert bool(found) == bool(said), said
+        return {name: [float(low), float(high)] for name, low, high in found}
+
+    def read(self, figure: int) -> str:
+        """Return what a picture reads out at the cursor."""
+        return self.run(
+            'return document.querySelector(`#figure-${arguments[0]} .nearest`).textContent', figure
+        )
+
+    def wheel(self, area: Any, way: float, *, control: bool = True) -> None:
+        """Turn the wheel [px] in the middle of a plot, as a rule with Ctrl."""
+        event = {'type': 'mouseWheel', 'deltaX': 0, 'deltaY': way, 'modifiers': 2 * control}
+        self._send('Input.dispatchMouseEvent', {**event, **self._place(area, 0.5)})
+
+    def press(self, area: Any, *keys: str) -> None:
+        """Press keys where the focus is on a plot."""
+        self.run('arguments[0].focus()', area)
+        self._hand().send_keys(*keys).perform()
+
+    def pinch(self, area: Any, begin: tuple[float, float], end: tuple[float, float]) -> None:
+        """Move two fingers on a plot, from two shares of its width to two others."""
+        steps = [begin, tuple((a + b) / 2 for a, b in zip(begin, end, strict=True)), end]
+        for kind, shares in zip(('touchStart', 'touchMove', 'touchMove'), steps, strict=True):
+            points = [{**self._place(area, share), 'id': i} for i, share in enumerate(shares)]
+            self._send('Input.dispatchTouchEvent', {'type': kind, 'touchPoints': points})
+        self._send('Input.dispatchTouchEvent', {'type': 'touchEnd', 'touchPoints': []})
+
+    def tap(self, area: Any, times: int = 1) -> None:
+        """Touch the middle of a plot: a second after all before, every 0.1 s by the browser."""
+        self._touched_at += 1.0
+        for _ in range(times):
+            self._touched_at += 0.1
+            for kind, points in (('touchStart', [self._place(area, 0.5)]), ('touchEnd', [])):
+                event = {'type': kind, 'touchPoints': points, 'timestamp': self._touched_at}
+                self._send('Input.dispatchTouchEvent', event)
+
+    def swipe(self, area: Any) -> None:
+        """Move one finger up over a plot, as if to scroll on."""
+        begin = self._place(area, 0.5)
+        places = [{**begin, 'y': begin['y'] - 15.0 * step} for step in range(11)]
+        for kind, points in [
+            ('touchStart', places[:1]),
+            *(('touchMove', [place]) for place in places[1:]),
+            ('touchEnd', []),
+        ]:
+            self._send('Input.dispatchTouchEvent', {'type': kind, 'touchPoints': points})
+
+    def _place(self, area: Any, share: float) -> dict[str, float]:
+        left, top, width, height = self.run(
+            'const box = arguments[0].getBoundingClientRect();'
+            'return [box.left, box.top, box.width, box.height]',
+            area,
+        )
+        return {'x': left + share * width, 'y': top + 0.5 * height}
+
+    def _send(self, command: str, event: dict[str, Any]) -> None:
+        self.driver.execute_cdp_cmd(command, event)
+
     def drag(self, area: Any, begin: float, end: float) -> None:
         """Drag across a plot, between shares of its width."""
         width = area.size['width']
@@ -79,11 +153,14 @@ class Reader:
         """Double-click into the middle of a plot."""
         self._hand().move_to_element(area).double_click().perform()
 
+    def hover(self, area: Any, share: float) -> None:
+        """Put the cursor at a share of a plot's width."""
+        way = int((share - 0.5) * area.size['width'])
+        self._hand().move_to_element_with_offset(area, way, 0).perform()
+
     def point_at(self, area: Any, share: float) -> dict[str, str]:
         """Put the cursor at a share of a plot's width; return what is read out then."""
-        self._hand().move_to_element_with_offset(
-            area, int((share - 0.5) * area.size['width']), 0
-        ).perform()
+        self.hover(area, share)
         rows = self.run(
             "return [...arguments[0].closest('.uplot').querySelectorAll('.u-series')]"
             ".filter(row => !row.hidden).map(row => [row.querySelector('.u-label').textContent,"

@@ -225,7 +225,7 @@ def _gate_line(network: 'TSFuzzyNetwork') -> str:
     gate = network.model_.gate
     low, high = gate.low, gate.high
     return (
-        f'the model is for directions {low[0]:g} to {high[0]:g} deg and their opposites, steps '
+        f'the model is for directions {low[0]:g} to {high[0]:g}° and their opposites, steps '
         f'{low[3]:g} to {high[3]:g} mm, thicknesses {low[4]:g} to {high[4]:g} mm, depths '
         f'{gate.ratio_low:.2f} to {gate.ratio_high:.2f} of the thickness'
     )

@@ -24,6 +24,7 @@ from fuzzycnc_ros.ros.bring_up import (
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
     from fuzzycnc_ros.ros.presence import Presence
+    from fuzzycnc_ros.ros.service_manager import ServiceManager
 
 GIVEN_UP = 1
 """Exit code where a node was given up."""
@@ -33,6 +34,9 @@ DECIDED = 6.0
 SPOKE = 4.0
 """Wall time [s] since its newest report for a node that is alive: it reports every second, a busy
 computer permitting."""
+
+COMING_BACK = 30.0
+"""Wall time [s] in which a node that was started anew reports, also on a busy computer."""
 
 Plan = Sequence[tuple[NodeSpec, ...]]
 """Processes of one machine, each with one node or several composed ones."""
@@ -90,8 +94,13 @@ def supervise(
     monitor: 'Monitor',
     graphs: Sequence[GraphProcesses],
     plans: Sequence[Plan],
+    manager: 'ServiceManager',
 ) -> dict[str, Any]:
-    """Run the processes of some graphs until they are over or interrupted; return how it went."""
+    """Run the processes of some graphs until they are over or interrupted; return how it went.
+
+    The service manager, if there is one, learns when all nodes have reported, and as long as they
+    do.
+    """
     with View(console) as view:
         supervisor = Supervisor(view.tell, monitor)
         try:
@@ -99,8 +108,10 @@ def supervise(
             view.tell(f'all started: {_names(supervisor)}; Ctrl-C ends them')
             while not supervisor.over:
                 _watch(supervisor, monitor, view)
+                _tell(manager, silent_nodes(supervisor.processes, monitor, time.monotonic()))
         except KeyboardInterrupt:
             view.tell('ending all nodes')
+        manager.stopping()
         _end(graphs)
         lacking = _lacking(supervisor)
         for text in lacking:
@@ -125,6 +136,35 @@ def _watch(supervisor: Supervisor, monitor: 'Monitor', view: View) -> None:
     monitor.spin()
     supervisor.poll(time.monotonic())
     view.update(supervisor.processes, monitor)
+
+
+def silent_nodes(processes: Sequence[Supervised], monitor: 'Monitor', now: float) -> list[str]:
+    """Return the nodes that should report at wall time `now` [s] and do not.
+
+    One that is about to be started anew need not, and one that was has some time for it.
+    """
+    found = []
+    for process in processes:
+        if process.state is State.GIVEN_UP:
+            found.append(process.title)
+        if process.state is not State.RUNNING:
+            continue
+        coming = bool(process.begun) and now - process.begun[-1] < COMING_BACK
+        for spec in process.specs:
+            node = monitor.view(process.graph.machine, spec.name)
+            if node.silent(now) or (not node.heard_at and not coming):
+                found.append(f'{process.graph.machine}/{spec.name}')
+    return found
+
+
+def _tell(manager: 'ServiceManager', silent: Sequence[str]) -> None:
+    """Tell the service manager how the graph is; of one that hangs there is no sign of life."""
+    if silent:
+        manager.status(f'nothing heard of {", ".join(silent)}')
+        return
+    manager.ready()
+    manager.pulse()
+    manager.status('all nodes report')
 
 
 def _bring_up(

@@ -187,7 +187,10 @@ def up(
     from fuzzycnc_ros.cli.live.parameter_check import check_files, check_parameters
     from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
     from fuzzycnc_ros.ros.presence import Presence
+    from fuzzycnc_ros.ros.service_manager import ServiceManager
 
+    # After ROS was imported: that may begin this process anew, with its environment.
+    manager = ServiceManager()
     files = parameter_files(params, '--params ')
     check_files(files)
     started = time.monotonic()
@@ -226,7 +229,7 @@ def up(
             check_free(monitor, presence, dict(zip(machines, plans, strict=True)))
         console.print(BANNER, style='yellow', soft_wrap=True)
         with page_beside(console, page, record):
-            outcome = supervise(console, monitor, graphs, plans)
+            outcome = supervise(console, monitor, graphs, plans, manager)
     outcome['wall_s'] = round(time.monotonic() - started, 3)
     console.print(
         f'ended after {outcome["wall_s"]:.0f} s'

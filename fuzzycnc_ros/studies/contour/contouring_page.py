@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series, View
 from fuzzycnc_ros.studies.page.drawing import (
     AFTER,
     FAINT,
@@ -182,6 +182,7 @@ def path_picture(
                 f'{axis[1]} [mm]': 1e3 * point[1:, 1],
                 'contour error [µm]': 1e6 * error,
             },
+            [View(axes, 1e3 * point[1:, 0], 1e3 * point[1:, 1])],
         )
 
 

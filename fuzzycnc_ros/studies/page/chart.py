@@ -4,7 +4,8 @@
 
 From a `Chart` follow the figure that a reader zooms into (`charts.js` beside the templates, by
 uPlot), the one on paper and without scripts (`fuzzycnc_ros.studies.page.paper`, by matplotlib)
-and the CSV file.  What cannot be zoomed into is a `Picture`.
+and the CSV file.  What is no course over x, such as bars or a path, is a `Picture`: drawn once by
+matplotlib, and zoomed into as far as it names its views.
 """
 
 from collections.abc import Mapping, Sequence
@@ -273,8 +274,61 @@ class Chart:
 
 
 @dataclass(frozen=True, eq=False)
+class View:
+    """A pair of axes of a picture that a reader zooms into, and what is read there.
+
+    Axes with ticks at places of their own, such as the names of bars, stay as they are; those
+    with an aspect keep it.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        The axes.
+    x, y : array_like, shape (n,)
+        Places that are read, in the units of the axes; NaN where a row is not drawn.
+    rows : array_like of int, shape (n,), optional
+        Row of the picture's table that each place shows; the n rows as they come if absent.
+    read : mapping of str to sequence, optional
+        What is read at each place instead of a row: heading with unit -> n numbers or text.
+    """
+
+    axes: Any
+    x: ArrayLike
+    y: ArrayLike
+    rows: ArrayLike | None = None
+    read: Mapping[str, Sequence[Any] | NDArray[Any]] | None = None
+
+    def document(self) -> dict[str, Any]:
+        """Return where it lies on its figure, which was drawn before, as JSON has it."""
+        figure = self.axes.figure
+        point = 72.0 / figure.dpi
+        top = figure.bbox.height
+        box = self.axes.bbox
+        with np.errstate(all='ignore'):  # what a logarithmic axis cannot show
+            place = self.axes.transData.transform(np.column_stack([self.x, self.y]))
+        known = np.isfinite(place).all(axis=1)
+        rows = np.arange(len(place)) if self.rows is None else np.asarray(self.rows)
+        document = {
+            'id': self.axes.get_gid(),
+            'title': self.axes.get_title(loc='left'),
+            'box': [
+                round(point * value, 2) for value in (box.x0, top - box.y1, box.width, box.height)
+            ],
+            'together': self.axes.get_aspect() != 'auto',
+            'x': _shown_axis(self.axes.xaxis, self.axes.get_xlim()),
+            'y': _shown_axis(self.axes.yaxis, self.axes.get_ylim()),
+            'across': _encoded(point * place[known, 0], Axis('')),
+            'down': _encoded(point * (top - place[known, 1]), Axis('')),
+            'rows': rows[known].tolist(),
+        }
+        if self.read is not None:
+            document['read'] = _table(self.read)
+        return document
+
+
+@dataclass(frozen=True, eq=False)
 class Picture:
-    """A figure that is shown as it is, and the table behind it.
+    """A figure that is shown as it is drawn, and the table behind it.
 
     Parameters
     ----------
@@ -282,15 +336,24 @@ class Picture:
         What is shown.
     columns : mapping of str to sequence
         What it shows, for the CSV file: heading with unit -> numbers or text, all of one length.
+    views : sequence of View
+        Where a reader zooms into it.
     """
 
     figure: Any
     columns: Mapping[str, Sequence[Any] | NDArray[Any]]
+    views: Sequence[View] = ()
+
+    def __post_init__(self) -> None:
+        for number, view in enumerate(self.views):
+            view.axes.set_gid(f'view-{number}')
 
     def document(self) -> dict[str, Any]:
-        """Return the table behind it, as JSON has it."""
-        cells = [[_cell(value) for value in column] for column in self.columns.values()]
-        return {'table': [list(self.columns), *map(list, zip(*cells, strict=True))]}
+        """Return the table behind it, and its views once it is drawn, as JSON has it."""
+        return {
+            'table': _table(self.columns),
+            'views': [view.document() for view in self.views],
+        }
 
 
 def kept_rows(values: ArrayLike, most: int) -> NDArray[np.intp]:
@@ -512,6 +575,28 @@ def _decimals(values: Floats, axis: Axis, steps: Floats | None) -> int:
     # No more digits than the numbers themselves have.
     finest = max(finest, 1e-12 * float(known.max()))
     return -floor(log10(finest)) if isfinite(finest) and finest > 0.0 else 0
+
+
+def _shown_axis(axis: Any, ends: tuple[float, float]) -> dict[str, Any]:
+    """Return what a reader is told of an axis of matplotlib: ends, name and unit."""
+    name, _, rest = axis.get_label_text().partition(' [')
+    low, high = map(float, ends)
+    fixed = type(axis.get_major_locator()).__name__ == 'FixedLocator'
+    scale = axis.get_scale()
+    return {
+        'name': name,
+        'unit': rest.partition(']')[0],
+        'low': low,
+        'high': high,
+        'scale': scale,
+        'fixed': fixed and scale == 'linear',
+    }
+
+
+def _table(columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> list[list[Any]]:
+    """Return headings and rows."""
+    cells = [[_cell(value) for value in column] for column in columns.values()]
+    return [list(columns), *map(list, zip(*cells, strict=True))]
 
 
 def _cell(value: Any) -> Any:

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pages of sections with tables, remarks and figures, as self-contained HTML.
 
-A declared figure is drawn by the page's own script, and zoomed into; on paper and without scripts
-its SVG stands in its place.  Both follow the light or dark theme.
+A declared figure is drawn by the page's own script, a picture is a copy of its SVG; both are
+zoomed into.  On paper and without scripts the SVG stands in their place.  All follow the light or
+dark theme.
 """
 
 import json
@@ -26,6 +27,9 @@ from fuzzycnc_ros.web import vendored
 
 HEADER = ('Recorded', 'Machine', 'Axis', 'Bag', 'Program', 'Judged')
 """Facts that stand at the top of a page, in this order."""
+
+_SCRIPTS = ('reading.js', 'gestures.js', 'pictures.js', 'charts.js')
+"""What draws figures and follows the reader's hand; each uses those before it."""
 
 _TAG = re.compile(r'<[^>]*>')
 _DECIMALS = re.compile(r'(\d\.\d\d)\d+')
@@ -148,7 +152,7 @@ def render_page(page: Page) -> str:
         name=re.sub(r'[^a-z0-9]+', '-', page.title.lower()).strip('-'),
         palette=PALETTE,
         style=vendored('uplot/uPlot.min.css') if figures else '',
-        scripts=[vendored('uplot/uPlot.iife.min.js'), _source('charts.js')] if figures else [],
+        scripts=[vendored('uplot/uPlot.iife.min.js'), *map(_source, _SCRIPTS)] if figures else [],
         header={**header, 'fuzzycnc': __version__},
         summary=page.summary,
         sections=sections,
@@ -175,6 +179,7 @@ def _with_numbers(sections: Sequence[Section]) -> list[Section]:
             number += 1
             plot = figure.plot
             on_paper = drawn(plot) if isinstance(plot, Chart) else plot.figure
+            # Drawn first: only then it is known where the parts of a picture lie.
             svg = to_inline_svg(on_paper, f'f{number}')
             data = _script_text(plot.document())
             figures.append(_NumberedFigure(number, figure.title, figure.caption, svg, data))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Note
 from fuzzycnc_ros.studies.contour import contouring_page
-from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series, View
 from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, LIMIT, new_figure, plot_style
 from fuzzycnc_ros.studies.page.html import Figure, Page, Remark, Section
 from fuzzycnc_ros.studies.page.requirement import require
@@ -457,7 +457,16 @@ def path_picture(trace: PathTrace) -> Picture:
             f'{side} {axis} [mm]': values
             for (side, axis), values in zip(names, 1e3 * ends.reshape(-1, 6).T, strict=True)
         }
-        return Picture(figure, {**columns, 'feed [mm/min]': 1e3 * MINUTE * feed})
+        place = 1e3 * np.concatenate([ends[:, 0], ends[:, 1]])
+        rows = np.tile(np.arange(len(ends)), 2)
+        return Picture(
+            figure,
+            {**columns, 'feed [mm/min]': 1e3 * MINUTE * feed},
+            [
+                View(axes, place[:, across], place[:, up], rows=rows)
+                for axes, (across, up) in zip(panels, views, strict=True)
+            ],
+        )
 
 
 def error_picture(drive: Drive, tolerance: float) -> Picture:

@@ -72,7 +72,7 @@ def others_table(comparison: ServoComparison) -> Table:
             found = figures.random.get(kind)
             row.append('' if found is None else _random_cell(found))
         rows.append(tuple(row))
-    title = 'Load of +-10 % of the drive; sine of 10 mm, 0.5 Hz; circle of R20 mm at 40 mm/s'
+    title = 'Load of ±10 % of the drive; sine of 10 mm, 0.5 Hz; circle of R20 mm at 40 mm/s'
     if comparison.moves:
         title += f'; {comparison.moves} random moves with moderate and with hard friction'
     return Table(title, columns, tuple(rows), highlight=_highlight(comparison))

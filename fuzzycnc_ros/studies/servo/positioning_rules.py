@@ -89,7 +89,7 @@ def stability_table(report: StabilityReport, title: str) -> Table:
         ('least floor of the error without rate action', f'{report.error_floor_min:.3g}'),
         ('gain of the axis at which it swings, above', above),
         ('gain of the axis at which it swings, below', f'x{low:.2f}' if low else 'none'),
-        ('phase margin', f'{180.0 / pi * report.phase_margin:.1f} deg'),
+        ('phase margin', f'{180.0 / pi * report.phase_margin:.1f}°'),
         ('crossover', f'{report.crossover:.0f} rad/s'),
         *(
             (f'spectral radius, gain x{gain:g}', f'{radius:.4f}{" swings" if radius >= 1 else ""}')

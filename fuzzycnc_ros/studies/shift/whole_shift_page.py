@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fuzzycnc_ros.studies.contour.contouring_page import error_path_picture, speed_chart
-from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series, View
 from fuzzycnc_ros.studies.page.drawing import (
     AFTER,
     BEFORE,
@@ -190,7 +190,14 @@ def sources_picture(before: WholeShift, after: WholeShift) -> Picture:
         axes.set_ylabel('part error [µm]')
         axes.grid(visible=False, axis='x')
         add_legend(figure, handles, labels)
-        return Picture(figure, columns)
+        tops = [np.array([1e6 * (job.left + job.own) for job in s.jobs]) for s in (before, after)]
+        view = View(
+            axes,
+            np.concatenate([place - 0.2, place + 0.2]),
+            np.concatenate(tops),
+            rows=np.tile(np.arange(len(place)), 2),
+        )
+        return Picture(figure, columns, [view])
 
 
 def shift_chart(shift: WholeShift) -> Chart:

@@ -117,6 +117,11 @@ class TrackFigures:
     methods: Mapping[str, MethodFigures]
     learning: Mapping[str, Sequence[TrackQuality]]
 
+    @property
+    def title(self) -> str:
+        """What people read it as."""
+        return self.name.replace(' deg', '°')
+
 
 @dataclass(frozen=True, eq=False)
 class FoamComparison:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Series
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Series, View
 from fuzzycnc_ros.studies.page.drawing import (
     AFTER,
     ANOTHER,
@@ -56,7 +56,7 @@ def tracks_table(found: FoamComparison) -> Table:
     columns = (
         Column('Track', numeric=False),
         Column('compensation', numeric=False),
-        Column('angle error [deg]'),
+        Column('angle error [°]'),
         Column('straightness [mm]'),
         Column('closure gap [mm]'),
         Column('rms [mm]', 'deviation'),
@@ -70,9 +70,9 @@ def tracks_table(found: FoamComparison) -> Table:
             mean, spread = figures.mean, np.degrees(figures.angle_spread)
             rows.append(
                 (
-                    track.name if name == NONE else '',
+                    track.title if name == NONE else '',
                     METHODS[name],
-                    f'{np.degrees(mean.angle_error):.2f} +- {spread:.2f}',
+                    f'{np.degrees(mean.angle_error):.2f} ± {spread:.2f}',
                     *(
                         f'{1e3 * value:.3f}'
                         for value in (
@@ -96,7 +96,7 @@ def published_table(found: FoamComparison) -> Table:
         Column('Compensation', numeric=False),
         *(
             Column(heading, group)
-            for group in ('angle error [deg]', 'straightness [mm]', 'time [s]')
+            for group in ('angle error [°]', 'straightness [mm]', 'time [s]')
             for heading in ('published', 'here')
         ),
     )
@@ -114,7 +114,7 @@ def published_table(found: FoamComparison) -> Table:
         cells = [cell for pair in zip(printed, here, strict=True) for cell in pair]
         rows.append((METHODS[name], *cells))
     return Table(
-        f'Published averages beside those of the track {first.name}', columns, tuple(rows)
+        f'Published averages beside those of the track {first.title}', columns, tuple(rows)
     )
 
 
@@ -124,7 +124,7 @@ def learning_table(found: FoamComparison) -> Table:
     columns = (
         Column('Track', numeric=False),
         Column('learning', numeric=False),
-        *(Column(str(cycle), 'angle error [deg] after cycle') for cycle in cycles),
+        *(Column(str(cycle), 'angle error [°] after cycle') for cycle in cycles),
         Column('max deviation [mm]', 'last'),
     )
     rows = []
@@ -132,7 +132,7 @@ def learning_table(found: FoamComparison) -> Table:
         for number, (name, course) in enumerate(track.learning.items()):
             errors = (f'{np.degrees(quality.angle_error):.2f}' for quality in course)
             last = f'{1e3 * course[-1].max_deviation:.2f}'
-            rows.append((track.name if number == 0 else '', _STARTS[name], *errors, last))
+            rows.append((track.title if number == 0 else '', _STARTS[name], *errors, last))
     return Table(
         f'Learning from recorded runs, one in a cycle; means of {found.runs} courses',
         columns,
@@ -153,13 +153,13 @@ def comparison_remarks(found: FoamComparison) -> list[str]:
                 ('max deviation', 'max_deviation'),
             )
         ]
-        lines.append(f'{track.name}: the default takes away {", ".join(cut)}')
+        lines.append(f'{track.title}: the default takes away {", ".join(cut)}')
     return lines
 
 
 def comparison_page(found: FoamComparison, facts: Mapping[str, str]) -> Page:
     """Return the page of a comparison."""
-    shown = {track.name: track for track in found.tracks}
+    shown = {track.title: track for track in found.tracks}
     sections = [
         Section(
             'Tracks',
@@ -258,7 +258,7 @@ def coverage_table(found: FoamTraining) -> Table:
     columns = tuple(
         Column(heading)
         for heading in (
-            'thickness [mm]', 'lines', 'arcs', 'direction [deg]', 'depth [mm]',
+            'thickness [mm]', 'lines', 'arcs', 'direction [°]', 'depth [mm]',
             'depth / thickness', 'step [mm]',
         )
     )  # fmt: skip
@@ -352,6 +352,7 @@ def tracks_picture(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Picture:
     with plot_style():
         figure, panels = panel_grid(len(tracks), columns=min(2, len(tracks)), height=2.9)
         handles: list[Any] = []
+        views = []
         for axes, (title, points) in zip(panels, tracks.items(), strict=True):
             nominal, before, after = points
             handles = [
@@ -362,6 +363,9 @@ def tracks_picture(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Picture:
             axes.set_aspect('equal', adjustable='datalim')
             axes.set_title(title)
             axes.set_xlabel('X [mm]')
+            rows = len(columns['track']) + np.arange(len(nominal))
+            shown = 1e3 * np.concatenate(points)
+            views.append(View(axes, shown[:, 0], shown[:, 1], rows=np.tile(rows, len(points))))
             columns['track'] += [title] * len(nominal)
             for name, place in zip(names, points, strict=True):
                 for number, axis in enumerate('XY'):
@@ -369,7 +373,7 @@ def tracks_picture(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Picture:
         for axes in panels[::2]:
             axes.set_ylabel('Y [mm]')
         add_legend(figure, handles, ['nominal', 'stitched before', 'stitched after'])
-        return Picture(figure, columns)
+        return Picture(figure, columns, views)
 
 
 def deviation_chart(
@@ -431,7 +435,7 @@ def learning_chart(courses: Mapping[str, Mapping[str, Sequence[TrackQuality]]]) 
             )
             for number, (name, course) in enumerate(tracks.items())
         ]
-        axis = Axis('angle error', 'deg', low=0.0, high=1.08 * top)
+        axis = Axis('angle error', '°', low=0.0, high=1.08 * top)
         panels.append(Panel(cycles, axis, series, title))
     x_axis = Axis('cycles of learning', ticks=tuple(cycles))
     return Chart(x_axis, panels, columns=len(panels), height=2.5)

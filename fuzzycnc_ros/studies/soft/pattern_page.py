@@ -41,8 +41,8 @@ def pattern_table(runs: Mapping[str, StitchedPattern]) -> Table:
     """
     columns = (
         Column('Track', numeric=False),
-        Column('here', 'angle error [deg]'),
-        Column('published', 'angle error [deg]'),
+        Column('here', 'angle error [°]'),
+        Column('published', 'angle error [°]'),
         Column('here', 'straightness [mm]'),
         Column('published', 'straightness [mm]'),
         Column('here', 'time of a side [s]'),

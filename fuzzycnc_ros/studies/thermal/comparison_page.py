@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
-from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series, View
 from fuzzycnc_ros.studies.page.drawing import (
     AFTER,
     BEFORE,
@@ -213,8 +213,13 @@ def residuals_picture(
             else:
                 axes.locator_params(axis='x', nbins=4)
             axes.set_xlabel('rmse [µm]')
+        model = [labels[name] for name in names]
         columns = {f'{name} rmse [µm]': values[:, c] for c, name in enumerate(heading)}
-        return Picture(figure, {'model': [labels[name] for name in names], **columns})
+        views = [
+            View(axes, column, place, read={'model': model, 'rmse [µm]': column})
+            for axes, column in zip(panels, np.where(shown, values, np.nan).T, strict=True)
+        ]
+        return Picture(figure, {'model': model, **columns}, views)
 
 
 def traces_chart(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
-from fuzzycnc_ros.studies.page.chart import Axis, Band, Chart, Panel, Picture, Rule, Series
+from fuzzycnc_ros.studies.page.chart import Axis, Band, Chart, Panel, Picture, Rule, Series, View
 from fuzzycnc_ros.studies.page.drawing import (
     AFTER,
     ANOTHER,
@@ -341,12 +341,8 @@ def latency_picture(latency: Latency) -> Picture:
         milliseconds = 1e3 * latency.sample
         # One straggler must not squeeze all others into a single bar.
         edge = max(1.5e3 * latency.p99, float(milliseconds.min()) + 1e-3)
-        axes.hist(
-            np.minimum(milliseconds, edge),
-            bins=np.linspace(0.0, edge, 61),
-            color=AFTER,
-            alpha=0.55,
-        )
+        bins = np.linspace(0.0, edge, 61)
+        count, _, _ = axes.hist(np.minimum(milliseconds, edge), bins=bins, color=AFTER, alpha=0.55)
         for value, label, colour in (
             (latency.median, 'median', INK),
             (latency.p99, '99th percentile', WARNING),
@@ -357,7 +353,13 @@ def latency_picture(latency: Latency) -> Picture:
         axes.set_ylabel('samples')
         axes.grid(visible=False, axis='x')
         add_legend(figure, *axes.get_legend_handles_labels())
-        return Picture(figure, {'latency [ms]': milliseconds})
+        reached = [*(f'{end:.3g}' for end in bins[1:-1]), f'{max(edge, milliseconds.max()):.3g}']
+        read = {
+            'latency [ms]': [f'{a:.3g} to {b}' for a, b in zip(bins[:-1], reached, strict=True)],
+            'samples': count,
+        }
+        view = View(axes, 0.5 * (bins[1:] + bins[:-1]), count, read=read)
+        return Picture(figure, {'latency [ms]': milliseconds}, [view])
 
 
 def _by_channel(run: CompensationRun, panel: Callable[[int, NDArray[np.float64]], Panel]) -> Chart:

@@ -1,10 +1,12 @@
 // Copyright The fuzzycnc authors
 // SPDX-License-Identifier: Apache-2.0
 // Charts that are zoomed into, read under the cursor and saved as CSV; what they hold is declared in
-// fuzzycnc_ros/studies/page/chart.py. A figure without one keeps its drawing for paper.
+// fuzzycnc_ros/studies/page/chart.py. Pictures are copies of their drawing for paper (pictures.js).
 (() => {
   'use strict';
+  const {decades, decoded, plain, readable, withUnit} = reading;
   const DOTS_MAX = 140;
+  const SHARE_MIN = 5e-4; // of a whole axis that is shown at least
   const PIXELS = 84; // of an inch of the figure on paper
   const narrow = matchMedia('(max-width: 760px)');
   const dark = matchMedia('(prefers-color-scheme: dark)');
@@ -13,33 +15,6 @@
     name.startsWith('--')
       ? getComputedStyle(document.documentElement).getPropertyValue(name).trim()
       : name;
-
-  function decoded({decimals, steps}) {
-    const unit = 10 ** Math.abs(decimals);
-    let sum = 0;
-    return steps.map(step => {
-      if (step === null) return null;
-      sum += step;
-      return decimals < 0 ? sum * unit : sum / unit;
-    });
-  }
-
-  function plain(value) {
-    const size = Math.abs(value);
-    if (size !== 0 && (size >= 1e6 || size < 1e-5)) return value.toExponential(2);
-    return String(Number(value.toPrecision(6)));
-  }
-
-  // What is read off: as many decimals as the data tell apart, three at most behind whole numbers.
-  function readable(value, decimals) {
-    if (value === null || value === undefined) return '–';
-    const size = Math.abs(value);
-    const most = size >= 100 ? 1 : size >= 1 ? 2 : 4;
-    if (size !== 0 && (size >= 1e6 || size < 1e-4)) return value.toExponential(2);
-    return value.toFixed(Math.max(0, Math.min(decimals, most)));
-  }
-
-  const withUnit = (text, unit) => (unit && text !== '–' ? `${text} ${unit}` : text);
 
   // Give a panel its columns: x, series, then the edges of bands.
   function unpacked(panel) {
@@ -51,19 +26,6 @@
         panel.places.push(band[side].decimals);
       }
     return panel;
-  }
-
-  // Plain numbers on a logarithmic axis: all of a decade where there is room, else 1, 2 and 5.
-  function decades(low, high) {
-    const span = Math.log10(high / low);
-    const every = span < 0.6 ? [1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9] : span < 3 ? [1, 2, 5] : [1];
-    const found = [];
-    for (let power = Math.floor(Math.log10(low)); power <= Math.ceil(Math.log10(high)); power++)
-      for (const step of every) {
-        const tick = Number((step * 10 ** power).toPrecision(3));
-        if (tick >= low && tick <= high) found.push(tick);
-      }
-    return found;
   }
 
   function scaleOf(axis, time) {
@@ -215,7 +177,48 @@
     return `nearest: ${best.item.name} ${text}`;
   }
 
-  function chartOf(panel, chart, place, key) {
+  // What gestures do to a curve; `kin` gives all plots that show the same stretch.
+  function viewOf(u, keys, kin) {
+    const size = key => (key === 'x' ? u.over.clientWidth : u.over.clientHeight);
+    const all = Object.fromEntries(keys.map(key => [key, [u.scales[key].min, u.scales[key].max]]));
+    // The ends of the whole axis, as shares of what is shown; from the left, and from the top.
+    const limits = key => all[key].map(end => u.valToPos(end, key) / size(key)).sort((a, b) => a - b);
+    const inOrder = (a, b) => a - b;
+
+    // Show what lies from `low` on, a share `span` of what is shown now, within the whole.
+    function stretchOf(key, low, span) {
+      const [least, most] = limits(key);
+      const length = Math.min(span, most - least);
+      const begin = Math.max(least, Math.min(low, most - length));
+      return {begin, ends: [begin, begin + length]
+        .map(share => u.posToVal(share * size(key), key)).sort(inOrder)};
+    }
+    function show(stretches) {
+      for (const plot of kin())
+        plot.batch(() => {
+          for (const [key, {ends: [min, max]}] of stretches) plot.setScale(key, {min, max});
+        });
+    }
+    const whole = () => { for (const plot of kin()) plot.setData(plot.data); };
+    return {
+      zoom(factor, at) {
+        const share = keys.map(key => 1 / factor / (limits(key)[1] - limits(key)[0]));
+        if (share.every(part => part > 0.999)) whole();
+        else if (factor < 1 || share.every(part => part > SHARE_MIN))
+          show(keys.map(key => [key, stretchOf(key, at[key] * (1 - 1 / factor), 1 / factor)]));
+      },
+      shift(by) {
+        const stretches = keys.map(key => [key, stretchOf(key, by[key], 1)]);
+        const far = stretches.some(([, {begin}]) => Math.abs(begin) > 1e-6);
+        if (far) show(stretches);
+        return far;
+      },
+      whole,
+    };
+  }
+
+  function chartOf(panel, one, place) {
+    const {chart, key} = one;
     const {x, linked, height} = chart;
     const quiet = panel.series.some(item => item.quiet);
     const course = panel.series.some(item => item.kind === 'line' || item.kind === 'steps');
@@ -310,6 +313,8 @@
             const rows = self.root.querySelectorAll('.u-legend .u-series');
             panel.series.forEach((item, i) => { rows[i + 1].hidden = item.quiet; });
             panel.bands.forEach((_, i) => { rows[first + 2 * i].hidden = true; });
+            const view = viewOf(self, course ? ['x'] : ['x', 'y'], () => (linked ? one.plots : [self]));
+            gestures(self.over, view, panel.title || panel.y.name);
           }],
         },
       },
@@ -381,25 +386,32 @@
     return bar;
   }
 
+  const HINT = matchMedia('(hover: none)').matches
+    ? 'Two fingers zoom and move, a double tap goes back.'
+    : 'Drag to zoom, double-click to go back; or Ctrl and the wheel, or + and -, arrows and 0.';
   const charts = [];
   for (const source of document.querySelectorAll('script.chart')) {
     const figure = source.closest('figure');
     const chart = JSON.parse(source.textContent);
     const name = `${document.body.dataset.name}-${figure.id}.csv`;
+    const screen = figure.querySelector('.screen');
     if (chart.table) {
-      tools(figure, []).querySelector('button').onclick = () => save(chart.table, name);
+      const hint = chart.views.length ? [HINT] : [];
+      tools(figure, hint).querySelector('button').onclick = () => save(chart.table, name);
+      if (!chart.views.length) continue;
+      figure.classList.add('live');
+      pictures.live(figure, chart, screen);
       continue;
     }
     chart.panels.forEach(unpacked);
     const thinned = chart.panels.filter(panel => panel.kept);
-    const texts = ['Drag to zoom, double-click to go back.'];
+    const texts = [HINT];
     if (thinned.length) {
       const most = Math.max(...thinned.map(panel => panel.kept[1]));
       texts.push(`Of ${most} samples those are kept that show every extreme.`);
     }
     tools(figure, texts).querySelector('button').onclick = () => save(tableOf(chart), name);
     figure.classList.add('live');
-    const screen = figure.querySelector('.screen');
     screen.style.setProperty('--columns', chart.columns);
     charts.push({chart, screen, key: figure.id, plots: []});
   }
@@ -412,7 +424,7 @@
         const place = document.createElement('div');
         place.className = 'panel';
         one.screen.append(place);
-        return chartOf(panel, one.chart, place, one.key);
+        return chartOf(panel, one, place);
       });
     }
   }
