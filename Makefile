@@ -117,8 +117,8 @@ mutants: setup ## Put faults into copies of the sources, see which the fast test
 	  --suite 'fast=$(FAST)' $(ARGS)
 
 .PHONY: lock
-lock: ## Resolve requirements/*.in anew (needs uv on the PATH)
-	@tools/lock.sh
+lock: ## Resolve requirements/*.in anew (needs uv on the PATH; ARGS=--upgrade for the newest)
+	@tools/lock.sh $(ARGS)
 
 .PHONY: clean
 clean: ## Remove the environments and everything built

@@ -37,6 +37,7 @@ mqtt = ['paho-mqtt>=2.1', *device_files]
 opcua = ['asyncua>=1.1.5', 'cryptography', *device_files]
 page = ['cryptography', 'starlette', 'uvicorn>=0.35', 'websockets']
 ship = ['fsspec']
+fleet = ['dask', 'distributed', 'pyarrow']
 executables = ['fuzzycnc', *nodes]
 
 
@@ -82,6 +83,7 @@ setup(
         'bags': bags,
         'cli': command_line,
         'docs': docs,
+        'fleet': fleet,
         'ml': ml,
         'modbus': modbus,
         'mqtt': mqtt,
@@ -90,7 +92,7 @@ setup(
         'report': report,
         'ship': ship,
         'tables': tables,
-        'all': command_line + report + ml + tables + modbus + mqtt + opcua + page + ship,
+        'all': command_line + report + ml + tables + modbus + mqtt + opcua + page + ship + fleet,
         'test': [
             *command_line,
             *report,
@@ -101,6 +103,7 @@ setup(
             *opcua,
             *page,
             *ship,
+            *fleet,
             'httpx',
             'hypothesis',
             'pytest',

@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
+from fuzzycnc_ros.bags.finding import find_bags
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.cli.models.many_bags import find_bags
 from fuzzycnc_ros.core.thermal.fit.comparison import Split, splits
 from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.simulation.thermal.duties import record_runs

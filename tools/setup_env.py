@@ -43,6 +43,7 @@ LATER = {
     'matplotlib',
     'mypy',
     'pillow',
+    'pyarrow',
     'pydantic',
     'pydantic-core',
     'ruff',

@@ -4,10 +4,39 @@
 
 import os
 import tempfile
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from fuzzycnc_ros.bags.os_errors import about
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give an empty file to write, which takes its place at the end of the block.
+
+    After an error or a kill the old file is there, or none.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; the error names `path`.
+    """
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
+        os.close(handle)
+    except OSError as error:
+        raise about(error, path) from None
+    try:
+        yield Path(name)
+        os.chmod(name, 0o666 & ~_umask())
+        os.replace(name, path)
+    except BaseException as error:
+        with suppress(FileNotFoundError):
+            os.unlink(name)
+        if isinstance(error, OSError):
+            about(error, path)
+        raise
 
 
 def write_text(path: Path, text: str | bytes) -> None:
@@ -25,21 +54,8 @@ def write_text(path: Path, text: str | bytes) -> None:
     OSError
         If it cannot be written.
     """
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
-    except OSError as error:
-        raise about(error, path) from None
-    try:
-        with os.fdopen(handle, 'wb') as file:
-            file.write(text.encode() if isinstance(text, str) else text)
-        os.chmod(name, 0o666 & ~_umask())
-        os.replace(name, path)
-    except BaseException as error:
-        with suppress(FileNotFoundError):
-            os.unlink(name)
-        if isinstance(error, OSError):
-            about(error, path)
-        raise
+    with whole_file(path) as draft:
+        draft.write_bytes(text.encode() if isinstance(text, str) else text)
 
 
 def _umask() -> int:

@@ -82,6 +82,11 @@ COMMANDS: Commands = {
         'fuzzycnc_ros.cli.models.curve:curve',
         'Show how the error on unseen runs falls with the number of sensors.',
     ),
+    'fleet': Later(
+        'Calibrate',
+        'fuzzycnc_ros.cli.fleet.command',
+        'Train, compare, evaluate and report over thousands of bags of many machines.',
+    ),
     'up': Later(
         'Run',
         'fuzzycnc_ros.cli.live.up:up',

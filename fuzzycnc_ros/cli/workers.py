@@ -88,26 +88,49 @@ def in_workers(
     on is interrupted, and gets `END_PATIENCE` to leave nothing behind.  They end by themselves if
     this process is killed.
     """
-    context = get_context('spawn')
-    news = context.Queue()
+    news: Queue[News] = get_context('spawn').Queue()
     board = _Board(names, tell)
-    before = set(active_children())
-    pool = ProcessPoolExecutor(min(jobs, len(pieces)), context, _begin, (news,))
+    pool = WorkerPool(min(jobs, len(pieces)), news)
     try:
-        # A worker that gets a half of what it starts with would print a traceback.
-        with _environment(ONE_THREAD), uninterrupted(), _interrupts_held():
-            futures = [
-                pool.submit(partial(_work, work, piece, number))
-                for number, piece in enumerate(pieces)
-            ]
+        futures = [
+            pool.submit(partial(_work, work, piece, number)) for number, piece in enumerate(pieces)
+        ]
         _watch(futures, news, board)
         return [future.result() for future in futures]
     except BaseException:
-        _end(set(active_children()) - before)
+        pool.end()
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
         news.close()
+
+
+class WorkerPool(ProcessPoolExecutor):
+    """Processes of one thread each, which Ctrl-C does not reach.
+
+    Parameters
+    ----------
+    jobs : int
+        Number of processes, at least 1.
+    news : Queue, optional
+        Where they say how far they are.
+    """
+
+    def __init__(self, jobs: int, news: 'Queue[News] | None' = None) -> None:
+        super().__init__(jobs, get_context('spawn'), _begin, (news,))
+        self._others = set(active_children())
+
+    def submit(
+        self, work: Callable[..., Result], /, *arguments: Any, **named: Any
+    ) -> 'Future[Result]':
+        """Hand a piece of work out, for which a process may start."""
+        # A worker that gets a half of what it starts with would print a traceback.
+        with _environment(ONE_THREAD), uninterrupted(), _interrupts_held():
+            return super().submit(work, *arguments, **named)
+
+    def end(self) -> None:
+        """End the processes, which first undo what they have begun."""
+        _end(set(active_children()) - self._others)
 
 
 def _end(workers: Collection[BaseProcess]) -> None:
@@ -171,12 +194,13 @@ def _watch(futures: Sequence['Future[Any]'], news: 'Queue[News]', board: _Board)
             return
 
 
-def _begin(news: 'Queue[News]') -> None:
+def _begin(news: 'Queue[News] | None') -> None:
     """Make this process a worker."""
     global _news
-    _news = news
-    # News that nobody reads any more must not keep the process.
-    news.cancel_join_thread()
+    if news is not None:
+        _news = news
+        # News that nobody reads any more must not keep the process.
+        news.cancel_join_thread()
     signal.signal(signal.SIGTERM, _interrupt)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

@@ -29,6 +29,7 @@ ELSEWHERE = {
     'machine new mill.yaml --linuxcnc-ini ~': 'an INI file of the reader',
     'operate status  # ': 'needs a DDS with security, which the wheels do not have',
     'operate activate  # ': 'the same',
+    'fleet evaluate shop --dask': 'needs a scheduler of Dask: test/cli/fleet starts one',
 }
 """Beginnings of commands that are not run here, and why."""
 
@@ -45,6 +46,7 @@ LONG = {
     'docs/explanation/methods/deformation.md',
     'docs/explanation/methods/feedrate.md',
     'docs/explanation/methods/servo.md',
+    'docs/how-to/fleet.md',
     'docs/how-to/integration.md',
     'docs/how-to/live-page.md',
     'docs/how-to/scaling.md',

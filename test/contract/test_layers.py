@@ -64,7 +64,7 @@ RINGS = {
         'papers',
         'core',
     },
-    'api': {'machine_file', 'bags', 'simulation', 'papers', 'core'},
+    'api': {'studies', 'machine_file', 'bags', 'simulation', 'papers', 'core'},
     '': {'api'},  # the package itself, which loads its doors on use
     'start': set(),
 }
@@ -97,11 +97,13 @@ PURE = ('core', 'simulation', 'papers', 'runtime', 'components')
 LOADED_ON_USE = {
     'asyncua',
     'cryptography',
+    'distributed',
     'jinja2',
     'matplotlib',
     'mcap',
     'paho',
     'pandas',
+    'pyarrow',
     'pymodbus',
     'rich',
     'rosbags',

@@ -19,6 +19,7 @@ from fuzzing import raw_bags as raw
 from fuzzing.campaign import refusal
 
 from fuzzycnc_ros.bags.errors import BagFormatError
+from fuzzycnc_ros.bags.finding import NamedBag
 from fuzzycnc_ros.bags.playback import messages, played_topics
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
@@ -26,7 +27,6 @@ from fuzzycnc_ros.bags.replay import ReplayError, replay
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.typestore import message_definition
 from fuzzycnc_ros.cli.models.evaluate import judge_bag
-from fuzzycnc_ros.cli.models.many_bags import NamedBag
 from fuzzycnc_ros.core.thermal.fit import train_model
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.bags.finding import NamedBag, find_bags
 from fuzzycnc_ros.cli.completion import one_of, some_of
 from fuzzycnc_ros.cli.console import (
     JsonFile,
@@ -23,9 +24,7 @@ from fuzzycnc_ros.cli.console import (
 from fuzzycnc_ros.cli.models.many_bags import (
     BadBag,
     Jobs,
-    NamedBag,
     check_some_left,
-    find_bags,
     jobs_of,
     say_bad,
     with_each,
@@ -262,14 +261,10 @@ def usable_run(
     ValueError
         If it cannot be read, is too slow, or lacks readings for longer than is bridged.
     """
-    from fuzzycnc_ros.bags.runs import read_run
-    from fuzzycnc_ros.core.thermal.fit.training import at_interval
-    from fuzzycnc_ros.core.thermal.fit.training_runs import check_gaps
+    from fuzzycnc_ros.studies.thermal.missing_readings import read_usable
 
     progress('reading', bag.name, 0, 1)
-    run = read_run(bag.path, name=bag.name, **options)
-    check_gaps([at_interval(run, interval)])
-    return run
+    return read_usable(bag.path, interval, name=bag.name, **options)
 
 
 def speed_missing(runs: 'Sequence[ThermalRun]', interval: float) -> str:

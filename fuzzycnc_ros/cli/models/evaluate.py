@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from fuzzycnc_ros.bags.finding import NamedBag, find_bags
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_folder,
@@ -21,20 +22,15 @@ from fuzzycnc_ros.cli.console import (
 from fuzzycnc_ros.cli.models.many_bags import (
     Jobs,
     ManyBags,
-    NamedBag,
     Sorted,
-    find_bags,
     jobs_of,
     say_bad,
     with_each,
 )
-from fuzzycnc_ros.cli.models.recorded_runs import (
-    Bridged,
-    as_predicted,
-    gap_lines,
-)
+from fuzzycnc_ros.cli.models.recorded_runs import gap_lines
 from fuzzycnc_ros.cli.options import End, OptionalText, Report, Start, given
 from fuzzycnc_ros.cli.quantities import DURATIONS, quantity
+from fuzzycnc_ros.studies.thermal.missing_readings import Bridged
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -162,14 +158,13 @@ def judge_bag(
         If the bag or its run cannot be used.
     """
     from fuzzycnc_ros.bags.runs import read_run
-    from fuzzycnc_ros.core.thermal.fit import evaluate as judge
     from fuzzycnc_ros.core.thermal.model import load_model
+    from fuzzycnc_ros.studies.thermal.missing_readings import judge_recorded
 
     progress('evaluating', bag.name, 0, 1)
     trained = load_model(model_text)
     recorded = read_run(bag.path, stop=end, name=bag.name)
-    run, bridged = as_predicted(trained, recorded)
-    result = judge(trained, run, start=start, stop=end, recorded=recorded)
+    result, run, bridged = judge_recorded(trained, recorded, start=start, stop=end)
     probed = None
     if probe_every is not None:
         from fuzzycnc_ros.studies.thermal.probed import evaluate_probed

@@ -1,8 +1,7 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many bags on one command line: which are meant, what each is called, and work on all of them."""
+"""Many bags on one command line: work on all of them, and what becomes of bad ones."""
 
-import glob
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Generic, TypeVar
 
 import typer
 
+from fuzzycnc_ros.bags.finding import NamedBag
 from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.cli.console import Tell, say
 from fuzzycnc_ros.cli.options import OptionalWhole, given
@@ -34,17 +34,6 @@ Jobs = Annotated[
     given('Processes that work side by side; as many as there are cores if left out.'),
 ]
 
-STORAGE = ('.mcap', '.db3')
-"""Endings of files that are bags by themselves."""
-
-
-@dataclass(frozen=True)
-class NamedBag:
-    """A bag and what its run is called, which no other of the same command line is."""
-
-    path: Path
-    name: str
-
 
 @dataclass(frozen=True)
 class BadBag:
@@ -60,38 +49,6 @@ class Sorted(Generic[Result]):
 
     results: tuple[Result, ...]
     bad: tuple[BadBag, ...]
-
-
-def find_bags(places: Sequence[Path]) -> tuple[NamedBag, ...]:
-    """Return the bags that a command line names, those of a folder or pattern sorted by name.
-
-    Parameters
-    ----------
-    places : sequence of Path
-        Bags; folders, all bags below which are meant; patterns such as `runs/2026-*`.  What does
-        not exist is returned as a bag, so that whoever reads it says so.
-
-    Returns
-    -------
-    tuple of NamedBag
-        A bag is called by its own name, with as many of its folders in front as it takes to
-        tell it from the others.
-
-    Raises
-    ------
-    ValueError
-        If a bag is named twice, or a pattern fits nothing.
-    """
-    paths = [path for place in places for path in _expanded(place)]
-    seen: set[Path] = set()
-    for path in paths:
-        if path.resolve() in seen:
-            raise ValueError(
-                f'{path}: expected different bags but found {path.stem!r} twice; give each once, '
-                'or rename one'
-            )
-        seen.add(path.resolve())
-    return tuple(NamedBag(path, name) for path, name in zip(paths, _names(paths), strict=True))
 
 
 def with_each(
@@ -188,42 +145,3 @@ def _attempt(
 
 def _nobody(stage: str, name: str, done: int, total: int) -> None:
     """Tell nobody how far a single bag is."""
-
-
-def _expanded(place: Path) -> list[Path]:
-    """Return the bags that a word of the command line stands for."""
-    if place.is_dir():
-        return _below(place) or [place]
-    if place.exists() or not glob.has_magic(str(place)):
-        return [place]
-    fitting = [Path(text) for text in sorted(glob.glob(str(place), recursive=True))]
-    found = [bag for path in fitting for bag in (_below(path) if path.is_dir() else [path])]
-    bags = [path for path in dict.fromkeys(found) if path.is_dir() or path.suffix in STORAGE]
-    if not bags:
-        raise ValueError(f'{place}: expected a pattern that fits bags but it fits none')
-    # `**` finds folders and what is in them, and so the files of a bag beside the bag itself.
-    return [path for path in bags if not any(parent in bags for parent in path.parents)]
-
-
-def _below(folder: Path) -> list[Path]:
-    """Return the bags of a folder, itself if it is one."""
-    bags = []
-    for place, folders, files in os.walk(folder):
-        folders.sort()
-        if 'metadata.yaml' in files or any(Path(name).suffix in STORAGE for name in files):
-            bags.append(Path(place))
-            folders.clear()
-    return bags
-
-
-def _names(paths: Sequence[Path]) -> list[str]:
-    """Return a name for each path: its stem, with folders in front where that is not enough."""
-    absolute = [path.absolute() for path in paths]
-    names = [path.stem for path in absolute]
-    for depth in range(1, max((len(path.parts) for path in absolute), default=1)):
-        unclear = {name for name in names if names.count(name) > 1}
-        names = [
-            '/'.join((*path.parts[-1 - depth : -1], path.stem)) if name in unclear else name
-            for path, name in zip(absolute, names, strict=True)
-        ]
-    return names

@@ -3,51 +3,22 @@
 """Sensors of recorded runs: which are left out, and what became of readings that are missing."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from fuzzycnc_ros.cli.console import words
+from fuzzycnc_ros.studies.thermal.missing_readings import LINE, MATES, Bridged
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
-    from fuzzycnc_ros.core.thermal.model import ThermalModel
     from fuzzycnc_ros.core.thermal.run import ThermalRun
-
-LINE, MATES = 'line', 'mates'
-"""What stands where readings are missing: a straight line, or what other sensors say."""
 
 IN_WORDS = {LINE: 'straight lines bridge them', MATES: 'other sensors stand in'}
 
 DOUBTS_NAMED = 3
 """Single values of a run that are named."""
-
-
-@dataclass(frozen=True)
-class Bridged:
-    """A gap in the readings of a sensor, and what stands in its place.
-
-    Parameters
-    ----------
-    sensor : str
-        The sensor.
-    samples : int
-        Samples without a reading.
-    start_s, stop_s : float
-        Times of the readings before and behind it [s].
-    by : str
-        `LINE` or `MATES`.
-    """
-
-    sensor: str
-    samples: int
-    start_s: float
-    stop_s: float
-    by: str
 
 
 def sensors_but(drop: list[str] | None, bags: Sequence[Path]) -> 'Callable[[str], bool] | None':
@@ -93,87 +64,6 @@ def _is_outside(names: Collection[str], name: str) -> bool:
 def bridged_gaps(run: 'ThermalRun', interval: float) -> tuple[Bridged, ...]:
     """Return the gaps that are bridged where a run is brought to an interval [s]."""
     return tuple(Bridged(*gap, by=LINE) for gap in run.averaged(interval).gaps())
-
-
-def as_predicted(
-    model: 'ThermalModel', run: 'ThermalRun'
-) -> 'tuple[ThermalRun, tuple[Bridged, ...]]':
-    """Return a run with what the predictor would have read where inputs of a model are missing.
-
-    Other sensors stand in for an input as long as the model knows some that can; else a straight
-    line goes over the gap.
-
-    Raises
-    ------
-    ThermalDataError
-        If an input is missing for longer than that, or the run is too slow for the model.
-    """
-    from fuzzycnc_ros.core.thermal.fit.training import at_interval
-    from fuzzycnc_ros.core.thermal.run import ThermalDataError
-
-    at_interval(run, model.interval)  # refuses what is too slow
-    even = run.averaged(model.interval)
-    gaps = [gap for gap in even.gaps() if gap.sensor in model.inputs]
-    if not gaps:
-        return run, ()
-    filled = replace(even, temperature=_with_mates(model, even))
-    left = {(gap.sensor, gap.start) for gap in filled.gaps()}
-    whole = filled.bridged()
-    lost = [gap for gap in whole.gaps() if gap.sensor in model.inputs]
-    if lost:
-        first = lost[0]
-        raise ThermalDataError(
-            f'run {run.name!r}: expected readings of {first.sensor}, which the model reads, but '
-            f'found none from {first.start:.6g} to {first.stop:.6g} s, nor sensors that can stand '
-            f'in for it; judge the part before with --end {first.start:.10g}, or train a model '
-            f'that does without it: --drop-sensor {first.sensor}'
-        )
-    return whole, tuple(
-        Bridged(*gap, by=LINE if (gap.sensor, gap.start) in left else MATES) for gap in gaps
-    )
-
-
-def _with_mates(model: 'ThermalModel', run: 'ThermalRun') -> 'NDArray[Any]':
-    """Return the temperatures (n, s) of a run, other sensors standing in for lost inputs."""
-    import numpy as np
-
-    from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
-    from fuzzycnc_ros.core.thermal.model import ModelMismatchError
-    from fuzzycnc_ros.core.thermal.run import REFERENCE_SAMPLES
-    from fuzzycnc_ros.runtime.records import ThermalReference
-
-    values = run.temperature.copy()
-    columns = run.columns(model.inputs)
-    zero = run.reference()
-    try:
-        source = RiseSource(
-            model,
-            run.sensor,
-            ThermalReference(
-                stamp=0,
-                frame_id='',
-                cold_since=0,
-                set_by='recording',
-                sensor=run.sensor,
-                temperature=zero,
-                samples=REFERENCE_SAMPLES,
-            ),
-            None,
-        )
-    except ModelMismatchError:
-        return values  # no zero to count rises from, neither of an input nor of those like it
-    # Whatever is taken for an unknown zero drops out where rises are meant against it again.
-    level = np.where(np.isfinite(zero), zero, np.nanmean(zero))[columns]
-    known = np.isfinite(zero[columns])
-    lost = ~np.isfinite(values[:, columns]) | ~known
-    # What lacks of the zero itself is left to `bridged`, which keeps it as it is.
-    lost[:REFERENCE_SAMPLES, known] = False
-    for row in np.flatnonzero(lost.any(axis=1)):
-        rise = source.rise(run.temperature[row], np.isfinite(run.temperature[row]))
-        if rise is not None:
-            own = columns[lost[row]]
-            values[row, own] = (level + rise)[lost[row]]
-    return values
 
 
 def gap_lines(run: str, gaps: Sequence[Bridged], interval: float) -> list[str]:

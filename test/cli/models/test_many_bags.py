@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.cli.models.many_bags import cores, find_bags, jobs_of
+from fuzzycnc_ros.bags.finding import find_bags
+from fuzzycnc_ros.cli.models.many_bags import cores, jobs_of
 
 
 def read_json(name):

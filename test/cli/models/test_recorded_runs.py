@@ -12,11 +12,11 @@ import pytest
 from benches.predictor_bench import bench_with_model, errors_of, predict, recordings, trained
 from small_recordings import IMPORT, warm_up
 
+from fuzzycnc_ros.bags.finding import NamedBag
 from fuzzycnc_ros.cli.models.evaluate import judge_bag
-from fuzzycnc_ros.cli.models.many_bags import NamedBag
-from fuzzycnc_ros.cli.models.recorded_runs import LINE, MATES, as_predicted
 from fuzzycnc_ros.core.thermal.model import load_model
 from fuzzycnc_ros.core.thermal.run import ThermalDataError
+from fuzzycnc_ros.studies.thermal.missing_readings import LINE, MATES, as_predicted
 
 QUICK = ('--models', 'static_ridge,lag_ridge')
 

@@ -4,8 +4,8 @@
 
 import pytest
 
+from fuzzycnc_ros.bags.finding import NamedBag
 from fuzzycnc_ros.cli.models.evaluate import judge_bag
-from fuzzycnc_ros.cli.models.many_bags import NamedBag
 from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 

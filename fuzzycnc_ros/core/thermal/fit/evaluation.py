@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Judge a trained model on a run, all candidates and the uncompensated machine side by side."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,6 +79,7 @@ def evaluate(
     start: float | None = None,
     stop: float | None = None,
     recorded: ThermalRun | None = None,
+    candidates: Collection[str] | None = None,
 ) -> Evaluation:
     """Compare the predictions of all candidates with what was measured.
 
@@ -94,6 +95,8 @@ def evaluate(
     recorded : ThermalRun, optional
         The run as it was recorded, where `run` has something in place of missing readings; in it
         samples of the training are recognised.
+    candidates : collection of str, optional
+        Candidates of the model that are judged beside its default; all if absent.
 
     Returns
     -------
@@ -122,7 +125,9 @@ def evaluate(
         )
     predictions = {'uncompensated': np.zeros_like(even.displacement)}
     predictions |= {
-        name: model.candidates[name].recursion.run(rise) for name in model.candidates_on(even)
+        name: model.candidates[name].recursion.run(rise)
+        for name in model.candidates_on(even)
+        if candidates is None or name in candidates
     }
     predictions['default'] = model.recursion().run(rise)
     rms, largest = {}, {}

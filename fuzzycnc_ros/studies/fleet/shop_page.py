@@ -1,0 +1,463 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a shop: which machine drifts, which model is stale, which sensor fails."""
+
+from collections.abc import Callable, Sequence
+from datetime import datetime, timezone
+from math import isfinite, isnan
+from typing import Any
+
+import numpy as np
+
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.studies.fleet.condition import (
+    BAGS_MIN,
+    CONFIDENCE,
+    DOMAIN_MIN,
+    FAILING,
+    MONTH,
+    STALE_RATIO,
+    Course,
+    SensorCourse,
+    ShopCondition,
+    Trend,
+)
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Rule, Series
+from fuzzycnc_ros.studies.page.drawing import AFTER, INK, LIMIT, MUTED, WARNING
+from fuzzycnc_ros.studies.page.html import Figure, Page, Section
+from fuzzycnc_ros.studies.page.table import Column, Table
+
+SHOWN = 40
+"""Rows of a table that a page and a terminal show; the JSON file has all."""
+
+DRAWN = 6
+"""Panels of a figure."""
+
+DATED = 10**18
+"""Time from which on a stamp is a date [ns]; simulated machines count from their start."""
+
+_DAY = 86_400e9
+_SURE = f'{CONFIDENCE:.0%}'.replace('%', ' %')
+
+
+def shop_page(condition: ShopCondition, table: str) -> Page:
+    """Return the page of a shop; `table` is the name of the file that it comes from."""
+    drifts, stale, sensors, unjudged = shop_tables(condition)
+    return Page(
+        title='The machines of a shop',
+        summary=summary_text(condition),
+        sections=[
+            Section(
+                'Which machine drifts',
+                tables=[drifts],
+                remarks=[
+                    'The trend is that of what the model leaves, bag by bag: the slope of Theil '
+                    f'and Sen, with an interval that holds at {_SURE} for all rows together. A '
+                    'machine drifts where all of the interval is above zero. Bags that the model '
+                    'was trained on do not count.',
+                    *_cut(len(condition.drifts)),
+                ],
+                figures=_figures(
+                    'What the model leaves, over time',
+                    'A dot per bag. The line is the trend, red where it rises beyond chance; '
+                    'dashed is what training had promised.',
+                    [item for item in condition.drifts if len(item.rms)],
+                    lambda item: _residual_panel(item, condition),
+                    condition,
+                ),
+            ),
+            Section(
+                'Which model is stale',
+                tables=[stale],
+                remarks=[
+                    'The newest bags are the newest quarter. A model is stale where they leave '
+                    f'more than {STALE_RATIO:g} times what it left on held-out samples of its '
+                    f'training, beyond chance; where less than {100 * DOMAIN_MIN:.0f} % of their '
+                    'samples are in its domain and the share falls; or where it diverged. Then '
+                    'train it anew on newer bags.',
+                    *_cut(len(condition.stale)),
+                ],
+                figures=_figures(
+                    'Share of the samples in the domain of the training, over time',
+                    'A dot per bag. Where dots sink, the machine does what the model has not '
+                    'seen.',
+                    _one_per_model(condition.stale),
+                    lambda item: _domain_panel(item, condition),
+                    condition,
+                ),
+            ),
+            Section(
+                'Which sensor fails',
+                tables=[sensors],
+                remarks=[
+                    f'A sensor fails where more than {100 * FAILING:.0f} % of its samples are '
+                    'missing in the newest quarter of its bags. Other sensors stand in for it as '
+                    'long as the model knows some that can; else a straight line bridges up to '
+                    '20 min.',
+                    *_cut(len(condition.sensors)),
+                ],
+                figures=_figures(
+                    'Share of the samples that are missing, over time',
+                    'A dot per bag, of the sensors that are missing most.',
+                    [item for item in condition.sensors if item.missing.any()],
+                    lambda item: _sensor_panel(item, condition),
+                    condition,
+                ),
+            ),
+            Section(
+                'Bags that could not be judged',
+                tables=[unjudged],
+                remarks=_cut(len(condition.unjudged)),
+            ),
+        ],
+        facts={
+            'Recorded': _span(condition),
+            'Machine': _listed(condition.machines),
+            'Judged': f'{condition.bags} bags',
+            'Table': table,
+            'Computed by': 'fuzzycnc ' + ', '.join(condition.versions),
+        },
+    )
+
+
+def summary_text(condition: ShopCondition) -> str:
+    """Return how many machines drift, models are stale and sensors fail."""
+    drifting = {item.machine for item in condition.drifts if item.trend.rises}
+    stale = {(item.machine, item.model) for item in condition.stale if item.stale}
+    models = {(item.machine, item.model) for item in condition.stale}
+    failing = [item for item in condition.sensors if item.fails]
+    bags = {item.bag for item in condition.unjudged}
+    return (
+        f'{len(drifting)} of {len(condition.machines)} machines drift beyond chance, '
+        f'{len(stale)} of {len(models)} models are stale, {len(failing)} of '
+        f'{len(condition.sensors)} sensors fail, {len(bags)} of {condition.bags} bags could not '
+        'be judged. The most urgent comes first.'
+    )
+
+
+def shop_tables(condition: ShopCondition) -> tuple[Table, Table, Table, Table]:
+    """Return the tables of drifts, models, sensors, and bags that could not be judged."""
+    return (
+        _drift_table(condition.drifts[:SHOWN]),
+        _stale_table(condition.stale[:SHOWN]),
+        _sensor_table(condition.sensors[:SHOWN]),
+        _unjudged_table(condition),
+    )
+
+
+def shop_document(condition: ShopCondition) -> dict[str, Any]:
+    """Return all figures.
+
+    Returns
+    -------
+    dict
+        `drifts`, `models`, `sensors`, `left_out`: lists, the most urgent first.
+    """
+    return {
+        'bags': condition.bags,
+        'machines': condition.machines,
+        'drifts': [
+            {
+                'machine': item.machine,
+                'model': item.model,
+                'channel': item.channel,
+                'bags': len(item.rms),
+                'verdict': _drift_verdict(item),
+                'slope_um_per_30_days': item.trend.slope,
+                'low_um_per_30_days': item.trend.low,
+                'high_um_per_30_days': item.trend.high,
+                'newest_rms_um': item.newest_rms,
+                'held_out_rms_um': item.held_out,
+            }
+            for item in condition.drifts
+        ],
+        'models': [
+            {
+                'machine': item.machine,
+                'model': item.model,
+                'channel': item.channel,
+                'stale': item.stale,
+                'ratio': item.ratio,
+                'ratio_low': item.ratio_low,
+                'newest_in_domain': item.newest_in_domain,
+                'in_domain_per_30_days': item.domain_trend.slope,
+                'diverged': item.diverged,
+                'trained_on': item.trained,
+            }
+            for item in condition.stale
+        ],
+        'sensors': [
+            {
+                'machine': item.machine,
+                'sensor': item.sensor,
+                'fails': item.fails,
+                'newest_missing': item.newest_missing,
+                'missing': float(item.missing.mean()),
+                'substituted': float(item.substituted.mean()),
+                'bridged': float(item.bridged.mean()),
+                'missing_per_30_days': item.trend.slope,
+            }
+            for item in condition.sensors
+        ],
+        'left_out': [
+            {'machine': item.machine, 'bag': item.bag, 'reason': item.problem}
+            for item in condition.unjudged
+        ],
+    }
+
+
+def _drift_table(courses: Sequence[Course]) -> Table:
+    rows, warning = [], set()
+    for number, item in enumerate(courses):
+        rows.append(
+            (
+                item.machine,
+                item.model,
+                item.channel,
+                _drift_verdict(item),
+                str(len(item.rms)),
+                f'{item.days:.0f}',
+                _number(item.newest_bare, 1),
+                _number(item.newest_rms, 1),
+                _signed(item.trend.slope, 2),
+                _interval(item.trend, 2),
+            )
+        )
+        if item.trend.rises:
+            warning |= {(number, 0), (number, 3), (number, 8)}
+    columns = (
+        Column('Machine', numeric=False),
+        Column('Model', numeric=False),
+        Column('Channel', numeric=False),
+        Column('Verdict', numeric=False),
+        Column('bags'),
+        Column('days'),
+        Column('uncompensated', 'newest bags'),
+        Column('rmse', 'newest bags'),
+        Column('trend', f'per {MONTH:.0f} days'),
+        Column('interval', f'per {MONTH:.0f} days'),
+    )
+    return Table(
+        'Drift of what the model leaves [µm]',
+        columns,
+        tuple(rows),
+        warning=frozenset(warning),
+        warning_means='rises beyond chance',
+    )
+
+
+def _stale_table(courses: Sequence[Course]) -> Table:
+    rows, warning = [], set()
+    for number, item in enumerate(courses):
+        rows.append(
+            (
+                item.machine,
+                item.model,
+                item.channel,
+                'stale' if item.stale else 'fits',
+                _number(item.held_out, 1),
+                _number(item.newest_rms, 1),
+                _number(item.ratio, 2),
+                _number(100.0 * item.newest_in_domain, 0),
+                _signed(100.0 * item.domain_trend.slope, 1),
+                str(item.diverged),
+            )
+        )
+        if item.stale:
+            warning |= {(number, 0), (number, 3)}
+            warning |= {(number, 6)} if item.ratio_low > STALE_RATIO else set()
+            warning |= {(number, 9)} if item.diverged else set()
+            leaves = item.domain_trend.falls and item.newest_in_domain < DOMAIN_MIN
+            warning |= {(number, 7)} if leaves else set()
+    columns = (
+        Column('Machine', numeric=False),
+        Column('Model', numeric=False),
+        Column('Channel', numeric=False),
+        Column('Verdict', numeric=False),
+        Column('held out µm', 'rmse'),
+        Column('newest µm', 'rmse'),
+        Column('ratio', 'rmse'),
+        Column('newest %', 'in domain'),
+        Column(f'% per {MONTH:.0f} days', 'in domain'),
+        Column('diverged'),
+    )
+    return Table(
+        'What training had promised, and what the newest bags show',
+        columns,
+        tuple(rows),
+        warning=frozenset(warning),
+        warning_means='no longer fits',
+    )
+
+
+def _sensor_table(sensors: Sequence[SensorCourse]) -> Table:
+    rows, warning = [], set()
+    for number, item in enumerate(sensors):
+        rows.append(
+            (
+                item.machine,
+                item.sensor,
+                'fails' if item.fails else 'works',
+                str(len(item.missing)),
+                _number(100.0 * item.newest_missing, 1),
+                _number(100.0 * float(item.missing.mean()), 1),
+                _signed(100.0 * item.trend.slope, 1),
+                _number(100.0 * float(item.substituted.mean()), 1),
+                _number(100.0 * float(item.bridged.mean()), 1),
+            )
+        )
+        if item.fails:
+            warning |= {(number, 0), (number, 2), (number, 4)}
+    columns = (
+        Column('Machine', numeric=False),
+        Column('Sensor', numeric=False),
+        Column('Verdict', numeric=False),
+        Column('bags'),
+        Column('newest', 'missing'),
+        Column('all', 'missing'),
+        Column(f'per {MONTH:.0f} days', 'missing'),
+        Column('substituted'),
+        Column('bridged'),
+    )
+    return Table(
+        'Share of the samples of each sensor [%]',
+        columns,
+        tuple(rows),
+        warning=frozenset(warning),
+        warning_means='missing in the newest bags',
+    )
+
+
+def _unjudged_table(condition: ShopCondition) -> Table:
+    columns = tuple(Column(name, numeric=False) for name in ('Machine', 'Bag', 'Reason'))
+    rows = tuple((item.machine, item.bag, item.problem) for item in condition.unjudged[:SHOWN])
+    title = f'Not judged: {len(condition.unjudged)}' if rows else 'All were judged'
+    return Table(title, columns, rows)
+
+
+def _drift_verdict(item: Course) -> str:
+    if isnan(item.trend.slope):
+        return f'fewer than {BAGS_MIN} bags'
+    if item.trend.rises:
+        return 'drifts'
+    return 'gets better' if item.trend.falls else 'steady'
+
+
+def _figures(
+    title: str,
+    caption: str,
+    courses: Sequence[Any],
+    panel: Callable[[Any], Panel],
+    condition: ShopCondition,
+) -> list[Figure]:
+    """Return a figure of the most urgent courses; none where there are none."""
+    shown = courses[:DRAWN]
+    if not shown:
+        return []
+    chart = Chart(
+        Axis(f'time since {_start(condition)}', 'd'),
+        [panel(item) for item in shown],
+        columns=min(2, len(shown)),
+        height=2.6,
+    )
+    return [Figure(title, caption, chart)]
+
+
+def _residual_panel(item: Course, condition: ShopCondition) -> Panel:
+    days = _days(item.begin, condition)
+    series = [
+        Series('with the model', item.rms, AFTER, kind='dots'),
+    ]
+    known = np.isfinite(item.rms)
+    if isfinite(item.trend.slope):
+        slope = item.trend.slope / MONTH
+        middle = float(np.median(item.rms[known])) - slope * float(np.median(days[known]))
+        ends = days[[0, -1]]
+        colour = LIMIT if item.trend.rises else INK
+        series.append(Series('trend', middle + slope * ends, colour, 2.0, x=ends))
+    rules = [Rule(item.held_out, MUTED, 'promised', (4.0, 3.0))]
+    axis = Axis('rmse', 'µm', low=0.0, high=_top(item.rms[known], item.held_out))
+    return Panel(days, axis, series, title=_title(item), rules=rules)
+
+
+def _domain_panel(item: Course, condition: ShopCondition) -> Panel:
+    colour = WARNING if item.newest_in_domain < DOMAIN_MIN else AFTER
+    return Panel(
+        _days(item.begin, condition),
+        Axis('in domain', '%', low=0.0, high=105.0),
+        [Series('samples in the domain', 100.0 * item.in_domain, colour, kind='dots')],
+        title=f'{item.machine}, {item.model}',
+        rules=[Rule(100.0 * DOMAIN_MIN, MUTED, '', (4.0, 3.0))],
+    )
+
+
+def _sensor_panel(item: SensorCourse, condition: ShopCondition) -> Panel:
+    colour = LIMIT if item.fails else AFTER
+    return Panel(
+        _days(item.begin, condition),
+        Axis('missing', '%', low=0.0, high=_top(100.0 * item.missing, 1.0)),
+        [Series('samples that are missing', 100.0 * item.missing, colour, kind='dots')],
+        title=f'{item.machine}, {item.sensor}',
+    )
+
+
+def _one_per_model(courses: Sequence[Course]) -> list[Course]:
+    """Return the first course of each model: all channels share the domain."""
+    first: dict[tuple[str, str], Course] = {}
+    for item in courses:
+        if len(item.rms):
+            first.setdefault((item.machine, item.model), item)
+    return list(first.values())
+
+
+def _title(item: Course) -> str:
+    return f'{item.machine}, {item.model}, {item.channel}: {_drift_verdict(item)}'
+
+
+def _top(values: Array, least: float) -> float:
+    """Return the end of an axis that a few odd bags may leave."""
+    high = float(np.percentile(values, 99.0)) if len(values) else 0.0
+    return 1.25 * max(high, least)
+
+
+def _days(begin: Array, condition: ShopCondition) -> Array:
+    return np.asarray((begin - float(condition.first)) / _DAY)
+
+
+def _start(condition: ShopCondition) -> str:
+    return _date(condition.first) if condition.first >= DATED else 'the first bag'
+
+
+def _span(condition: ShopCondition) -> str:
+    if condition.first < DATED:
+        return 'in machine time, without a date'
+    return f'{_date(condition.first)} to {_date(condition.last)}'
+
+
+def _date(stamp: int) -> str:
+    return datetime.fromtimestamp(stamp // 10**9, timezone.utc).strftime('%Y-%m-%d')
+
+
+def _listed(names: Sequence[str]) -> str:
+    if len(names) <= DRAWN:
+        return ', '.join(names)
+    return f'{", ".join(names[:DRAWN])} and {len(names) - DRAWN} more'
+
+
+def _cut(count: int) -> list[str]:
+    """Return that a table shows not all, where it does."""
+    return [f'The {SHOWN} most urgent of {count} are shown.'] if count > SHOWN else []
+
+
+def _number(value: float, digits: int) -> str:
+    return f'{value:.{digits}f}' if isfinite(value) else '-'
+
+
+def _signed(value: float, digits: int) -> str:
+    return f'{value:+.{digits}f}' if isfinite(value) else '-'
+
+
+def _interval(found: Trend, digits: int) -> str:
+    if isnan(found.low):
+        return '-'
+    return f'{found.low:+.{digits}f} to {found.high:+.{digits}f}'
