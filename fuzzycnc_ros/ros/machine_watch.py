@@ -199,6 +199,7 @@ class MachineWatch:
                 machine, _, name = topic.strip('/').rpartition('/')
                 # A player says nothing of itself, but plays what machines say.
                 if types == [_TOLD.get(name)] and machine in strange:
+                    strange.discard(machine)
                     self._add(machine)
         for machine, watched in self.machines.items():
             watched.look(nodes.get(machine, set()))

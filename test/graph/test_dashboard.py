@@ -247,6 +247,10 @@ def test_who_kills_the_page_touches_nothing(graph, observer, model_file, open_pa
     assert {record.state for record in told[heard:]} == {CompensationState.ACTIVE}
     again = open_page()
     again.view_until(compensates, 'the same')
+    for topic in ('temperatures', 'thermal_error', 'compensation'):
+        readers = observer.node.get_subscriptions_info_by_topic(f'/mill/{topic}')
+        # The one that was killed may linger.
+        assert [item.node_name for item in readers].count('dashboard') in (1, 2), topic
 
 
 @pytest.mark.slow
