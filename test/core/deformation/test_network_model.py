@@ -115,7 +115,8 @@ def test_a_written_model_is_read_as_it_was(data, request, name):
     lines = data.x[data.x[:, 2] == 2]
     again = read_model(write_model(model))
     assert write_model(again) == write_model(model)
-    assert np.array_equal(again.predict(lines), model.predict(lines))
+    # The last bit of a product depends on where its arrays lie in memory.
+    np.testing.assert_allclose(again.predict(lines), model.predict(lines), rtol=1e-12, atol=1e-12)
     assert np.array_equal(again.accepts(lines), model.accepts(lines))
 
 
