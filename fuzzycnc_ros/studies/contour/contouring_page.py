@@ -21,8 +21,8 @@ from fuzzycnc_ros.studies.page.drawing import (
     plot_style,
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.requirement import require
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.contour.contouring import FollowedPath

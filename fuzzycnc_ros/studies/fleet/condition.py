@@ -143,8 +143,17 @@ class Course:
     @property
     def stale(self) -> bool:
         """Whether the model no longer fits the machine."""
-        leaves = self.domain_trend.falls and self.newest_in_domain < DOMAIN_MIN
-        return self.ratio_low > STALE_RATIO or leaves or bool(self.diverged)
+        return self.leaves_more or self.leaves_domain or bool(self.diverged)
+
+    @property
+    def leaves_more(self) -> bool:
+        """Whether the newest bags leave more than training had promised, beyond chance."""
+        return self.ratio_low > STALE_RATIO
+
+    @property
+    def leaves_domain(self) -> bool:
+        """Whether the machine leaves the domain of the training."""
+        return self.domain_trend.falls and self.newest_in_domain < DOMAIN_MIN
 
 
 @dataclass(frozen=True, eq=False)

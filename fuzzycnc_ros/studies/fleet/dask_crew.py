@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from fuzzycnc_ros.studies.fleet.in_flight import Crew, only
-from fuzzycnc_ros.studies.fleet.library import fleet_library
+from fuzzycnc_ros.studies.requirement import require
 
 PATIENCE = 20.0
 """Longest wait for the scheduler, and for its first worker [s]."""
@@ -40,17 +40,17 @@ def dask_crew(address: str) -> Iterator[Crew]:
     try:
         threads = sum(client.nthreads().values())
         executor = client.get_executor(pure=False)
-        killed = (fleet_library('distributed').KilledWorker,)
+        killed = (require('distributed').KilledWorker,)
         yield Crew(only(executor), max(1, PER_WORKER * threads), killed)
     finally:
         client.close(timeout=PATIENCE)
 
 
 def _client(address: str) -> Any:
-    distributed = fleet_library('distributed')
+    distributed = require('distributed')
     try:
         # A client that is given none hangs for its patience when it is dropped.
-        fleet_library('distributed.comm').get_address_host_port(address)
+        require('distributed.comm').get_address_host_port(address)
         client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ValueError(

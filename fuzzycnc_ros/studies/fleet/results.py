@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fuzzycnc_ros.bags.atomic import whole_file
-from fuzzycnc_ros.studies.fleet.library import fleet_library
+from fuzzycnc_ros.studies.requirement import require
 
 Row = dict[str, Any]
 
@@ -59,7 +59,7 @@ def schema() -> Any:
     ModuleNotFoundError
         If pyarrow is not installed; the message says how to install it.
     """
-    arrow = fleet_library('pyarrow')
+    arrow = require('pyarrow')
     share = [(name, arrow.float64()) for name in ('missing', 'substituted', 'bridged')]
     kinds = {
         TEXT: arrow.string(),
@@ -81,7 +81,7 @@ class TableWriter:
     """Takes rows and writes them in blocks, so that memory does not grow."""
 
     def __init__(self, file: Any) -> None:
-        self._arrow, self._schema = fleet_library('pyarrow'), schema()
+        self._arrow, self._schema = require('pyarrow'), schema()
         self._file = file
         self._rows: list[Row] = []
 
@@ -109,7 +109,7 @@ def new_table(path: Path) -> Iterator[TableWriter]:
     ModuleNotFoundError
         If pyarrow is not installed; the message says how to install it.
     """
-    parquet, columns = fleet_library('pyarrow.parquet'), schema()
+    parquet, columns = require('pyarrow.parquet'), schema()
     with whole_file(path) as draft:
         with parquet.ParquetWriter(draft, columns, compression='zstd') as file:
             writer = TableWriter(file)
@@ -129,7 +129,7 @@ def read_rows(path: Path) -> list[Row]:
     ModuleNotFoundError
         If pyarrow is not installed; the message says how to install it.
     """
-    arrow, parquet = fleet_library('pyarrow'), fleet_library('pyarrow.parquet')
+    arrow, parquet = require('pyarrow'), require('pyarrow.parquet')
     try:
         table = parquet.read_table(path)
     except (arrow.ArrowInvalid, arrow.ArrowNotImplementedError) as error:

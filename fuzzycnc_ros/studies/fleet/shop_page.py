@@ -265,10 +265,9 @@ def _stale_table(courses: Sequence[Course]) -> Table:
         )
         if item.stale:
             warning |= {(number, 0), (number, 3)}
-            warning |= {(number, 6)} if item.ratio_low > STALE_RATIO else set()
+            warning |= {(number, 6)} if item.leaves_more else set()
             warning |= {(number, 9)} if item.diverged else set()
-            leaves = item.domain_trend.falls and item.newest_in_domain < DOMAIN_MIN
-            warning |= {(number, 7)} if leaves else set()
+            warning |= {(number, 7)} if item.leaves_domain else set()
     columns = (
         Column('Machine', numeric=False),
         Column('Model', numeric=False),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.studies.page.requirement import require
+from fuzzycnc_ros.studies.requirement import require
 
 PALETTE: Mapping[str, tuple[str, str]] = {
     'ink': ('#14181d', '#e8ecf1'),

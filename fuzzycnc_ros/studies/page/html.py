@@ -21,8 +21,8 @@ from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.studies.page.chart import Chart, Picture
 from fuzzycnc_ros.studies.page.drawing import PALETTE, THEME, plot_style
 from fuzzycnc_ros.studies.page.paper import drawn
-from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.page.table import Table
+from fuzzycnc_ros.studies.requirement import require
 from fuzzycnc_ros.web import vendored
 
 HEADER = ('Recorded', 'Machine', 'Axis', 'Bag', 'Program', 'Judged')

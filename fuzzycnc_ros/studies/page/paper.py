@@ -9,7 +9,7 @@ import numpy as np
 
 from fuzzycnc_ros.studies.page.chart import DOTS_MAX, Axis, Chart, Panel, Series, Span
 from fuzzycnc_ros.studies.page.drawing import INK, MUTED, add_legend, new_figure, plot_style
-from fuzzycnc_ros.studies.page.requirement import require
+from fuzzycnc_ros.studies.requirement import require
 
 _ROWS, _POINTS, _ROWS_MIN = 240, 1200, 60
 """Rows of a panel on paper: no printer shows more extremes; fewer where there are many series."""

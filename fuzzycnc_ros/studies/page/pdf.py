@@ -17,8 +17,8 @@ from fuzzycnc_ros.studies.page.chart import Chart
 from fuzzycnc_ros.studies.page.drawing import AFTER, GRID, INK, MUTED, plot_style
 from fuzzycnc_ros.studies.page.html import HEADER, Figure, Page, Section
 from fuzzycnc_ros.studies.page.paper import draw_panel
-from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.page.table import Table
+from fuzzycnc_ros.studies.requirement import require
 
 WIDTH, HEIGHT = 8.27, 11.69
 """Size of a sheet [in]: A4, upright."""

@@ -9,7 +9,7 @@ from textwrap import wrap
 from typing import Any, TypeVar
 
 from fuzzycnc_ros.core.names import visible
-from fuzzycnc_ros.studies.page.requirement import require
+from fuzzycnc_ros.studies.requirement import require
 
 Key = TypeVar('Key', bound=Hashable)
 

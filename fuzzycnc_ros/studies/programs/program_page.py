@@ -17,7 +17,6 @@ from fuzzycnc_ros.studies.contour import contouring_page
 from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series, View
 from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, LIMIT, new_figure, plot_style
 from fuzzycnc_ros.studies.page.html import Figure, Page, Remark, Section
-from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.pareto.pareto_page import LABELS, millimetres
 from fuzzycnc_ros.studies.programs.program_drive import (
@@ -29,6 +28,7 @@ from fuzzycnc_ros.studies.programs.program_drive import (
     MethodDrive,
 )
 from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
+from fuzzycnc_ros.studies.requirement import require
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Note

@@ -15,8 +15,8 @@ from fuzzycnc_ros.studies.page.chart import Picture
 from fuzzycnc_ros.studies.page.drawing import plot_style
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.pdf import HEIGHT, LEFT, WIDTH, render_pdf, sheets
-from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.requirement import require
 from fuzzycnc_ros.studies.thermal_test.page import thermal_test_page
 from fuzzycnc_ros.studies.thermal_test.phases import find_phases
 from fuzzycnc_ros.studies.thermal_test.recording import read_test

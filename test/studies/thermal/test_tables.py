@@ -8,8 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.studies.page.requirement import require
 from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.requirement import require
 from fuzzycnc_ros.studies.thermal.report_data import (
     CompensationRun,
     Latency,

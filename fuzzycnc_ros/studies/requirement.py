@@ -1,10 +1,19 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Packages that only reports need: loaded on use, named with their remedy when missing."""
+"""Packages of reports and of a fleet: loaded on use, named with their remedy when missing."""
 
 from importlib import import_module
 from typing import Any
 
+_REPORT, _FLEET = ('a report', 'report'), ('a fleet of bags', 'fleet')
+_NEEDED_BY = {
+    'matplotlib': _REPORT,
+    'jinja2': _REPORT,
+    'rich': _REPORT,
+    'pyarrow': _FLEET,
+    'distributed': _FLEET,
+}
+"""Who needs a package, and the extra that brings it."""
 _DEBIAN = {
     'matplotlib': 'python3-matplotlib',
     'jinja2': 'python3-jinja2',
@@ -13,7 +22,7 @@ _DEBIAN = {
 
 
 def require(module: str) -> Any:
-    """Import a module of matplotlib, jinja2 or rich.
+    """Import a module of matplotlib, jinja2, rich, pyarrow or Dask.
 
     Parameters
     ----------
@@ -31,8 +40,10 @@ def require(module: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition('.')[0] != package:
             raise  # the package is there, something that it needs is not
+        who, extra = _NEEDED_BY[package]
+        debian = f' (or apt install {_DEBIAN[package]})' if package in _DEBIAN else ''
         raise ModuleNotFoundError(
-            f'a report needs {package}, which is not installed: '
-            f"pip install 'fuzzycnc_ros[report]' (or apt install {_DEBIAN[package]})",
+            f'{who} needs {package}, which is not installed: '
+            f"pip install 'fuzzycnc_ros[{extra}]'{debian}",
             name=package,
         ) from error
