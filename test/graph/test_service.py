@@ -5,7 +5,6 @@
 import os
 import re
 import signal
-import sys
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -15,7 +14,6 @@ from processes import wait_for
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 NODES = ('temperature_acquisition', 'compensator')
-COMMAND = (sys.executable, '-m', 'fuzzycnc_ros.cli.main')
 
 
 @pytest.fixture
@@ -27,21 +25,14 @@ def manager(tmp_path, monkeypatch):
         yield found
 
 
-def start(graph, folder, *words):
-    folder.mkdir()
-    return graph.launch(words[0], [*COMMAND, *words], folder)
-
-
-def test_a_graph_is_ready_when_all_report_and_silent_when_a_node_hangs(
-    graph, observer, manager, tmp_path
-):
+def test_a_graph_is_ready_when_all_report_and_silent_when_a_node_hangs(command, observer, manager):
     reports = []
 
     def note(array):
         reports.extend(status.name for status in array.status)
 
     observer.node.create_subscription(DiagnosticArray, '/diagnostics', note, 100)
-    up = start(graph, tmp_path / 'up', 'up', '--nodes', ','.join(NODES))
+    up = command('up', '--nodes', ','.join(NODES))
     wait_for(lambda: manager.has_heard('READY=1'), 'the graph is up')
     assert all(f'mill/{node} runs as process' in up.output for node in NODES)
     assert 'WATCHDOG=1' not in manager.all[: manager.all.index('READY=1')]
@@ -70,9 +61,9 @@ def test_a_graph_is_ready_when_all_report_and_silent_when_a_node_hangs(
     assert 'READY=1' not in manager.all
 
 
-def test_recording_and_page_tell_themselves_how_they_are(graph, manager, tmp_path):
+def test_recording_and_page_tell_themselves_how_they_are(command, graph, manager, tmp_path):
     bag = tmp_path / 'bag'
-    record = start(graph, tmp_path / 'record', 'record', '--out', str(bag))
+    record = command('record', '--out', str(bag))
     wait_for(lambda: manager.has_heard('READY=1'), 'the recording has begun')
     assert bag.is_dir()
     wait_for(lambda: manager.has_heard('WATCHDOG=1'), 'a sign of life')

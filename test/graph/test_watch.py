@@ -3,11 +3,11 @@
 """The live page and its twin in the terminal, as commands start them."""
 
 import json
-import socket
 import time
 import urllib.request
 
 import pytest
+from processes import free_port
 
 from fuzzycnc_ros.runtime.records import Temperatures
 
@@ -17,13 +17,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 RUN = 600.0
 """Wall time [s] in which a demo must be done, also on a busy computer."""
-
-
-def free_port():
-    """Return a port that nobody serves at."""
-    with socket.socket() as probe:
-        probe.bind(('127.0.0.1', 0))
-        return probe.getsockname()[1]
 
 
 def answers(port):

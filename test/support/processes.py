@@ -5,6 +5,7 @@
 import contextlib
 import os
 import signal
+import socket
 import subprocess
 import time
 import uuid
@@ -57,6 +58,13 @@ def wait_for(condition: Callable[[], Any], what: str) -> None:
     while not condition():
         assert time.monotonic() < until, f'not within {HANG:g} s: {what}'
         time.sleep(POLL)
+
+
+def free_port() -> int:
+    """Return a port of this computer at which a process that is started next can serve."""
+    with socket.socket() as found:
+        found.bind(('127.0.0.1', 0))
+        return int(found.getsockname()[1])
 
 
 def living() -> set[int]:

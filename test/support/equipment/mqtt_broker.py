@@ -17,6 +17,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
+from processes import free_port
 
 MOSQUITTO = shutil.which('mosquitto', path='/usr/sbin:/usr/bin:/usr/local/sbin:/usr/local/bin')
 LOCAL = '127.0.0.1'
@@ -39,9 +40,7 @@ class MqttBroker:
 
     def __init__(self, folder: Path, *, tls: bool = False, password: str = '') -> None:
         self._folder, self._tls = folder, tls
-        with socket.socket() as found:
-            found.bind((LOCAL, 0))
-            self.port = found.getsockname()[1]
+        self.port = free_port()
         lines = [f'listener {self.port} {LOCAL}', 'user root', 'max_queued_messages 0']
         if tls:
             certificate(folder)

@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip('starlette', reason="the page needs pip install 'fuzzycnc_ros[page]'")
 
 from live_page import model_fields, node_rows, number, offset_rows, operator_fields
+from processes import free_port
 
 pytestmark = pytest.mark.ros
 
@@ -91,9 +92,7 @@ def address(observer, running):
 
 @pytest.mark.slow
 def test_two_machines_and_their_bags(graph, observer, opened, model_file, tmp_path):
-    with socket.socket() as free:
-        free.bind(('127.0.0.1', 0))
-        port = free.getsockname()[1]
+    port = free_port()
     command = [
         *(sys.executable, '-m', 'fuzzycnc_ros.cli.main', 'up', '--simulate', 'T2'),
         *('--machine', 'mill,lathe', '--rate', f'{RATE:g}', '--model', str(model_file)),
