@@ -28,6 +28,7 @@ from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.bag_node import bag_refused, check_keeping, closed_on_failure, pattern
 from fuzzycnc_ros.ros.clocks import wall_timer
+from fuzzycnc_ros.ros.executor import hand_over
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.plain_node import PlainNode
 from fuzzycnc_ros.ros.run import tell_error
@@ -126,7 +127,11 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self.node.get_logger().info(f'recording to {self._config.output}')
 
     def stop(self) -> None:
-        """Write what is queued, close the bag and say what is in it."""
+        """Write what has arrived, close the bag and say what is in it."""
+        self.turns = None  # there is nobody to answer any more
+        for subscription in tuple(self._subscriptions.values()):
+            # What was published before the recorder was asked to end belongs into the bag.
+            hand_over(subscription, DEPTH)
         try:
             self._release(self._newest)
             holes = self._found_holes()

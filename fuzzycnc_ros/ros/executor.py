@@ -285,15 +285,32 @@ def _call_timer(timer: Any) -> None:
     timer.callback()
 
 
-def _call_subscription(subscription: Any) -> None:
+def _call_subscription(subscription: Any) -> bool:
+    """Hand over the next message of a subscription; return whether there was one."""
     try:
         with subscription.handle:
             taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
     except InvalidHandle:
-        return
+        return False
     if taken is None:
-        return
+        return False
     if subscription._callback_type is Subscription.CallbackType.MessageOnly:
         subscription.callback(taken[0])
     else:
         subscription.callback(*taken)
+    return True
+
+
+def hand_over(subscription: Any, most: int) -> None:
+    """Hand over what a subscription already holds; the context may have ended.
+
+    Parameters
+    ----------
+    subscription : rclpy.subscription.Subscription
+        Of a node that no executor calls any more.
+    most : int
+        Messages that are handed over at most, so that those who publish on do not hold up the end.
+    """
+    for _ in range(most):
+        if not _call_subscription(subscription):
+            return

@@ -10,6 +10,7 @@ import sys
 import time
 
 import pytest
+from std_msgs.msg import Header
 
 from fuzzycnc_ros.bags.errors import BagError, BagTruncatedError
 from fuzzycnc_ros.bags.reader import BagReader
@@ -90,6 +91,24 @@ def test_killed_recorder_keeps_what_it_has_written(graph, observer, tmp_path):
 def beat(header):
     """Return when a message was sent [ns]."""
     return header.stamp.sec * SECOND + header.stamp.nanosec
+
+
+def test_what_was_published_before_the_end_is_in_the_bag(graph, observer, tmp_path):
+    """A recorder that is asked to end while messages wait for it takes them first."""
+    bag = tmp_path / 'bag'
+    said = observer.node.create_publisher(Header, '/mill/said', 500)
+    recorder = graph.start('recorder', {'output': str(bag), 'topics': '^/mill/said'})
+    observer.until(lambda: said.get_subscription_count() == 1, 'a recorder that listens')
+    recorder.send(signal.SIGSTOP)
+    for number in range(300):
+        said.publish(Header(frame_id=str(number)))
+    recorder.send(signal.SIGINT)
+    recorder.send(signal.SIGCONT)
+    assert observer.until_ended(recorder) == 0
+    with BagReader(bag) as reader:
+        assert [item.message.frame_id for item in reader.messages()] == [
+            str(number) for number in range(300)
+        ]
 
 
 def test_stopped_recorder_loses_nothing(graph, observer, model_file, tmp_path):
