@@ -15,6 +15,7 @@ nodes = [
     'joint_trajectory_bridge',
     'linuxcnc_bridge',
     'mqtt_publisher',
+    'mtconnect_adapter',
     'opcua_bridge',
     'player',
     'recorder',
