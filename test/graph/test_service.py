@@ -47,6 +47,7 @@ def test_a_graph_is_ready_when_all_report_and_silent_when_a_node_hangs(
     assert 'WATCHDOG=1' not in manager.all[: manager.all.index('READY=1')]
     wait_for(lambda: manager.has_heard('WATCHDOG=1'), 'a sign of life')
 
+    manager.all.clear()  # a node may have been named before it had reported at all
     (hanging,) = map(int, re.findall(r'mill/compensator runs as process (\d+)', up.output))
     os.kill(hanging, signal.SIGSTOP)
     said = 'STATUS=nothing heard of mill/compensator'
@@ -66,7 +67,7 @@ def test_a_graph_is_ready_when_all_report_and_silent_when_a_node_hangs(
     wait_for(lambda: 'STATUS=all nodes report' in manager.since(said), 'all report again')
     assert up.interrupt(signal.SIGTERM) == 0
     assert manager.has_heard('STOPPING=1')
-    assert manager.all.count('READY=1') == 1
+    assert 'READY=1' not in manager.all
 
 
 def test_recording_and_page_tell_themselves_how_they_are(graph, manager, tmp_path):

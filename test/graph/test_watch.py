@@ -52,8 +52,10 @@ def test_a_graph_with_its_page_is_watched_in_the_terminal(command, observer, tmp
     assert view['machine'] == 'mill'
     assert view['sensors']['ok'] == 76
     assert 'sensors 76 of 76 good' in watched.output
-    assert '\x1b' not in watched.output
-    assert max(map(len, watched.output.splitlines())) <= 80
+    # Beside the screen the middleware may complain of what others left in shared memory.
+    screen = [line for line in watched.output.splitlines() if 'RTPS_' not in line]
+    assert not any('\x1b' in line for line in screen)
+    assert max(map(len, screen)) <= 80
     assert up.interrupt() == 0, up.output
 
 

@@ -51,7 +51,7 @@ def test_an_act_is_confirmed_and_sent(page, fake, act, document, effect, body):
     assert confirm(page) == f'✓ {act} is done'
     assert fake.acted == [('mill', act, {**body, 'by': 'Ada'}, '')]
     page.one('dialog button').click()
-    assert not page.driver.find_elements('css selector', 'dialog')
+    page.until(lambda: not page.driver.find_elements('css selector', 'dialog'), 'its end')
 
 
 def test_what_is_in_force_and_what_is_wanted_is_named(page, fake):
@@ -76,7 +76,7 @@ def test_a_question_can_be_left(page, fake):
     page.until(lambda: not page.driver.find_elements('css selector', 'dialog'), 'its end')
     begin(page, 'deactivate')
     page.one('dialog button.quiet').click()
-    assert not page.driver.find_elements('css selector', 'dialog')
+    page.until(lambda: not page.driver.find_elements('css selector', 'dialog'), 'its end')
     assert fake.acted == []
 
 

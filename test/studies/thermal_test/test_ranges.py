@@ -30,6 +30,8 @@ from fuzzycnc_ros.studies.thermal_test.recording import read_test
 from fuzzycnc_ros.studies.thermal_test.report import judge_test, phase_table
 from fuzzycnc_ros.studies.thermal_test.set_up import TestSetUp, probe_channels
 
+pytest.importorskip('mcap', reason="bags need pip install 'fuzzycnc_ros[bags]'")
+
 DISTANCE = {'X': 0.1, 'Y': 0.08}
 MICRO = 1e-6
 

@@ -94,6 +94,14 @@ class ModbusServer:
         await self._server.shutdown()
 
 
+async def stop_opcua(server: Server) -> None:
+    """Stop a server, and drop the clients that have come back while it stopped."""
+    await server.stop()
+    await asyncio.sleep(0.05)  # what was accepted is known in a later turn of the loop
+    for transport in list(server.iserver.asyncio_transports):
+        transport.abort()
+
+
 class OpcUaServer:
     """An OPC UA server with variables Objects/Mill/<name>, node ids ns=2;s=<name>.
 
@@ -127,7 +135,7 @@ class OpcUaServer:
         self.port = self.server.bserver._server.sockets[0].getsockname()[1]
 
     async def stop(self) -> None:
-        await self.server.stop()
+        await stop_opcua(self.server)
 
     def _read(self, node_id: ua.NodeId, attribute: ua.AttributeIds) -> ua.DataValue:
         value = self.values[node_id.Identifier]

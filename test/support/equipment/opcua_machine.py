@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from asyncua import Server, ua
 from benches.line_control import LineControl
-from equipment.field_servers import LOCAL, NAMESPACE
+from equipment.field_servers import LOCAL, NAMESPACE, stop_opcua
 
 AXES = ('X', 'Z')
 SCAN = 0.02
@@ -141,7 +141,7 @@ class ControlServer:
         self._program.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await self._program
-        await self.server.stop()
+        await stop_opcua(self.server)
 
     async def put(self, name: str, value: Any) -> None:
         """Write a variable as another client would."""

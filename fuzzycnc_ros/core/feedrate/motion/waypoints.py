@@ -49,7 +49,7 @@ class WaypointCurve:
     Examples
     --------
     >>> curve = WaypointCurve(np.array([0.0, 2.0]), np.array([[0.0], [0.1]]))
-    >>> [float(value[0, 0]) for value in curve.at(np.array([1.0]))]
+    >>> [round(float(value[0, 0]), 6) + 0.0 for value in curve.at(np.array([1.0]))]
     [0.05, 0.075, 0.0]
     """
 
