@@ -207,7 +207,7 @@ HOSTILE = {
     'half a document': (http(b'<MTConnectDevices><Header'), 'found no XML'),
     'entities': (http(BOMB), 'declares a document type'),
     'other files': (
-        http(b'<!DOCTYPE a SYSTEM "file:///secret"><MTConnectDevices/>'),
+        http(b'<!DOCTYPE a SYSTEM "other.dtd"><MTConnectDevices/>'),
         'declares a document type',
     ),
     'deep': (http(b'<MTConnectDevices>' + b'<a>' * 5000), 'at most 100 levels'),
