@@ -13,13 +13,19 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
+from fuzzycnc_ros.components.report.told import SPINDLE, told
 from fuzzycnc_ros.core.names import topic_words
 
 UNAVAILABLE = 'UNAVAILABLE'
 NAMESPACE = 'urn:mtconnect.org:MTConnectDevices:1.3'
-AVAILABILITY, ALARMS, SPINDLE = 'availability', 'alarms', 'spindle_speed'
-MILLIMETRES = 1e-3
-"""Millimetres of a micrometre: MTConnect has no smaller unit of length."""
+AVAILABILITY, ALARMS = 'availability', 'alarms'
+KINDS = {
+    'temperature': ('TEMPERATURE', 'CELSIUS', 1.0),
+    'offset': ('DISPLACEMENT', 'MILLIMETER', 1e-3),
+    'error': ('DISPLACEMENT', 'MILLIMETER', 1e-3),
+    SPINDLE: ('ROTARY_VELOCITY', 'REVOLUTION/MINUTE', 1.0),
+}
+"""What is told, as type and units of MTConnect, and the factor to them; it has no micrometres."""
 LEVELS = {'warning': 'WARNING', 'error': 'FAULT'}
 TEXT_MAX = 300
 """Longest text of an alarm [characters]."""
@@ -154,25 +160,14 @@ class Shdr:
 
     def _told(self, document: Mapping[str, Any]) -> Iterator[tuple[Item, float | None]]:
         """Yield data items with their values; None where there is none, or it is too old."""
-        for part, field, prefix, kind, units, factor in (
-            ('temperatures', 'temperature_degC', 'temperature', 'TEMPERATURE', 'CELSIUS', 1.0),
-            ('offsets', 'offset_um', 'offset', 'DISPLACEMENT', 'MILLIMETER', MILLIMETRES),
-            ('errors', 'error_um', 'error', 'DISPLACEMENT', 'MILLIMETER', MILLIMETRES),
-        ):
-            found = document[part] or {field: {}, 'age_s': 0.0}
-            fresh = found['age_s'] <= self._age_max and found.get('valid', True)
-            words = topic_words(sorted(found[field]))
-            for name, value in found[field].items():
-                known = fresh and value is not None
-                if part == 'temperatures':
-                    known = known and found['status'][name] == 'ok'
-                item = Item(f'{prefix}_{words[name]}', kind, units, f'{prefix} {name}')
-                yield item, factor * value if known else None
-        spindle = document['spindle']
-        if spindle is not None:
-            fresh = spindle['age_s'] <= self._age_max and spindle['status'] == 'ok'
-            item = Item(SPINDLE, 'ROTARY_VELOCITY', 'REVOLUTION/MINUTE', 'spindle speed')
-            yield item, spindle['speed_rpm'] if fresh else None
+        found = list(told(document, self._age_max))
+        names = {kind: sorted(item.name for item in found if item.kind == kind) for kind in KINDS}
+        words = {kind: topic_words(chosen) for kind, chosen in names.items() if kind != SPINDLE}
+        for item in found:
+            key = f'{item.kind}_{words[item.kind][item.name]}' if item.name else item.kind
+            word, units, factor = KINDS[item.kind]
+            value = None if item.value is None else factor * item.value
+            yield Item(key, word, units, f'{item.kind} {item.name}'.strip()), value
 
 
 def _alarm(alarm: Mapping[str, str]) -> tuple[str, str]:
