@@ -17,6 +17,7 @@ nodes = [
     'mqtt_publisher',
     'mtconnect_adapter',
     'opcua_bridge',
+    'opcua_server',
     'player',
     'recorder',
     'sensor_selector',

@@ -23,6 +23,7 @@ from fuzzycnc_ros.ros.access import (
     DASHBOARD,
     MQTT,
     MTCONNECT,
+    OPCUA,
     OPERATOR,
     PLAYER,
     PRETENDERS,
@@ -186,7 +187,7 @@ def test_recorder_and_player_have_what_they_need(created, tmp_path):
             assert denied(has, allowed(name)) == set(), (name, lockstep)
 
 
-@pytest.mark.parametrize('name', [MQTT, MTCONNECT])
+@pytest.mark.parametrize('name', [MQTT, MTCONNECT, OPCUA])
 def test_who_hands_reports_on_has_what_it_needs(created, tmp_path, name):
     given = {'port': 0}
     if name == MQTT:

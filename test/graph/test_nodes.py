@@ -21,13 +21,14 @@ from fuzzycnc_ros.runtime.host import (
     HostConfig,
     MqttPublisherConfig,
     MtconnectAdapterConfig,
+    OpcuaServerConfig,
     PlayerConfig,
     RecorderConfig,
 )
 
 pytestmark = pytest.mark.ros
 
-NODES = [*COMPONENTS, 'recorder', 'player', 'mqtt_publisher', 'mtconnect_adapter']
+NODES = [*COMPONENTS, 'recorder', 'player', 'mqtt_publisher', 'mtconnect_adapter', 'opcua_server']
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -38,6 +39,7 @@ def schema(node: str) -> list[Any]:
         'player': [PlayerConfig],
         'mqtt_publisher': [MqttPublisherConfig],
         'mtconnect_adapter': [MtconnectAdapterConfig],
+        'opcua_server': [OpcuaServerConfig],
     }
     kinds = records.get(node) or [HostConfig, COMPONENTS[node].CONFIG]
     return [item for kind in kinds for item in fields(kind)]
@@ -53,7 +55,7 @@ def needed(tmp_path: Path) -> Callable[[str], dict[str, Any]]:
         if node == 'mqtt_publisher':
             (tmp_path / 'broker.yaml').write_text('host: 127.0.0.1\nport: 9\n')
             return {'broker_file': str(tmp_path / 'broker.yaml')}
-        if node == 'mtconnect_adapter':
+        if node in {'mtconnect_adapter', 'opcua_server'}:
             return {'port': 0}
         if node != 'player':
             return {}
@@ -166,6 +168,7 @@ REFUSED = [
     ('mqtt_publisher', {'broker_file': '/none.yaml'}, '/none.yaml'),
     ('mtconnect_adapter', {'port': 70000}, 'port'),
     ('mtconnect_adapter', {'listen': '192.0.2.1'}, 'parameter port: expected a free port on 192'),
+    ('opcua_server', {'listen': '0.0.0.0'}, 'parameter certificate: expected a file'),
     ('player', {}, 'bag'),
     ('player', {'bag': '/none'}, '/none'),
 ]
