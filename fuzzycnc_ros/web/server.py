@@ -26,6 +26,9 @@ WAITING = 128
 STOPPED_WITHIN = 5.0
 """Time [s] in which the server must have ended."""
 
+_TICKS = 5
+"""Ticks of uvicorn, 0.1 s each, that are passed over at once."""
+
 
 class PageServer:
     """Serve the page; what it is told from other threads never waits for a browser.
@@ -87,7 +90,7 @@ class PageServer:
             ssl_certfile=None if certificate is None else certificate[0],
             ssl_keyfile=None if certificate is None else certificate[1],
         )
-        self._server = uvicorn.Server(config)
+        self._server = _Server(config)
         self._thread = threading.Thread(target=self._run, name='page', daemon=True)
 
     def start(self) -> None:
@@ -127,6 +130,20 @@ class PageServer:
             self._loop.run_until_complete(self._server._serve(sockets=[self._socket]))
         finally:
             self._loop.close()
+
+
+class _Server(uvicorn.Server):
+    """Uvicorn's server, which looks twice a second whether to end."""
+
+    async def main_loop(self) -> None:
+        """Tell the server's ticks.
+
+        Uvicorn tells ten a second: that would be a fifth of what a page costs that nobody watches.
+        """
+        tick = 0
+        while not await self.on_tick(tick):  # each tenth renews the date of all answers
+            await asyncio.sleep(0.1 * _TICKS)
+            tick = (tick + _TICKS) % 864_000
 
 
 def _listening(address: str, port: int) -> socket.socket:
