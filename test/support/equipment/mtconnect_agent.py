@@ -127,7 +127,7 @@ class Agent:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._writers.add(writer)
-        with contextlib.suppress(ConnectionError, asyncio.IncompleteReadError):
+        try:
             head = (await reader.readuntil(b'\r\n\r\n')).decode()
             path = head.split(' ')[1]
             self.requests.append(path)
@@ -136,8 +136,13 @@ class Agent:
             else:
                 writer.write(http(self.reply(path)))
                 await writer.drain()
-        self._writers.discard(writer)
-        writer.close()
+            writer.close()
+            await writer.wait_closed()
+        except (ConnectionError, asyncio.IncompleteReadError):
+            pass  # the other side has gone
+        finally:
+            self._writers.discard(writer)
+            writer.transport.abort()
 
     async def _stream(self, path: str, writer: asyncio.StreamWriter) -> None:
         query = parse_qs(urlsplit(path).query)
