@@ -74,6 +74,7 @@ class MtconnectLink(Link):
         self._ahead = math.nan
         self._heard = 0.0
         self._failure: Exception | None = None
+        self._ended: asyncio.Event | None = None
 
     @property
     def requests(self) -> int:
@@ -94,11 +95,17 @@ class MtconnectLink(Link):
         loop = asyncio.get_running_loop()
         ready = asyncio.Event()
 
-        def tell() -> None:
-            with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
-                loop.call_soon_threadsafe(ready.set)
+        self._ended = ended = asyncio.Event()
 
-        threading.Thread(target=self._run, args=(tell,), name='mtconnect', daemon=True).start()
+        def tell(event: asyncio.Event = ready) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+                loop.call_soon_threadsafe(event.set)
+
+        def run() -> None:
+            self._run(tell)
+            tell(ended)
+
+        threading.Thread(target=run, name='mtconnect', daemon=True).start()
         await ready.wait()
         if self._failure is not None:
             raise self._failure
@@ -119,6 +126,8 @@ class MtconnectLink(Link):
         self._closed.set()
         with self._lock:
             self._drop()
+        if self._ended is not None:
+            await self._ended.wait()
 
     def _reading(self, channel: Item, item: DataItem | str) -> Reading:
         if isinstance(item, str):

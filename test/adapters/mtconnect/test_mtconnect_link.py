@@ -234,8 +234,8 @@ def test_hostile_answers_are_lost_devices(field, poll, answer, said):
         asked = server.asked
         polled = poller.results.get(timeout=TIMEOUT)
         assert lost(polled)
-        assert said in polled.trouble, polled.trouble
         assert len(polled.trouble) <= TEXT_MAX
+    wait(poller, lambda polled: said in polled.trouble)
 
 
 PLAIN = 'HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace'
@@ -264,8 +264,8 @@ def test_hostile_streams_are_lost_devices(field, agent, poll, answer, said):
     poller = poll(field.add(HostileServer(reply)))
     for _ in range(2):
         wait(poller, good)
-        polled = wait(poller, lost)
-        assert said in polled.trouble, polled.trouble
+        # A busy computer may be too slow for an answer first.
+        wait(poller, lambda polled: lost(polled) and said in polled.trouble)
 
 
 def test_an_address_that_is_none_is_refused(tmp_path):
