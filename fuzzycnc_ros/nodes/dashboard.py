@@ -30,6 +30,7 @@ from fuzzycnc_ros.ros.parameters import ParameterError, declare
 from fuzzycnc_ros.runtime.addresses import is_loopback
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.host import DashboardConfig
+from fuzzycnc_ros.runtime.records import nanoseconds
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.web.recordings import BagFolder
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 
 TICK = 0.1
 """Wall time [s] between two looks whether there is something to show."""
+ALONE = 1.0
+"""The same while no page is open [s]: a new one gets its first view within that time."""
 SOONEST = 0.3
 """Part of the interval after which new data are shown, though a view was shown before them."""
 ANSWERED = 10.0
@@ -84,7 +87,7 @@ class DashboardNode:
         self._diagnostics = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         # Beside the machines it shows all of them, within the namespace of one that one alone.
         self._watch = MachineWatch(node, node.get_namespace().strip('/'), self._on_changed)
-        wall_timer(node, TICK, self._show)
+        self._ticks = wall_timer(node, TICK, self._show)
         wall_timer(node, DISCOVERY_PERIOD, self._look)
         wall_timer(node, 1.0, self._report)
 
@@ -250,6 +253,9 @@ class DashboardNode:
     def _show(self) -> None:
         """Give pages the views that are due: after new data, a change, or the interval."""
         now, interval, clients = time.monotonic(), self._config.interval, self._server.clients
+        pace = nanoseconds(TICK if clients else min(interval, ALONE))
+        if self._ticks.timer_period_ns != pace:
+            self._ticks.timer_period_ns = pace
         for machine, watched in self._watch.machines.items():
             view, shown = watched.view, self._shown.get(machine, _Shown())
             elapsed = now - shown.at
