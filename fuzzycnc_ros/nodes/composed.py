@@ -28,7 +28,8 @@ def run_composed(names: Sequence[str], ros_arguments: Sequence[str]) -> int:
         # Loaded on use: it brings all components, and with them 18 MiB, into every process.
         from fuzzycnc_ros.registry import COMPONENTS
 
-        known = ', '.join((*COMPONENTS, 'recorder', 'player', 'mqtt_publisher'))
+        tools = ('recorder', 'player', 'mqtt_publisher', 'mtconnect_adapter', 'opcua_server')
+        known = ', '.join((*COMPONENTS, *tools))
         raise ValueError(f'expected nodes among {known} but found {", ".join(unknown) or "none"}')
     return run.run([make for make in makers.values() if make], ['composed', *ros_arguments])
 

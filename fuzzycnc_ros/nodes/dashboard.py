@@ -27,6 +27,7 @@ from fuzzycnc_ros.ros.health import diagnostic_array
 from fuzzycnc_ros.ros.machine_watch import DISCOVERY_PERIOD, MachineWatch
 from fuzzycnc_ros.ros.page_actions import Actions, NeedsForceError
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
+from fuzzycnc_ros.runtime.addresses import is_loopback
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.host import DashboardConfig
 from fuzzycnc_ros.runtime.records import nanoseconds
@@ -99,7 +100,7 @@ class DashboardNode:
             If something is not installed, or cannot be used.
         """
         try:
-            from fuzzycnc_ros.web.guard import Token, is_loopback
+            from fuzzycnc_ros.web.guard import Token
             from fuzzycnc_ros.web.keys import (
                 check_pair,
                 fingerprint,

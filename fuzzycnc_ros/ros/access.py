@@ -15,8 +15,8 @@ from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.runtime.component import Component
 
 RECORDER, PLAYER, OPERATOR, DASHBOARD = 'recorder', 'player', 'operator', 'dashboard'
-MQTT = 'mqtt_publisher'
-TOOLS = (RECORDER, PLAYER, OPERATOR, DASHBOARD, MQTT)
+MQTT, MTCONNECT, OPCUA = 'mqtt_publisher', 'mtconnect_adapter', 'opcua_server'
+TOOLS = (RECORDER, PLAYER, OPERATOR, DASHBOARD, MQTT, MTCONNECT, OPCUA)
 """Nodes without a component; `operator` is that of `fuzzycnc operate`."""
 PRETENDERS = ('simulated_machine', 'simulated_body', PLAYER)
 """What plays a machine: of no use beside a real one, and trusted with its topics."""
@@ -119,7 +119,7 @@ def access_of(node: str) -> Access:
             request=_offered(),
             call=tuple(name for names in ACTIONS.values() for name in names),
         )
-    if node == MQTT:
+    if node in {MQTT, MTCONNECT, OPCUA}:
         return Access(
             publish=('/diagnostics', *own),
             subscribe=(*REPORTED, '/clock', '/diagnostics'),

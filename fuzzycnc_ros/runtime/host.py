@@ -249,6 +249,61 @@ class MqttPublisherConfig(ExecutorConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
+class MtconnectAdapterConfig(ExecutorConfig):
+    """Parameters of `mtconnect_adapter`."""
+
+    listen: str = param(
+        '127.0.0.1',
+        '-',
+        'Address to serve agents at; SHDR is neither encrypted nor does it ask who reads, so '
+        'another one is for a network where all may',
+    )
+    port: int = param(
+        7878, '-', 'TCP port to serve agents at; 0 takes a free one', low=0, high=65535
+    )
+    devices_file: str = param(
+        '',
+        '-',
+        'File of devices that is written for the agent when no new data item has come for 5 s; '
+        'empty: none',
+    )
+    age_max: float = param(
+        150.0,
+        's',
+        'Age beyond which a value is told as UNAVAILABLE; longer than the sampling interval',
+        low=0.1,
+        high=86400.0,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpcuaServerConfig(ExecutorConfig):
+    """Parameters of `opcua_server`."""
+
+    listen: str = param(
+        '127.0.0.1',
+        '-',
+        'Address to serve at; any that other computers reach needs certificate, private_key and '
+        'credentials',
+    )
+    port: int = param(4840, '-', 'TCP port; 0 takes a free one', low=0, high=65535)
+    certificate: str = param('', '-', 'File with the own certificate, DER or PEM')
+    private_key: str = param('', '-', 'File with the key of the own certificate')
+    credentials: str = param(
+        '',
+        '-',
+        'File with username and password of those who may read, readable by its owner only',
+    )
+    age_max: float = param(
+        150.0,
+        's',
+        'Age beyond which a value has a bad status; longer than the sampling interval',
+        low=0.1,
+        high=86400.0,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class DashboardConfig(ExecutorConfig):
     """Parameters of `dashboard`."""
 

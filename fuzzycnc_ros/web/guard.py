@@ -13,6 +13,8 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import JSONResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from fuzzycnc_ros.runtime.addresses import is_loopback
+
 HEADERS = {
     'Content-Security-Policy': (
         "default-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'; "
@@ -27,16 +29,6 @@ HEADERS = {
 """What every answer says to browsers."""
 REFUSED = 1008
 """Close code of a WebSocket that the rules refuse."""
-
-
-def is_loopback(address: str) -> bool:
-    """Whether only this computer reaches what listens at an address."""
-    if address == 'localhost':
-        return True
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        return False
 
 
 def refused(status: int, says: str, **more: Any) -> Response:

@@ -22,6 +22,8 @@ from fuzzycnc_ros.ros.access import (
     ACTIONS,
     DASHBOARD,
     MQTT,
+    MTCONNECT,
+    OPCUA,
     OPERATOR,
     PLAYER,
     PRETENDERS,
@@ -185,13 +187,17 @@ def test_recorder_and_player_have_what_they_need(created, tmp_path):
             assert denied(has, allowed(name)) == set(), (name, lockstep)
 
 
-def test_the_publisher_to_a_broker_has_what_it_needs(created, tmp_path):
-    pytest.importorskip('paho')
-    path = tmp_path / 'broker.yaml'
-    path.write_text('host: 127.0.0.1\nport: 9\n')
-    has = created(MQTT, broker_file=path)
-    assert denied(has, allowed(MQTT)) == set()
-    assert [may - does for may, does in zip(allowed(MQTT), has, strict=True)] == [
+@pytest.mark.parametrize('name', [MQTT, MTCONNECT, OPCUA])
+def test_who_hands_reports_on_has_what_it_needs(created, tmp_path, name):
+    given = {'port': 0}
+    if name == MQTT:
+        pytest.importorskip('paho')
+        path = tmp_path / 'broker.yaml'
+        path.write_text('host: 127.0.0.1\nport: 9\n')
+        given = {'broker_file': path}
+    has = created(name, **given)
+    assert denied(has, allowed(name)) == set()
+    assert [may - does for may, does in zip(allowed(name), has, strict=True)] == [
         set(),
         {'/clock'},
         set(),

@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip('paho')
 
+from bag_contents import contents
 from equipment.mqtt_broker import LOCAL, MOSQUITTO, PASSWORD, USER, MqttBroker, credentials, wait
-from mcap.reader import make_reader
 
 pytestmark = [
     pytest.mark.ros,
@@ -76,14 +76,3 @@ def test_a_machine_is_told_of_and_its_secrets_are_not(graph, observer, broker, t
     published = [text.encode() for _, text in [*heard, *again]]
     assert len(written) > 10
     assert not [text for text in (*written, *logs, *published) for s in secrets if s in text]
-
-
-def contents(path):
-    """Return what a file of a bag holds, messages and attachments unpacked."""
-    found = [path.read_bytes()]
-    if path.suffix == '.mcap':
-        with path.open('rb') as stream:
-            reader = make_reader(stream)
-            found += [message.data for _, _, message in reader.iter_messages()]
-            found += [attachment.data for attachment in reader.iter_attachments()]
-    return found

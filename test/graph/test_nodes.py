@@ -17,11 +17,18 @@ from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.bring_up import TAKEOVER
-from fuzzycnc_ros.runtime.host import HostConfig, MqttPublisherConfig, PlayerConfig, RecorderConfig
+from fuzzycnc_ros.runtime.host import (
+    HostConfig,
+    MqttPublisherConfig,
+    MtconnectAdapterConfig,
+    OpcuaServerConfig,
+    PlayerConfig,
+    RecorderConfig,
+)
 
 pytestmark = pytest.mark.ros
 
-NODES = [*COMPONENTS, 'recorder', 'player', 'mqtt_publisher']
+NODES = [*COMPONENTS, 'recorder', 'player', 'mqtt_publisher', 'mtconnect_adapter', 'opcua_server']
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -31,6 +38,8 @@ def schema(node: str) -> list[Any]:
         'recorder': [RecorderConfig],
         'player': [PlayerConfig],
         'mqtt_publisher': [MqttPublisherConfig],
+        'mtconnect_adapter': [MtconnectAdapterConfig],
+        'opcua_server': [OpcuaServerConfig],
     }
     kinds = records.get(node) or [HostConfig, COMPONENTS[node].CONFIG]
     return [item for kind in kinds for item in fields(kind)]
@@ -46,6 +55,8 @@ def needed(tmp_path: Path) -> Callable[[str], dict[str, Any]]:
         if node == 'mqtt_publisher':
             (tmp_path / 'broker.yaml').write_text('host: 127.0.0.1\nport: 9\n')
             return {'broker_file': str(tmp_path / 'broker.yaml')}
+        if node in {'mtconnect_adapter', 'opcua_server'}:
+            return {'port': 0}
         if node != 'player':
             return {}
         bag = tmp_path / 'played'
@@ -155,6 +166,9 @@ REFUSED = [
     ('recorder', {'output': 'bag', 'topics': '('}, 'topics'),
     ('mqtt_publisher', {}, 'broker_file'),
     ('mqtt_publisher', {'broker_file': '/none.yaml'}, '/none.yaml'),
+    ('mtconnect_adapter', {'port': 70000}, 'port'),
+    ('mtconnect_adapter', {'listen': '192.0.2.1'}, 'parameter port: expected a free port on 192'),
+    ('opcua_server', {'listen': '0.0.0.0'}, 'parameter certificate: expected a file'),
     ('player', {}, 'bag'),
     ('player', {'bag': '/none'}, '/none'),
 ]

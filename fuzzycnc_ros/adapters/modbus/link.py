@@ -8,7 +8,7 @@ from typing import Any
 
 from fuzzycnc_ros.adapters.modbus.registers import Block, blocks, single_blocks, value_of
 from fuzzycnc_ros.adapters.readings.devices import ModbusDevice, ModbusRtuDevice, ModbusTcpDevice
-from fuzzycnc_ros.adapters.readings.link import LinkError, Reading
+from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
@@ -45,7 +45,7 @@ def check(device: ModbusDevice) -> None:
         ) from error
 
 
-class ModbusLink:
+class ModbusLink(Link):
     """One connection to a Modbus device.
 
     Parameters

@@ -18,7 +18,7 @@ from fuzzycnc_ros.adapters.opcua.session import (
     value_of,
 )
 from fuzzycnc_ros.adapters.readings.devices import OpcUaDevice, Variable
-from fuzzycnc_ros.adapters.readings.link import LinkError, Reading
+from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def check(device: OpcUaDevice) -> None:
         read_credentials(device.credentials)
 
 
-class OpcUaLink:
+class OpcUaLink(Link):
     """One connection to an OPC UA server.
 
     Parameters

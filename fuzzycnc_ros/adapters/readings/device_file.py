@@ -9,14 +9,17 @@ import math
 import re
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
+from urllib.parse import urlsplit
 
 from fuzzycnc_ros.adapters.opcua.file_fields import PlaceFields, ServerFields, pin_folder
 from fuzzycnc_ros.adapters.readings.devices import (
     FORMATS,
     SPINDLE,
     AnyDevice,
+    Item,
     ModbusRtuDevice,
     ModbusTcpDevice,
+    MtconnectDevice,
     OpcUaDevice,
     Register,
     SerialLine,
@@ -44,7 +47,7 @@ from fuzzycnc_ros.adapters.yaml_model import (
 ORDERS = ('big', 'little')
 SPEED_UNITS = {'rpm': 2.0 * math.pi / 60.0, 'rad/s': 1.0}
 PARITIES = ('even', 'odd', 'none')
-PROTOCOLS = ('modbus_tcp', 'modbus_rtu', 'opc_ua')
+PROTOCOLS = ('modbus_tcp', 'modbus_rtu', 'opc_ua', 'mtconnect')
 
 _HOST = r'[A-Za-z0-9._:%-]+'
 _PORT = r'/[^:]+'
@@ -134,6 +137,21 @@ class _Variable(_Scaling, PlaceFields):
         )
 
 
+class _Item(_Scaling):
+    item: Annotated[str, Text()] = Field(description='Id of the data item, or its name')
+
+    def channel(self, name: str, unit: float, largest: float = math.inf) -> Item:
+        """Return the channel."""
+        return Item(
+            **_scaled(self, unit),
+            name=name,
+            largest=largest,
+            item=self.item,
+            unit=unit,
+            is_speed=isinstance(self, _Speed),
+        )
+
+
 def _scaled(fields: _Scaling, unit: float) -> dict[str, Any]:
     return {
         'scale': unit * fields.scale,
@@ -154,6 +172,10 @@ class _SpeedRegister(_Speed, _Register):
 
 
 class _SpeedVariable(_Speed, _Variable):
+    pass
+
+
+class _SpeedItem(_Speed, _Item):
     pass
 
 
@@ -292,6 +314,51 @@ class _OpcUa(_Scaling, _Device, ServerFields):
         return OpcUaDevice(**self.values(), **vars(self.server(folder)))
 
 
+def _agent(text: str) -> str:
+    try:
+        parts = urlsplit(text)
+        port = parts.port
+    except ValueError:
+        parts, port = urlsplit(''), None
+    if parts.scheme != 'http' or not parts.hostname or port is None:
+        raise wrong(f'expected http://HOST:PORT/MACHINE, usual port 5000, but found {text!r}')
+    if '@' in parts.netloc:
+        raise wrong('expected no user and password in the address of an agent')
+    if not re.fullmatch(r'[A-Za-z0-9._~%/-]*', parts.path) or parts.query or parts.fragment:
+        raise wrong(f'expected the name of a machine behind the port but found {parts.path!r}')
+    return text
+
+
+class _Mtconnect(_Scaling, _Device):
+    """An MTConnect agent with sensors."""
+
+    INHERITED = tuple(_Scaling.model_fields)
+    SHORTHAND = 'item'
+
+    protocol: Annotated[str, Word(('mtconnect',))]
+    url: Annotated[str, Text(r'http://.+'), AfterValidator(_agent)] = Field(
+        description='Address, http://HOST:PORT, and /MACHINE where the agent has several'
+    )
+    timeout: Annotated[float, Number(0.05, 60.0, 's')] = Field(
+        2.0, description='Longest wait for an answer [s]'
+    )
+    sensors: dict[str, Annotated[_Item, Shorthand('item')]] = Field(
+        {}, description='Sensors by name; a mere text is the id or name of the data item'
+    )
+    spindle_speed: _SpeedItem | None = Field(None, description='Spindle speed')
+
+    def device(self, folder: Path) -> MtconnectDevice:
+        """Return the device."""
+        parts = urlsplit(self.url)
+        return MtconnectDevice(
+            **self.values(),
+            timeout=self.timeout,
+            host=parts.hostname or '',
+            port=parts.port or 0,
+            path=parts.path.rstrip('/'),
+        )
+
+
 def _check_protocol(data: Any) -> Any:
     if not isinstance(data, dict):
         raise wrong(NO_FIELDS)
@@ -315,7 +382,8 @@ _AnyDevice = Annotated[
     Annotated[
         Annotated[_ModbusTcp, Tag('<modbus_tcp>')]
         | Annotated[_ModbusRtu, Tag('<modbus_rtu>')]
-        | Annotated[_OpcUa, Tag('<opc_ua>')],
+        | Annotated[_OpcUa, Tag('<opc_ua>')]
+        | Annotated[_Mtconnect, Tag('<mtconnect>')],
         Discriminator(lambda data: f'<{data["protocol"].value}>'),
     ],
     BeforeValidator(_check_protocol),

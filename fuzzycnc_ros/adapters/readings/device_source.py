@@ -1,8 +1,9 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Driver: reads Modbus devices and OPC UA servers."""
+"""Driver: reads Modbus devices, OPC UA servers and MTConnect agents."""
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from queue import Empty
 
@@ -11,6 +12,7 @@ from rclpy.node import Node
 
 from fuzzycnc_ros.adapters.modbus import link as modbus
 from fuzzycnc_ros.adapters.modbus.serial_line import ModbusRtuLink
+from fuzzycnc_ros.adapters.mtconnect.link import MtconnectLink
 from fuzzycnc_ros.adapters.opcua import readings_link as opc_ua
 from fuzzycnc_ros.adapters.readings.devices import (
     SPINDLE,
@@ -20,6 +22,7 @@ from fuzzycnc_ros.adapters.readings.devices import (
     ModbusDevice,
     ModbusRtuDevice,
     ModbusTcpDevice,
+    MtconnectDevice,
     OpcUaDevice,
 )
 from fuzzycnc_ros.adapters.readings.link import Link, Reading
@@ -147,6 +150,7 @@ class DeviceHealth:
         self._device = device
         self._lost: str | None = 'not connected yet'
         self._bad: dict[str, str] = {}
+        self._facts: Mapping[str, str] = {}
         self._readings = self._losses = 0
         self._told: tuple[str | None, dict[str, str]] = (self._lost, {})
 
@@ -158,6 +162,7 @@ class DeviceHealth:
             return
         self._readings += 1
         self._lost = None
+        self._facts = polled.facts
         self._bad = {
             channel.name: reading
             for channel, reading in zip(self._device.channels, polled.readings, strict=True)
@@ -168,7 +173,7 @@ class DeviceHealth:
         """Return a line on the device, with the trouble of each of its channels."""
         device = self._device
         name = f'device {device.name}'
-        counts = {'readings': str(self._readings), 'failures': str(self._losses)}
+        counts = {'readings': str(self._readings), 'failures': str(self._losses), **self._facts}
         if self._lost is not None:
             return Health(name, Level.ERROR, f'{device.address}: {self._lost}', counts)
         if self._bad:
@@ -226,6 +231,8 @@ def connect(device: Device) -> Link:
         return modbus.ModbusTcpLink(device)
     if isinstance(device, ModbusRtuDevice):
         return ModbusRtuLink(device)
+    if isinstance(device, MtconnectDevice):
+        return MtconnectLink(device)
     assert isinstance(device, OpcUaDevice)
     return opc_ua.OpcUaLink(device)
 
@@ -239,7 +246,7 @@ def _check(device: AnyDevice, config: TemperatureAcquisitionConfig) -> None:
         )
     if isinstance(device, ModbusDevice):
         modbus.check(device)
-    else:
+    elif isinstance(device, OpcUaDevice):
         opc_ua.check(device)
 
 

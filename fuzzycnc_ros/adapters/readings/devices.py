@@ -81,6 +81,25 @@ class Variable(Channel, Address):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Item(Channel):
+    """A data item of an MTConnect agent; the raw value is brought to degC or to `unit` first.
+
+    Parameters
+    ----------
+    item : str
+        Its id, or its name.
+    unit : float
+        Unit of the raw value where the agent states none: degC 1, of a speed in rad/s.
+    is_speed : bool
+        Whether it is the spindle speed.
+    """
+
+    item: str
+    unit: float = 1.0
+    is_speed: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class Device:
     """What all devices have.
 
@@ -178,4 +197,29 @@ class OpcUaDevice(Device, Server):
         return f'OPC UA {self.url}'
 
 
-AnyDevice: TypeAlias = ModbusTcpDevice | ModbusRtuDevice | OpcUaDevice
+@dataclass(frozen=True, kw_only=True)
+class MtconnectDevice(Device):
+    """An MTConnect agent.
+
+    Parameters
+    ----------
+    host : str
+        Name or address.
+    port : int
+        TCP port.
+    path : str
+        What its requests begin with, as `/mill`; empty for all of its machines.
+    """
+
+    channels: tuple[Item, ...]
+    host: str
+    port: int
+    path: str
+
+    @property
+    def address(self) -> str:
+        """Where it is, for messages."""
+        return f'MTConnect http://{self.host}:{self.port}{self.path}'
+
+
+AnyDevice: TypeAlias = ModbusTcpDevice | ModbusRtuDevice | OpcUaDevice | MtconnectDevice

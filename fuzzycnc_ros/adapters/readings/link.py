@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One connection to a device: what the drivers of the protocols have in common."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol, TypeAlias
 
 from fuzzycnc_ros.adapters.link import LinkError
@@ -20,6 +20,11 @@ class Link(Protocol):
     @property
     def requests(self) -> int:
         """Number of requests that a reading takes."""
+
+    @property
+    def facts(self) -> Mapping[str, str]:
+        """What else is worth a line in /diagnostics; most protocols have nothing."""
+        return {}
 
     async def open(self) -> None:
         """Connect.

@@ -5,8 +5,8 @@
 import asyncio
 import contextlib
 import threading
-from collections.abc import AsyncIterator, Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from queue import SimpleQueue
 
 from fuzzycnc_ros.adapters.readings.devices import Device
@@ -39,12 +39,15 @@ class Polled:
         A reading of each channel; None if the device is lost.
     trouble : str
         Why it is lost.
+    facts : mapping
+        What the link tells beside the readings.
     """
 
     device: int
     stamp: int
     readings: Sequence[Reading] | None
     trouble: str = ''
+    facts: Mapping[str, str] = field(default_factory=dict)
 
 
 class Poller:
@@ -113,7 +116,7 @@ class Poller:
             try:
                 await asyncio.wait_for(link.open(), device.timeout)
                 async for readings in _paced(link, device):
-                    self.results.put(Polled(index, self._now(), readings))
+                    self.results.put(Polled(index, self._now(), readings, facts=link.facts))
                     pause = BACK_OFF_FIRST
             except LinkError as error:
                 trouble, least = str(error), error.pause

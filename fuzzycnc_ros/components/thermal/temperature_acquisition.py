@@ -50,7 +50,7 @@ class TemperatureAcquisitionConfig(Config):
         '-',
         'Where readings come from: topic = sensor_readings (simulated machine or another node), '
         'temperature_topics = sensor_msgs/Temperature topics, csv = a file, devices = Modbus '
-        'devices, over TCP or a serial line, and OPC UA servers',
+        'devices, over TCP or a serial line, OPC UA servers and MTConnect agents',
         choices=('topic', 'temperature_topics', 'csv', 'devices'),
     )
     temperature_topics: tuple[str, ...] = param(

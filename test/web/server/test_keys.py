@@ -9,7 +9,7 @@ import urllib.request
 import pytest
 from served_page import SECRET
 
-from fuzzycnc_ros.web.guard import is_loopback
+from fuzzycnc_ros.runtime.addresses import is_loopback
 from fuzzycnc_ros.web.keys import (
     KeyFileError,
     check_pair,
