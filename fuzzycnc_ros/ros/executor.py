@@ -54,7 +54,7 @@ class _Entities:
         self,
         context: Context,
         added: list[tuple[str, Any]],
-        waitables: list[tuple[Any, Callable[[], None]]],
+        waitables: list[tuple[Any, Callable[[], object]]],
     ) -> None:
         counts = NumberOfEntities()
         for waitable, _ in waitables:
@@ -73,7 +73,7 @@ class _Entities:
         self._added = [(getattr(self._set, f'add_{kind}'), handle) for kind, handle in added]
         self._waitables = waitables
 
-    def wait(self, timeout: int) -> tuple[set[int], list[Callable[[], None]]]:
+    def wait(self, timeout: int) -> tuple[set[int], list[Callable[[], object]]]:
         """Wait [ns]; return the pointers of ready entities, and what is to be done for waitables.
 
         A timeout below 0 is none.
@@ -111,8 +111,8 @@ class LeanExecutor(SingleThreadedExecutor):
         self._stale = True
         self._held = ExitStack()
         self._sets: tuple[_Entities, _Entities] | None = None
-        self._served: list[tuple[int, bool, Callable[[], None]]] = []
-        self._ready: deque[Callable[[], None]] = deque()
+        self._served: list[tuple[int, bool, Callable[[], object]]] = []
+        self._ready: deque[Callable[[], object]] = deque()
         self._waiting = False
         self._busy = False
         """Whether a message came in the last wait: others are likely to follow soon."""
@@ -216,7 +216,7 @@ class LeanExecutor(SingleThreadedExecutor):
         hold = self._held.enter_context
         hold(self._context.handle)
         added: list[tuple[str, Any]] = []
-        waitables: list[tuple[Any, Callable[[], None]]] = []
+        waitables: list[tuple[Any, Callable[[], object]]] = []
         for node in self.get_nodes():
             for kind, name in _KINDS.items():
                 for entity in list(getattr(node, kind)):
@@ -253,7 +253,7 @@ class LeanExecutor(SingleThreadedExecutor):
         self._served = []
         self._held.close()
 
-    def _work(self, name: str, entity: Any, node: Node) -> Callable[[], None]:
+    def _work(self, name: str, entity: Any, node: Node) -> Callable[[], object]:
         """Return what is done when an entity is ready."""
         if name == 'guard_condition':
             return partial(self._execute, self._take_guard_condition, entity, node)
