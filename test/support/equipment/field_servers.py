@@ -45,6 +45,8 @@ class Field:
             self.call(stop())
 
         async def drain() -> None:
+            # An accepted connection is somebody's only a turn later; cancelled before, it leaks.
+            await asyncio.sleep(0.05)
             rest = asyncio.all_tasks() - {asyncio.current_task()}
             for task in rest:
                 task.cancel()
