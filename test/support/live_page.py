@@ -5,6 +5,7 @@
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from decimal import ROUND_HALF_UP, Decimal
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlsplit
@@ -116,7 +117,8 @@ def number(value: float | None, digits: int = 0, unit: str = '', *, signed: bool
     """Return a number as the page writes it."""
     if value is None:
         return '\u2013'
-    text = f'{abs(value):.{digits}f}'
+    # A browser rounds what lies in the middle up, Python to the even digit.
+    text = str(Decimal(abs(value)).quantize(Decimal(1).scaleb(-digits), ROUND_HALF_UP))
     sign = '' if float(text) == 0.0 else MINUS if value < 0.0 else '+' if signed else ''
     return sign + text + (GAP + unit if unit else '')
 

@@ -11,6 +11,7 @@ pytest.importorskip('rclpy')
 
 from equipment.field_servers import LOCAL
 from equipment.mtconnect_agent import InstituteAgent
+from processes import free_port
 
 from fuzzycnc_ros.adapters.mtconnect import shdr_server
 from fuzzycnc_ros.adapters.mtconnect.shdr_server import BEHIND_MAX, CLIENTS_MAX, ShdrServer
@@ -123,13 +124,7 @@ def test_a_port_that_is_taken_is_refused(server):
     assert 'is another adapter running?' in str(refusal.value)
 
 
-def free_port():
-    with socket.socket() as found:
-        found.bind((LOCAL, 0))
-        return found.getsockname()[1]
-
-
-@pytest.mark.slow
+@pytest.mark.qualify
 def test_the_agent_of_the_institute_reads_the_adapter_and_is_read(server, tmp_path):
     """From a report through SHDR and the C++ agent back to readings; the agent is killed once."""
     shdr = Shdr('mill', 150.0)

@@ -51,6 +51,9 @@ class Field:
             for task in rest:
                 task.cancel()
             await asyncio.gather(*rest, return_exceptions=True)
+            # Clients that came back while their server stopped are known to the loop only.
+            for transport in list(self.loop._transports.values()):
+                transport.abort()
             await asyncio.sleep(0.05)  # transports close in a later turn of the loop
 
         self.call(drain())
