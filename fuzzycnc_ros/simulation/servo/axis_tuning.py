@@ -35,6 +35,17 @@ what swings there has no margin."""
 HELD_OUT_GAINS = (0.5, 0.62, 0.85, 1.2, 1.7, 2.0)
 """Factors on the gain on which it is judged."""
 
+PULSES = ((0.5, 1.0), (1.0, 0.8))
+"""Pulses of load, on the way and at rest, for which an axis is tuned: share of the largest load,
+and factor on the gain.  A load that sets in at rest alone says little of how stiff the loop is: on
+the ball screw what had been tuned on that gave way to pulses twice as far as it needs to."""
+
+HELD_OUT_PULSES = ((0.2, 1.15), (0.6, 0.9), (1.0, 1.0))
+"""Pulses on which it is judged."""
+
+_PULSE = 0.13
+"""Time for which a pulse acts, and for which it then does not [s]."""
+
 _EQUAL = 1.05
 """Factor between the errors of two controllers up to which the simpler one is taken [-]."""
 
@@ -65,6 +76,8 @@ class _AxisCase:
         Factor on its friction [-].
     load : float
         Load [-], as duty, that sets in amid the rest before the way back.
+    pulse : float
+        Load [-], as duty, that comes and goes throughout the case.
     pace : float
         Share of the axis' limits at which it goes [-].
     delay : float
@@ -77,6 +90,7 @@ class _AxisCase:
     gain: float = 1.0
     friction: float = 1.0
     load: float = 0.0
+    pulse: float = 0.0
     pace: float = 1.0
     delay: float = 0.0
     seed: int = 0
@@ -179,7 +193,7 @@ class AxisTuning:
 
 
 def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tuple[_AxisCase, ...]:
-    """Return the cases of an axis: ways from some counts to half its travel, gains, loads.
+    """Return the cases of an axis: ways from some counts to half its travel, gains, loads, pulses.
 
     Parameters
     ----------
@@ -209,6 +223,18 @@ def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tupl
             seed=1000 * held_out + index,
         )
         for index, (gain, way) in enumerate(zip(gains, ways, strict=True))
+    ]
+    pulses = HELD_OUT_PULSES if held_out else PULSES
+    cases += [
+        _AxisCase(
+            way=float(draw.uniform(0.1, 0.3)) * travel * (-1.0 if draw.random() < 0.5 else 1.0),
+            gain=gain,
+            friction=float(draw.uniform(0.6, 1.6)),
+            pulse=float(draw.choice([-1.0, 1.0])) * share * load * min(gain, 1.0),
+            pace=float(draw.uniform(0.4, 0.8)) * min(gain, 1.0),
+            seed=1000 * held_out + index,
+        )
+        for index, (share, gain) in enumerate(pulses, len(cases))
     ]
     if not held_out:
         cases += [
@@ -243,11 +269,14 @@ def _drive_case(
     """
     period = plant.period
     rows, judged = _course(data, case, period)
+    width = round(_PULSE / period)
     controller.reset(plant.measure())
     errors = np.empty(len(rows))
     for step, (place, speed, rise) in enumerate(rows.tolist()):
         errors[step] = place - plant.position
-        plant.drive(controller.step(place, plant.measure(), speed, rise))
+        duty = controller.step(place, plant.measure(), speed, rise)
+        # What acts on the drive is what loads it; its range has to hold both.
+        plant.drive(duty - case.pulse * (step // width % 2) if case.pulse else duty)
         if controller.watch.fault:
             lost = _GIVEN_UP * (data.limits.travel_high - data.limits.travel_low)
             return _AxisFigures(rms=lost, largest=lost, rest=lost, fault=controller.watch.fault)
