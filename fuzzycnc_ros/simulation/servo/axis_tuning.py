@@ -16,7 +16,7 @@ from scipy.optimize import differential_evolution
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
-from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, SETTINGS, make_axis_controller
+from fuzzycnc_ros.core.servo.axis_control import SETTINGS, make_axis_controller
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
@@ -58,12 +58,12 @@ _PER_FAULT = 100.0
 _Progress = Callable[[int, int], None]
 """Told how many generations are done, and how many there are."""
 
-Plant = Callable[['_AxisCase'], AxisPlant]
+Plant = Callable[['AxisCase'], AxisPlant]
 """Makes the axis that a case is driven on."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class _AxisCase:
+class AxisCase:
     """A way there and back, with what is off against the nominal axis.
 
     Parameters
@@ -97,7 +97,7 @@ class _AxisCase:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _AxisFigures:
+class AxisFigures:
     """What a controller did in a case.
 
     Attributes
@@ -128,7 +128,7 @@ class TunedController:
         Cost on the cases of the search [m]; infinite without one.
     trials : int
         Settings that were tried.
-    held_out : tuple of _AxisFigures
+    held_out : tuple of AxisFigures
         Figures on cases that nothing was tuned on.
     held_out_cost : float
         Cost on these [m].
@@ -138,8 +138,13 @@ class TunedController:
     settings: dict[str, float]
     cost: float
     trials: int
-    held_out: tuple[_AxisFigures, ...]
+    held_out: tuple[AxisFigures, ...]
     held_out_cost: float
+
+    @property
+    def error(self) -> float:
+        """Geometric mean of its errors on the held-out cases [m]."""
+        return float(np.exp(_logs(self.held_out).mean()))
 
     @property
     def faults(self) -> int:
@@ -169,12 +174,12 @@ class AxisTuning:
     ----------
     controllers : tuple of TunedController
         In the order of `AXIS_CONTROLLERS`, the simplest first.
-    held_out : tuple of _AxisCase
+    held_out : tuple of AxisCase
         What they were judged on.
     """
 
     controllers: tuple[TunedController, ...]
-    held_out: tuple[_AxisCase, ...]
+    held_out: tuple[AxisCase, ...]
 
     @property
     def best(self) -> TunedController:
@@ -192,7 +197,7 @@ class AxisTuning:
         )
 
 
-def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tuple[_AxisCase, ...]:
+def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tuple[AxisCase, ...]:
     """Return the cases of an axis: ways from some counts to half its travel, gains, loads, pulses.
 
     Parameters
@@ -213,7 +218,7 @@ def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tupl
     ways = draw.permutation(ways * np.exp(draw.uniform(-0.3, 0.0, len(gains))))
     load = data.limits.load * (1.0 if held_out else 0.9)
     cases = [
-        _AxisCase(
+        AxisCase(
             way=float(way) * (-1.0 if draw.random() < 0.5 else 1.0),
             gain=gain,
             friction=float(draw.uniform(0.6, 1.6)),
@@ -226,7 +231,7 @@ def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tupl
     ]
     pulses = HELD_OUT_PULSES if held_out else PULSES
     cases += [
-        _AxisCase(
+        AxisCase(
             way=float(draw.uniform(0.1, 0.3)) * travel * (-1.0 if draw.random() < 0.5 else 1.0),
             gain=gain,
             friction=float(draw.uniform(0.6, 1.6)),
@@ -238,7 +243,7 @@ def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tupl
     ]
     if not held_out:
         cases += [
-            _AxisCase(
+            AxisCase(
                 way=0.3 * travel,
                 gain=gain,
                 friction=0.3,
@@ -252,8 +257,8 @@ def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tupl
 
 
 def _drive_case(
-    controller: AxisController, plant: AxisPlant, data: AxisData, case: _AxisCase
-) -> _AxisFigures:
+    controller: AxisController, plant: AxisPlant, data: AxisData, case: AxisCase
+) -> AxisFigures:
     """Drive a case on a plant, and return the figures.
 
     Parameters
@@ -261,10 +266,10 @@ def _drive_case(
     controller : AxisController
         The controller, made for the nominal axis.
     plant : AxisPlant
-        The axis as it is in this case, at 0; its load sets in by itself (`_load_time`).
+        The axis as it is in this case, at 0; its load sets in by itself (`load_time`).
     data : AxisData
         Limits of the way.
-    case : _AxisCase
+    case : AxisCase
         Way and pace.
     """
     period = plant.period
@@ -279,27 +284,27 @@ def _drive_case(
         plant.drive(duty - case.pulse * (step // width % 2) if case.pulse else duty)
         if controller.watch.fault:
             lost = _GIVEN_UP * (data.limits.travel_high - data.limits.travel_low)
-            return _AxisFigures(rms=lost, largest=lost, rest=lost, fault=controller.watch.fault)
-    return _AxisFigures(
+            return AxisFigures(rms=lost, largest=lost, rest=lost, fault=controller.watch.fault)
+    return AxisFigures(
         rms=float(np.sqrt((errors**2).mean())),
         largest=float(np.abs(errors).max()),
         rest=float(np.sqrt((errors[judged] ** 2).mean())),
     )
 
 
-def _load_time(data: AxisData, case: _AxisCase, period: float) -> float:
+def load_time(data: AxisData, case: AxisCase, period: float) -> float:
     """Return when the load of a case sets in: amid the rest before the way back [s]."""
     return REST + _way(data, case, period)[:, 0].size * period + 0.3 * REST
 
 
-def _simulated_case(data: AxisData, case: _AxisCase) -> AxisPlant:
+def _simulated_case(data: AxisData, case: AxisCase) -> AxisPlant:
     """Return the axis of the machine file as it is in a case."""
     plant = data.known_plant()
     changes: dict[str, Any] = {
         'gain_factor': case.gain,
         'delay': plant.delay + case.delay,
         'seed': case.seed,
-        'load_time': _load_time(data, case, plant.period),
+        'load_time': load_time(data, case, plant.period),
     }
     if isinstance(plant, LatheAxisConfig):
         changes |= {
@@ -377,50 +382,40 @@ def tune_controller(
 
 
 def judged_controller(
-    data: AxisData, name: str, settings: Mapping[str, float], *, seed: int = 0
+    data: AxisData,
+    name: str,
+    settings: Mapping[str, float],
+    *,
+    seed: int = 0,
+    plant: Plant | None = None,
 ) -> TunedController:
-    """Return a controller with its figures on the held-out cases, without a search."""
-    cases = axis_cases(data, held_out=True, seed=seed)
-    figures = _figures_of(data, name, settings, cases)
-    return TunedController(name, dict(settings), inf, 0, figures, _cost(data, figures))
-
-
-def _tune_axis(
-    data: AxisData, *, seed: int = 0, generations: int = 8, population: int = 6
-) -> AxisTuning:
-    """Tune all controllers of an axis with equal effort, and find which suits it.
-
-    Every kind has the same three settings, the same bounds and the same number of trials on the
-    same cases.  They are judged on cases that nothing was tuned on.
+    """Return a controller with its figures on the held-out cases, without a search.
 
     Parameters
     ----------
     data : AxisData
-        The axis, with a plant.
+        The axis that the controller is made for.
+    name : str
+        Of `AXIS_CONTROLLERS`.
+    settings : mapping of str to float
+        Of `SETTINGS`.
     seed : int
-        Seed of cases and search.
-    generations, population : int
-        As `tune_controller`.
-
-    Raises
-    ------
-    ValueError
-        If the axis has no plant.
+        Seed of the cases.
+    plant : callable, optional
+        Makes the axis that is driven, by default the simulated one of the data.
     """
-    found = [
-        tune_controller(data, name, seed=seed, generations=generations, population=population)
-        for name in AXIS_CONTROLLERS
-    ]
-    return AxisTuning(tuple(found), axis_cases(data, held_out=True, seed=seed))
+    cases = axis_cases(data, held_out=True, seed=seed)
+    figures = _figures_of(data, name, settings, cases, plant)
+    return TunedController(name, dict(settings), inf, 0, figures, _cost(data, figures))
 
 
 def _figures_of(
     data: AxisData,
     name: str,
     settings: Mapping[str, float],
-    cases: Sequence[_AxisCase],
+    cases: Sequence[AxisCase],
     plant: Plant | None = None,
-) -> tuple[_AxisFigures, ...]:
+) -> tuple[AxisFigures, ...]:
     """Return the figures of a controller on some cases.
 
     Parameters
@@ -431,7 +426,7 @@ def _figures_of(
         Of `AXIS_CONTROLLERS`.
     settings : mapping of str to float
         Of `SETTINGS`.
-    cases : sequence of _AxisCase
+    cases : sequence of AxisCase
         What is driven.
     plant : callable, optional
         Makes the axis that is driven, by default the simulated one of the data.
@@ -444,7 +439,7 @@ def _figures_of(
         return tuple(_drive_case(controller, made(case), data, case) for case in cases)
 
 
-def _case_cost(data: AxisData, figures: _AxisFigures) -> float:
+def _case_cost(data: AxisData, figures: AxisFigures) -> float:
     """Return what a case costs [m]: the geometric mean of its three errors, not below a count."""
     plant = data.known_plant()
     least = max(0.5 * plant.count, plant.noise, 1e-9)
@@ -452,7 +447,7 @@ def _case_cost(data: AxisData, figures: _AxisFigures) -> float:
     return float(np.exp(np.mean([log(max(error, least)) for error in errors])))
 
 
-def _cost(data: AxisData, figures: Sequence[_AxisFigures]) -> float:
+def _cost(data: AxisData, figures: Sequence[AxisFigures]) -> float:
     costs = [_case_cost(data, one) for one in figures]
     if not all(map(isfinite, costs)):
         return inf
@@ -461,7 +456,7 @@ def _cost(data: AxisData, figures: Sequence[_AxisFigures]) -> float:
     return float(np.exp(np.mean(np.log(costs)))) * _PER_FAULT**lost
 
 
-def _logs(figures: Sequence[_AxisFigures]) -> Array:
+def _logs(figures: Sequence[AxisFigures]) -> Array:
     """Return logarithms of the errors of figures, one a case."""
     return np.array(
         [np.mean([log(max(e, 1e-9)) for e in (one.rms, one.largest, one.rest)]) for one in figures]
@@ -475,7 +470,7 @@ def _settings(point: Array) -> dict[str, float]:
     }
 
 
-def _way(data: AxisData, case: _AxisCase, period: float) -> Array:
+def _way(data: AxisData, case: AxisCase, period: float) -> Array:
     """Return position, velocity and acceleration over a way, shape (n, 3)."""
     velocity, acceleration, jerk = data.limits.positioning
     limits = ProfileLimits(
@@ -485,7 +480,7 @@ def _way(data: AxisData, case: _AxisCase, period: float) -> Array:
     return np.column_stack([course.position, course.velocity, course.acceleration])
 
 
-def _course(data: AxisData, case: _AxisCase, period: float) -> tuple[Array, Array]:
+def _course(data: AxisData, case: AxisCase, period: float) -> tuple[Array, Array]:
     """Return the reference of a case, shape (n, 3), and which samples are judged at rest."""
     there = _way(data, case, period)
     rest = round(REST / period)
