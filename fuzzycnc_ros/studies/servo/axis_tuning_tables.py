@@ -101,10 +101,13 @@ def _fuzzy(found: AxisTuning) -> Remark:
     ratio, spread = one['linear_tangent'].against(one['variable_universe'])
     if max(ratio, 1.0 / ratio) <= spread**2:
         return Remark('the rules and their linear tangent are equal here, but for chance')
-    better, worse = ('rules', 'tangent') if ratio > 1.0 else ('linear tangent', 'rules')
     share = 100.0 * (max(ratio, 1.0 / ratio) - 1.0)
+    if ratio > 1.0:
+        return Remark(
+            f'the rules leave less than their tangent, which has {share:.0f} % larger errors'
+        )
     return Remark(
-        f'the {better} leave less than the {worse}, which has {share:.0f} % larger errors'
+        f'the linear tangent leaves less than the rules, which have {share:.0f} % larger errors'
     )
 
 
