@@ -21,9 +21,12 @@ from fuzzycnc_ros.bags.metadata import storage_files
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
 from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.ros.topics import message_class, subscription_qos
+from fuzzycnc_ros.runtime.component import Durability
 
 SEED = 24
 KILLS, FULL = 20, 5
+NODE_KILLS = 5
 PART = 600.0
 """Length of a part [s]: most recorders come to several of them."""
 PART_MESSAGES = round(PART * day.RATE)
@@ -184,6 +187,42 @@ def test_killed_at_twenty_points_of_a_day_and_the_disk_full_at_five(recorders, t
     one.close()
     print(f'lost: {lost}, in all {sum(lost)} of {day.MESSAGES}; {parts} parts')
     assert one.message_count == day.MESSAGES - sum(lost)
+
+
+@pytest.mark.ros
+@pytest.mark.realtime
+@pytest.mark.qualify
+def test_node_killed_while_messages_come(graph, observer, tmp_path):
+    """The recorder itself, at 10 Hz of wall time: what came a second before the kill is there."""
+    random_state = random.Random(SEED)
+    sender = observer.node.create_publisher(
+        message_class(day.Temperatures.TYPE), day.TOPIC, subscription_qos(Durability.STREAM)
+    )
+    for life in range(NODE_KILLS):
+        bag = tmp_path / f'bag{life}'
+        recorder = graph.start(
+            'recorder', {'output': str(bag), 'topics': f'^{day.TOPIC}$', 'split_duration': 1.5}
+        )
+        observer.until(lambda: sender.get_subscription_count() == 1, 'a recorder that listens')
+        sent = []
+        length = random_state.uniform(3.0, 8.0)
+        begun = time.monotonic()
+        while time.monotonic() < begun + length:
+            if time.monotonic() >= begun + len(sent) / day.RATE:
+                sender.publish(day.message(len(sent)))
+                sent.append(time.monotonic())
+            observer.spin()
+        killed = time.monotonic()
+        graph.kill(recorder)
+        observer.until(lambda: sender.get_subscription_count() == 0, 'nobody listens any more')
+        assert len(storage_files(bag)) > 1
+        with BagReader(repair(bag).path) as reader:
+            # The middleware fills a message up to a multiple of four bytes.
+            size = len(day.message(0))
+            kept = [item.message[:size] for item in reader.messages([day.TOPIC], raw=True)]
+        assert kept == [day.message(number) for number in range(len(kept))]
+        lost = sent[len(kept) :]
+        assert not lost or killed - lost[0] <= 1.0
 
 
 @pytest.mark.qualify
