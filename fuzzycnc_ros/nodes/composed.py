@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.processes import end
 from fuzzycnc_ros.ros.run import tell_error
 
 _MACHINE = 'simulated_machine'
@@ -56,7 +57,7 @@ def main() -> None:
     except ValueError as error:
         tell_error(error)
         code = 2
-    sys.exit(code)
+    end(code)
 
 
 if __name__ == '__main__':

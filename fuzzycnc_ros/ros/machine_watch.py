@@ -141,7 +141,7 @@ class WatchedMachine:
         """Take which nodes are in the graph, and which have ended.
 
         The graph shows a node that was killed for 20 s more; where its process lived on this
-        computer, its lock tells at once.
+        computer, the name that it holds tells at once.
         """
         machine, view = self.view.machine, self.view
         known = {*present, *view.nodes}

@@ -1,37 +1,47 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which nodes are alive on this computer: each holds a file lock while its process lives.
+"""Which nodes are alive on this computer: each holds a name in the kernel while its process lives.
 
-What the graph shows is late: a node is found after a while, and a killed one stays for 20 s.
-The kernel knows at once, and releases the lock of a process whatever ended it.
+What the graph shows is late: a node is found after a while, and a killed one stays for 20 s.  And
+it shows nothing of another user, whose shared memory the middleware cannot write.  The kernel
+knows at once, whoever asks, and releases the names of a process whatever ended it.  The names are
+addresses of sockets that nobody sends to: abstract ones, which lie in no folder, so that no
+permission, `TMPDIR` or `XDG_RUNTIME_DIR` hides them.  Like the middleware's ports they are those
+of a network name space.
 
-Who starts a graph looks at it whole and holds the locks of its nodes.  So what it starts does not
+Who starts a graph looks at it whole and holds the names of its nodes.  So what it starts does not
 look again: it is told so by the environment (`TAKEOVER`).
 """
 
-import fcntl
+import errno
 import os
-import tempfile
+import socket
+import time
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
-from typing import IO
+from contextlib import closing, contextmanager
 
+from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError, in_the_way, rivals
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 Key = tuple[str, str]
 """Machine and node."""
 
+HOLDERS = 16
+"""Processes that may say of a node that it lives: it, who started it, with --takeover more."""
+DOOR_TIMEOUT = 5.0
+"""Wall time [s] to wait for who looks and claims; that takes moments."""
+_AJAR = 0.01  # s between two tries
+
 
 class Presence:
-    """Locks that this process holds for nodes, until it ends or leaves them."""
+    """Names that this process holds for nodes, until it ends or leaves them."""
 
     def __init__(self) -> None:
-        self._held: list[IO[bytes]] = []
+        self._held: list[socket.socket] = []
 
     def __enter__(self) -> 'Presence':
-        """Return the locks."""
+        """Return the names."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -39,27 +49,31 @@ class Presence:
         self.leave()
 
     def leave(self) -> None:
-        """Let go of all locks."""
+        """Let go of all names."""
         while self._held:
             self._held.pop().close()
 
     def hold(self, machine: str, node: str) -> None:
-        """Say that a node lives here; where no lock can be had, the graph alone tells."""
-        with suppress(OSError):
-            file = _file(machine, node).open('ab')
-            # Shared: with --takeover a second one of the same name lives too.
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            self._held.append(file)
+        """Say that a node lives here; where no name can be had, the graph alone tells."""
+        for number in range(HOLDERS):  # with --takeover a second one of the same name lives too
+            try:
+                held = _bound(_name(machine, node, number))
+            except OSError as error:
+                if error.errno == errno.EADDRINUSE:
+                    continue
+                return
+            self._held.append(held)
+            return
 
     def claim(self, wanted: Collection[Key], in_the_way: Collection[Key]) -> set[Key]:
-        """Hold the locks of nodes unless others live that are in their way.
+        """Hold the names of nodes unless others live that are in their way.
 
         Of two commands that claim at once, one finds the other.
 
         Returns
         -------
         set of Key
-            Those that live; empty if the locks are held now.
+            Those that live; empty if the names are held now.
         """
         with _door():
             living = {key for key in in_the_way if lives(*key)}
@@ -69,7 +83,7 @@ class Presence:
         return living
 
     def claim_graph(self, nodes: Collection[Key]) -> None:
-        """Hold the locks of the nodes of a graph before it is started.
+        """Hold the names of the nodes of a graph before it is started.
 
         Raises
         ------
@@ -116,47 +130,58 @@ def at_work(found: Iterable[Key]) -> str:
 
 
 def lives(machine: str, node: str) -> bool:
-    """Whether a process of this computer holds the lock of a node."""
-    try:
-        file = _file(machine, node).open('rb')
-    except OSError:
-        return False  # nobody ever held it
-    with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+    """Whether a process of this computer, of whatever user, says that a node lives."""
+    with closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as caller:
+        for number in range(HOLDERS):
+            try:
+                caller.connect(_name(machine, node, number))
+            except OSError:
+                continue  # nobody holds it
             return True
-        except OSError:
-            return False
     return False
 
 
 @contextmanager
 def _door() -> Iterator[None]:
     """Let one process at a time look and claim."""
+    until = time.monotonic() + DOOR_TIMEOUT
+    while True:
+        try:
+            held = _bound(_address('door'))
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE or time.monotonic() > until:
+                yield
+                return
+            time.sleep(_AJAR)
+        else:
+            break
+    with closing(held):
+        yield
+
+
+def _bound(address: str) -> socket.socket:
+    """Return a socket that holds an address.
+
+    Raises
+    ------
+    OSError
+        If another holds it, or this system has no such addresses.
+    """
+    held = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
-        file = (_folder() / 'door').open('ab')
+        held.bind(address)
     except OSError:
-        yield
-        return
-    with file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+        held.close()
+        raise
+    return held
 
 
-def _file(machine: str, node: str) -> Path:
-    return _folder() / f'{machine.strip("/").replace("/", ".")}.{node}'
+def _name(machine: str, node: str, number: int) -> str:
+    # An address has 108 bytes at most, which is less than the names may have.
+    digest = text_hash(f'{machine.strip("/")}/{node}')
+    return _address(f'{digest}/{number}')
 
 
-def _folder() -> Path:
-    """Return the folder of the locks of this user and ROS domain, which nobody else can write."""
-    runtime = os.environ.get('XDG_RUNTIME_DIR')
-    private = Path(tempfile.gettempdir(), f'fuzzycnc_nodes_{os.getuid()}')
-    top = Path(runtime) if runtime else private
-    with suppress(FileExistsError):
-        top.mkdir(mode=0o700)
-    if top.stat().st_uid != os.getuid():
-        raise PermissionError(f'{top}: expected a folder of this user')
-    folder = top / f'fuzzycnc_domain_{os.environ.get("ROS_DOMAIN_ID", "").strip() or 0}'
-    folder.mkdir(mode=0o700, exist_ok=True)
-    return folder
+def _address(name: str) -> str:
+    """Return the address of a name in this ROS domain, of the kind that lies in no folder."""
+    return f'\0fuzzycnc/{os.environ.get("ROS_DOMAIN_ID", "").strip() or 0}/{name}'

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
+from typing import NoReturn
 
 from fuzzycnc_ros.bags.uninterrupted import Interrupted, interrupt
 
@@ -195,6 +196,19 @@ def interruptible() -> Iterator[Wish]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for number, handler in before.items():
             signal.signal(number, handler or signal.SIG_DFL)
+
+
+def end(code: int) -> NoReturn:
+    """End this process, which is through: a wish to end that comes now changes its code no more.
+
+    Raises
+    ------
+    SystemExit
+        In any case.
+    """
+    for number in heard_wishes():
+        signal.signal(number, signal.SIG_IGN)
+    sys.exit(code)
 
 
 def child_set_up() -> Callable[[], None]:

@@ -21,6 +21,7 @@ from fuzzycnc_ros.ros.presence import Presence
 from fuzzycnc_ros.ros.processes import (
     REFUSED,
     Wish,
+    end,
     ending_within,
     interruptible,
     prepare_environment,
@@ -82,7 +83,7 @@ def main(make: HostFactory, arguments: Sequence[str] | None = None) -> None:
     The process ends with 0 on SIGINT, SIGTERM and at the end of a programme, and with 2 and one
     line on standard error if a parameter or argument is wrong.
     """
-    sys.exit(run([make], arguments))
+    end(run([make], arguments))
 
 
 def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -> int:

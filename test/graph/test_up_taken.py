@@ -4,6 +4,7 @@
 
 import contextlib
 import os
+import shutil
 import signal
 import sys
 
@@ -13,16 +14,19 @@ from processes import children, wait_for
 pytestmark = pytest.mark.ros
 
 NODES = 'temperature_acquisition,compensator'
+# It may read everything, since Python and this tree may lie where root alone looks.
+NOBODY = ['setpriv', '--reuid=65534', '--regid=65534', '--clear-groups']
+NOBODY += [f'--{kind}=-all,+dac_read_search' for kind in ('inh-caps', 'ambient-caps')]
 
 
 @pytest.fixture
 def up(graph, tmp_path):
     """Start `fuzzycnc up` in the domain of the test: `up('first', '--simulate', 'T2')`."""
 
-    def begin(name, *words):
+    def begin(name, *words, prefix=()):
         folder = tmp_path / name
         folder.mkdir()
-        command = [sys.executable, '-m', 'fuzzycnc_ros.cli.main', 'up', *words]
+        command = [*prefix, sys.executable, '-m', 'fuzzycnc_ros.cli.main', 'up', *words]
         return graph.launch(name, command, folder)
 
     return begin
@@ -62,6 +66,26 @@ def test_second_of_the_same_name_is_refused(up):
     assert '--takeover' in line
     line = refusal(up('both', '--machine', 'mill,other'))
     assert 'found /mill/compensator, /mill/temperature_acquisition at work' in line
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    os.getuid() != 0 or shutil.which('setpriv') is None,
+    reason='expected root and setpriv (apt-get install util-linux), to become another user',
+)
+def test_second_by_another_user_is_refused(up, tmp_path):
+    """The graph shows it nobody: it cannot write the shared memory of the first one."""
+    started(up('first', '--machine', 'shop/mill', '--nodes', NODES))
+    home = tmp_path / 'home'
+    home.mkdir()
+    home.chmod(0o777)
+    second = up(
+        *('second', '--machine', '/shop/mill/', '--nodes', 'compensator,sensor_selector'),
+        prefix=[*NOBODY, 'env', f'HOME={home}'],
+    )
+    line = refusal(second)
+    assert 'expected no nodes in shop/mill but found /shop/mill/compensator at work' in line
+    started(up('elsewhere', '--nodes', 'compensator'))
 
 
 @pytest.mark.slow

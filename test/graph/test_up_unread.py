@@ -34,7 +34,6 @@ def unread(request):
 def command(domain, tmp_path, root, unread):
     """Start a command line at the full terminal or pipe: `command('up', '--machine', 'mill')`."""
     (tmp_path / 'temporary').mkdir()
-    (tmp_path / 'locks').mkdir()
     started = []
 
     def begin(*words):
@@ -43,7 +42,6 @@ def command(domain, tmp_path, root, unread):
             'ROS_DOMAIN_ID': str(domain),
             'PYTHONPATH': os.pathsep.join([str(root), os.environ.get('PYTHONPATH', '')]),
             'TMPDIR': str(tmp_path / 'temporary'),
-            'XDG_RUNTIME_DIR': str(tmp_path / 'locks'),
             'TERM': 'xterm',
         }
         started.append(

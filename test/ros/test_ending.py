@@ -8,7 +8,7 @@ import sys
 import threading
 
 import pytest
-from processes import wait_for
+from processes import start, wait_for
 
 from fuzzycnc_ros.bags.uninterrupted import Interrupted
 from fuzzycnc_ros.ros.processes import interruptible
@@ -84,3 +84,19 @@ def test_a_process_that_is_through_in_time_is_left_alone():
     )
     done = subprocess.run([sys.executable, '-c', script], timeout=60, check=False)
     assert done.returncode == 0
+
+
+LATE = """
+import atexit, os, signal, sys
+from fuzzycnc_ros.ros.processes import end, interruptible
+with interruptible():
+    atexit.register(os.kill, os.getpid(), signal.{name})
+end(3)
+"""
+
+
+@pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM', 'SIGHUP'])
+def test_a_wish_that_comes_when_all_is_done_is_no_failure(name):
+    """A machine's duty is over as somebody ends the run."""
+    done = start([sys.executable, '-c', LATE.format(name=name)], stderr=subprocess.PIPE, text=True)
+    assert (done.communicate()[1], done.returncode) == ('', 3)

@@ -1,19 +1,23 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Locks of nodes that live on this computer."""
+"""Which nodes live on this computer."""
 
+import errno
 import os
 import signal
 import subprocess
 import sys
+import threading
 from contextlib import nullcontext
 
 import pytest
 
 from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.ros.presence import Presence, check_alone, lives
+from fuzzycnc_ros.ros.presence import HOLDERS, Presence, check_alone, lives
 
+NOBODY = 65534
+"""User that owns nothing."""
 HOLDER = """
 import sys, time
 from fuzzycnc_ros.ros.presence import Presence
@@ -25,14 +29,13 @@ time.sleep(600)
 
 
 @pytest.fixture(autouse=True)
-def folder(monkeypatch, tmp_path):
-    monkeypatch.setenv('XDG_RUNTIME_DIR', str(tmp_path))
-    monkeypatch.setenv('ROS_DOMAIN_ID', '7')
+def own_domain(monkeypatch, domain):
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
 
 
 @pytest.fixture
 def holder():
-    """A process that holds the lock of the mill's compensator."""
+    """A process that says of the mill's compensator that it lives."""
     process = subprocess.Popen([sys.executable, '-c', HOLDER], stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline() == 'held\n'
     yield process
@@ -56,7 +59,7 @@ def test_a_stopped_process_still_lives(holder):
 
 
 def test_another_domain_is_another_graph(holder, monkeypatch):
-    monkeypatch.setenv('ROS_DOMAIN_ID', '8')
+    monkeypatch.setenv('ROS_DOMAIN_ID', '150')  # which no test has
     assert not lives('mill', 'compensator')
 
 
@@ -110,8 +113,65 @@ def test_a_claim_is_held_until_it_is_left():
     assert not lives('mill/spindle', 'compensator')
 
 
-def test_without_a_folder_nobody_is_in_the_way(monkeypatch):
-    monkeypatch.setenv('XDG_RUNTIME_DIR', '/dev/null')
+@pytest.mark.parametrize('hidden', ['TMPDIR', 'XDG_RUNTIME_DIR'])
+def test_no_folder_hides_who_lives(holder, monkeypatch, tmp_path, hidden):
+    monkeypatch.setenv(hidden, str(tmp_path))
+    assert lives('mill', 'compensator')
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason='expected root, who may become another user')
+def test_another_user_finds_who_lives(holder):
+    with Presence() as presence:
+        presence.hold('lathe', 'recorder')
+        wanted = [('mill', 'compensator'), ('lathe', 'recorder'), ('lathe', 'compensator')]
+        os.seteuid(NOBODY)
+        try:
+            with Presence() as other:
+                assert other.claim([], wanted) == set(wanted[:2])
+        finally:
+            os.seteuid(0)
+
+
+def test_of_one_name_many_may_live():
+    with Presence() as first:
+        for _ in range(3 * HOLDERS):  # more than can be told apart change nothing
+            first.hold('mill', 'compensator')
+        with Presence() as second:
+            second.hold('mill', 'compensator')
+        assert lives('mill', 'compensator')
+    assert not lives('mill', 'compensator')
+
+
+def test_of_two_that_outlive_each_other_the_last_is_found():
+    with Presence() as late:
+        with Presence() as early:
+            early.hold('mill', 'compensator')
+            late.hold('mill', 'compensator')
+        assert lives('mill', 'compensator')
+
+
+def test_of_many_that_claim_at_once_one_gets_it():
+    wanted = [('mill', name) for name in ('compensator', 'sensor_selector')]
+    claims = [Presence() for _ in range(8)]
+    found = []
+    threads = [
+        threading.Thread(target=lambda own: found.append(own.claim(wanted, wanted)), args=(own,))
+        for own in claims
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for own in claims:
+        own.leave()
+    assert sorted(map(len, found)) == [0] + [2] * 7
+
+
+def test_where_no_name_can_be_had_nobody_is_in_the_way(monkeypatch):
+    def refuse(address):
+        raise OSError(errno.EINVAL, 'Invalid argument')
+
+    monkeypatch.setattr('fuzzycnc_ros.ros.presence._bound', refuse)
     with Presence() as presence:
         assert presence.claim([('mill', 'compensator')], [('mill', 'compensator')]) == set()
     assert not lives('mill', 'compensator')

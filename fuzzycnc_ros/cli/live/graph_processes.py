@@ -84,7 +84,7 @@ class GraphProcesses:
         self.folder = folder or Path(self._temporary.name)  # type: ignore[union-attr]
         self.folder.mkdir(parents=True, exist_ok=True)
         self._params = list(params)
-        # Whoever starts a graph has looked who else is there, and holds the locks of its nodes.
+        # Whoever starts a graph has looked who else is there, and holds the names of its nodes.
         self._environment = {**os.environ, TAKEOVER: '1', **(environment or {})}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._asked: set[str] = set()  # to end, by us

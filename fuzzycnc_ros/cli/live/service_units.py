@@ -50,10 +50,11 @@ _AS_SYSTEM = (
     'ProtectKernelModules=yes',
     'ProtectControlGroups=yes',
     'ProtectClock=yes',
-    '# Locks in /tmp say which nodes live; commands outside have to see them. Serial lines and',
-    '# shared memory of DDS lie in /dev. So neither is private.',
+    '# Serial lines and shared memory of DDS lie in /dev, and models and bags may lie in /tmp.',
+    '# So neither is private, and nor is the network, whose sockets say which nodes live.',
     'PrivateTmp=no',
     'PrivateDevices=no',
+    'PrivateNetwork=no',
 )
 
 

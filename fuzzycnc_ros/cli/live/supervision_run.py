@@ -54,7 +54,7 @@ def check_free(monitor: 'Monitor', presence: 'Presence', plans: Mapping[str, Pla
     monitor : Monitor
         Listens to these machines.
     presence : Presence
-        Holds the locks of the nodes that are to be started.
+        Holds the names of the nodes that are to be started.
     plans : mapping of str to Plan
         What is to be started, by machine.
 
