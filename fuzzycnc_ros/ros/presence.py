@@ -131,6 +131,17 @@ def lives(machine: str, node: str) -> bool:
     return False
 
 
+def living(machine: str) -> set[str]:
+    """Return the nodes of a machine whose locks processes of this computer hold."""
+    prefix = _file(machine, '').name
+    try:
+        names = [file.name.removeprefix(prefix) for file in _folder().glob(f'{prefix}*')]
+    except OSError:
+        return set()
+    # What has a dot left belongs to a machine whose name begins alike.
+    return {name for name in names if '.' not in name and lives(machine, name)}
+
+
 @contextmanager
 def _door() -> Iterator[None]:
     """Let one process at a time look and claim."""

@@ -12,7 +12,7 @@ import pytest
 
 from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.ros.presence import Presence, check_alone, lives
+from fuzzycnc_ros.ros.presence import Presence, check_alone, lives, living
 
 HOLDER = """
 import sys, time
@@ -48,6 +48,17 @@ def test_a_node_lives_as_long_as_its_process(holder):
     os.kill(holder.pid, signal.SIGKILL)
     holder.wait()
     assert not lives('mill', 'compensator')
+
+
+def test_who_lives_of_a_machine(holder):
+    with Presence() as own:
+        own.hold('mill', 'thermal_predictor')
+        own.hold('mill/2', 'recorder')
+        own.hold('mill_2', 'recorder')
+        assert living('mill') == {'compensator', 'thermal_predictor'}
+        assert living('/mill/2') == {'recorder'}
+    assert living('mill') == {'compensator'}
+    assert living('lathe') == set()
 
 
 def test_a_stopped_process_still_lives(holder):

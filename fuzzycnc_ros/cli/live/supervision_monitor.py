@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from fuzzycnc_ros.cli.live.operator_client import Operator
+from fuzzycnc_ros.ros.presence import living
 from fuzzycnc_ros.ros.topics import create_subscription, message_class, subscription_qos
 from fuzzycnc_ros.runtime.component import Durability, Level
 from fuzzycnc_ros.runtime.host import NodeConfiguration
@@ -95,12 +96,14 @@ class Monitor:
     def settle(self, machine: str, patience: float) -> None:
         """Listen until each node of a machine has reported, for no longer than a time [s].
 
-        On a busy computer nodes are found late: the first of them is waited for longer.
+        On a busy computer nodes are found late: the first of them is waited for longer.  Among
+        many processes they are found one after the other; the locks of those that live here tell
+        whom to wait for.
         """
+        own, heard = living(machine), False
         self.spin_until(DISCOVERED)
-        heard = False
         while self.age < (patience if heard else FIRST_HEARD):
-            nodes = {name for where, name in self.present() if where == machine}
+            nodes = own | {name for where, name in self.present() if where == machine}
             reported = [self.view(machine, name).heard_at > 0.0 for name in nodes]
             if reported and all(reported):
                 return
