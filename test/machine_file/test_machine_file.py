@@ -9,6 +9,7 @@ import pytest
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.core.servo.controllers import TUNED_BALLSCREW
 from fuzzycnc_ros.machine_file.doubts import machine_doubts
 from fuzzycnc_ros.machine_file.feeds import scheduler_parameters, simulated_loop
 from fuzzycnc_ros.machine_file.listing import machine_values
@@ -55,7 +56,13 @@ def test_what_is_written_is_read_again(machine, name):
 
 def test_built_in_machines_are_the_simulated_ones():
     assert read_machine_file('lathe').axes['X'].plant == LatheAxisConfig()
-    assert read_machine_file('ballscrew').axes['X'].plant == BallscrewAxisConfig()
+    axis = read_machine_file('ballscrew').axes['X']
+    assert axis.plant == BallscrewAxisConfig()
+    assert (axis.controller, axis.settings) == (
+        TUNED_BALLSCREW.controller,
+        TUNED_BALLSCREW.settings,
+    )
+    assert axis.limits.load == TUNED_BALLSCREW.limits.load
     mill = read_machine_file('mill')
     assert simulated_loop(mill) == ContouringConfig()
     default = FeedrateSchedulerConfig()

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
+from fuzzycnc_ros.components.servo.servo_controller_config import (
+    ServoControllerConfig,
+    make_controllers,
+)
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
 from fuzzycnc_ros.core.servo.controllers import OBSERVER_BANDWIDTH, BallscrewController
 from fuzzycnc_ros.core.servo.observer import ObserverDesign, ObserverNoise
-from fuzzycnc_ros.machine_file.reader import read_machine_file
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 
 pytestmark = pytest.mark.paper
@@ -294,18 +296,18 @@ def published_with_feedforward(axis, target, speed, change):
 @pytest.mark.parametrize('volts', [1.0, 2.5, 5.0])
 @pytest.mark.parametrize('sign', [1.0, -1.0])
 def test_pulses_of_half_the_drive_are_borne(recording, volts, sign):
-    """As the real machine bore them, and better than under its own law."""
+    """As the real machine bore them, and by the node's default better than under its own law."""
     reference = from_rest(recording['qg'])[:8000]
-    tuned = make_axis_controller(read_machine_file('ballscrew').axes['X'])
-    default = BallscrewController()
+    tuned = make_controllers(ServoControllerConfig(axes=('X:ballscrew',)))['X']
+    ruled = BallscrewController()
     error, plain, own = (
         1e3 * np.abs(pulsed(reference, control, volts, sign)).max()
         for control in (
             published_with_feedforward,
-            lambda axis, *aim: default.step(aim[0], axis.measure(), *aim[1:]),
+            lambda axis, *aim: ruled.step(aim[0], axis.measure(), *aim[1:]),
             lambda axis, *aim: tuned.step(aim[0], axis.measure(), *aim[1:]),
         )
     )
-    assert tuned.watch.fault == default.watch.fault == ''
+    assert tuned.watch.fault == ruled.watch.fault == ''
     assert own < 0.6 * error
     assert plain < 1.6 * error

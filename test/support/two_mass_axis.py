@@ -7,6 +7,7 @@ from math import exp, pi, sin, sqrt
 
 import numpy as np
 
+from fuzzycnc_ros.core.identify.axis_fit import AxisRecording
 from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.simulation.servo.axes import AxisPlant, DutyDelay
 
@@ -107,3 +108,20 @@ UNSEEN = {
         breakaway=2.5, backlash=0.0, delay=2.5e-4, count=1e-7, cogging=4.0,
     ),
 }  # fmt: skip
+
+
+def operated(plant, acceleration, seconds=4.0, seed=0, width=25.0):
+    """Record an axis that a weak proportional-derivative loop moves about."""
+    draw = np.random.default_rng(seed)
+    rows, target, speed, last = [], 0.0, 0.0, plant.measure()
+    for step in range(round(seconds / plant.period)):
+        if step % 700 == 0:
+            target = draw.uniform(-0.1, 0.1) * (0.1 if draw.random() < 0.3 else 1.0)
+        place = plant.measure()
+        speed, last = 0.9 * speed + 0.1 * (place - last) / plant.period, place
+        pull = float(np.clip(width**2 / acceleration * (target - place), -0.6, 0.6))
+        duty = float(np.clip(pull - 1.4 * width / acceleration * speed, -1.0, 1.0))
+        rows.append((duty, place))
+        plant.drive(duty)
+    duty, place = np.array(rows).T
+    return AxisRecording(duty, place, plant.period)

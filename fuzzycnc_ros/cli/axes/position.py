@@ -77,8 +77,9 @@ def position(
         typer.Option(
             metavar='NAME',
             show_default=False,
-            help=f'One of {", ".join(CHOICES)}; the ballscrew has {DEFAULT} alone. With a machine '
-            f'file {", ".join(MACHINE_CHOICES)}; its own without this.',
+            help=f'One of {", ".join(CHOICES)}; {DEFAULT} without this. The ballscrew has pid '
+            f'without this, which won on it, and {DEFAULT}. With a machine file '
+            f'{", ".join(MACHINE_CHOICES)}; its own without this.',
             autocompletion=one_of((*CHOICES, *MACHINE_CHOICES)),
         ),
     ] = '',
@@ -187,7 +188,7 @@ def position(
     plant = made_with(partial(simulated_axis, data), knobs)
     with warnings_said():
         chosen = _controller(known, controller, plant, params)
-    controller = controller or known.controller
+    controller = controller or (DEFAULT if params is not None else known.controller)
     # It is told of the load, as a machine's data tell of it, or it would take it for a run-away.
     limits = chosen.watch.limits
     pull = abs(signed('--load', load, SHARES, example='10%')) + BESIDE_LOAD
@@ -259,7 +260,7 @@ class KnownAxis:
         """What controls it if nothing is said."""
         from fuzzycnc_ros.core.servo.axis_control import UNTUNED_CONTROLLER as UNTUNED
 
-        return (self.data.controller or UNTUNED) if self.machine else DEFAULT
+        return self.data.controller or UNTUNED
 
 
 def _known(machine_file: str | None, axis: str) -> KnownAxis:
@@ -279,7 +280,8 @@ def _controller(
     known: KnownAxis, name: str, plant: 'AxisPlant', params: Path | None
 ) -> 'AxisController':
     if not known.machine:
-        return make_controller(name or DEFAULT, known.name, plant, _settings(params))
+        own = known.controller if params is None else DEFAULT
+        return make_controller(name or own, known.name, plant, _settings(params))
     from fuzzycnc_ros.cli.axes.servo_machine import machine_controller
 
     return machine_controller(known.data, known.name, name, params)

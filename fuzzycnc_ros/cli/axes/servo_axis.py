@@ -34,7 +34,7 @@ CHOICES = (
     'cascade',
     'pid',
 )
-"""Controllers of the lathe axis; the ball screw has the first alone."""
+"""Controllers of the lathe axis; the ball screw has the first and the last alone."""
 
 DEFAULT = CHOICES[0]
 
@@ -126,18 +126,19 @@ def make_controller(
     """
     if name not in CHOICES:
         raise ValueError(f'--controller: expected one of {", ".join(CHOICES)} but found {name!r}')
-    if axis == 'ballscrew' and name != DEFAULT:
+    if axis == 'ballscrew' and name not in (DEFAULT, 'pid'):
         raise ValueError(
-            f'--controller: expected {DEFAULT} for the ballscrew axis but found {name}; the '
-            'others are set for the lathe axis'
+            f'--controller: expected {DEFAULT} or pid for the ballscrew axis but found {name}; '
+            'the others are set for the lathe axis'
         )
     if settings is None:
         if axis == 'ballscrew':
             from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-            from fuzzycnc_ros.core.servo.controllers import BallscrewController
+            from fuzzycnc_ros.core.servo.controllers import BallscrewController, tuned_ballscrew
 
             direction = 1.0 if plant.linear().gain > 0.0 else -1.0
-            return BallscrewController(BallscrewAxisConfig(direction=direction))
+            known = BallscrewAxisConfig(direction=direction)
+            return BallscrewController(known) if name == DEFAULT else tuned_ballscrew(known)
         from fuzzycnc_ros.core.servo import controllers
 
         return controllers.make_controller(name, plant.linear())

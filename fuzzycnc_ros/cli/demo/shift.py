@@ -171,7 +171,7 @@ def _started(
 
 def mill_specs(model: Path, settings: Any) -> list[NodeSpec]:
     """Return the nodes of the mill in the order of their turns, the machine last."""
-    from fuzzycnc_ros.studies.shift.whole_shift import AXES, SCHEDULER
+    from fuzzycnc_ros.studies.shift.whole_shift import AXES, CONTROLLER, SCHEDULER
 
     turn = {'lockstep': True}
     managed = {**turn, 'autostart': True}
@@ -181,7 +181,7 @@ def mill_specs(model: Path, settings: Any) -> list[NodeSpec]:
         NodeSpec('thermal_predictor', {**turn, 'model': str(model)}),
         NodeSpec('compensator', managed),
         NodeSpec('feedrate_scheduler', {**managed, **_lists(SCHEDULER)}),
-        NodeSpec('servo_controller', {**managed, 'axes': list(AXES)}),
+        NodeSpec('servo_controller', {**managed, 'axes': list(AXES), 'controller': CONTROLLER}),
         NodeSpec('simulated_machine', _lists(settings.machine())),
     ]
 

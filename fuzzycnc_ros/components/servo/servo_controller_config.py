@@ -21,8 +21,11 @@ from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.controllers import (
     DEFAULT_CONTROLLER,
     FOR_USE,
+    SUITED,
+    TUNED_BALLSCREW,
     BallscrewController,
     make_controller,
+    tuned_ballscrew,
 )
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.profile import ProfileLimits
@@ -63,11 +66,12 @@ class ServoControllerConfig(Config):
         (), '-', 'Axes that a positive duty drives to negative positions'
     )
     controller: str = param(
-        DEFAULT_CONTROLLER,
+        SUITED,
         '-',
-        'Controller of every axis that is of no machine file; '
-        f'a ballscrew has {DEFAULT_CONTROLLER} only',
-        choices=FOR_USE,
+        'Controller of every axis that is of no machine file: what won on it after tuning, '
+        f'{DEFAULT_CONTROLLER} on a lathe, {TUNED_BALLSCREW.controller} on a ballscrew, or '
+        'another; a ballscrew has these two only',
+        choices=(SUITED, *FOR_USE),
     )
     period: float = param(1e-3, 's', 'Control period, that of the axis states', low=1e-4, high=0.1)
     velocity_max: float = param(
@@ -165,9 +169,10 @@ class ServoControllerConfig(Config):
                 f'silence_max: expected at most command_validity = {self.command_validity} s, for '
                 f'which the drives hold a command, but found {self.silence_max} s'
             )
-        if self.controller != DEFAULT_CONTROLLER and 'ballscrew' in axes.values():
+        theirs = (SUITED, DEFAULT_CONTROLLER, TUNED_BALLSCREW.controller)
+        if self.controller not in theirs and 'ballscrew' in axes.values():
             raise ValueError(
-                f'controller: expected {DEFAULT_CONTROLLER} for a ballscrew axis but found '
+                f'controller: expected {", ".join(theirs)} for a ballscrew axis but found '
                 f'{self.controller}'
             )
 
@@ -192,18 +197,21 @@ def make_controllers(config: ServoControllerConfig) -> dict[str, AxisController]
         if name in known:
             found[name] = _file_controller(config, name, known[name])
         elif model == 'ballscrew':
-            controller = BallscrewController(
-                BallscrewAxisConfig(
-                    direction=direction, period=config.period, duty_max=config.duty_max
-                )
+            known_as = BallscrewAxisConfig(
+                direction=direction, period=config.period, duty_max=config.duty_max
             )
+            ruled = config.controller == DEFAULT_CONTROLLER
+            controller = BallscrewController(known_as) if ruled else tuned_ballscrew(known_as)
             controller.watch.limits = _believed(config, controller.watch.limits)
             found[name] = controller
         else:
             axis = make_plant(model, direction=direction, period=config.period).linear()
             limits = _believed(config, FeedbackLimits.of(axis))
             found[name] = make_controller(
-                config.controller, axis, duty_max=config.duty_max, limits=limits
+                DEFAULT_CONTROLLER if config.controller == SUITED else config.controller,
+                axis,
+                duty_max=config.duty_max,
+                limits=limits,
             )
     return found
 

@@ -10,7 +10,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from math import exp, inf, log, sqrt
 from typing import Any
 
@@ -579,14 +579,3 @@ def _why_not(name: str, value: float, low: float, high: float) -> str:
 def told(fit: AxisFit, name: str) -> bool:
     """Whether a parameter was identified, and the data can tell it."""
     return any(one.name == name and not one.why_not for one in fit.parameters)
-
-
-def _without_untold(fit: AxisFit) -> AxisModel:
-    """Return the model with dead time and lag at 0 where the data cannot tell them."""
-    known = {item.name for item in fields(AxisModel)}
-    gone = {
-        one.name: 0.0
-        for one in fit.parameters
-        if one.why_not and one.name in ('delay', 'drive_lag') and one.name in known
-    }
-    return replace(fit.model, **gone)

@@ -8,11 +8,14 @@ That of a ball-screw axis is set from its nominal model alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
+from fuzzycnc_ros.core.machine.machine_data import AxisData, AxisLimits
 from fuzzycnc_ros.core.servo.axis import LinearAxis
+from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
 from fuzzycnc_ros.core.servo.baselines import (
     CascadeController,
     FixedUniverseController,
@@ -32,6 +35,14 @@ BANDWIDTH, OBSERVER_BANDWIDTH = 60.0, 240.0
 Chosen on the nominal EMPS axis: the loop crosses over at 129 rad/s with a phase margin of 44
 degrees; the loop that the real machine was recorded with at 138 rad/s with 38 degrees.
 """
+
+TUNED_BALLSCREW = AxisData(
+    limits=AxisLimits(load=0.5),
+    controller='pid',
+    settings=MappingProxyType({'bandwidth': 1.85, 'damping': 0.5, 'estimator': 0.51}),
+)
+"""What won on the ball-screw axis after tuning with equal effort, as in the built-in machine file
+`ballscrew`; that file says of the axis what matters to it."""
 
 LOAD = 0.6
 """Load and friction that the watch believes [-], as duty: the real machine bore pulses of half of
@@ -103,6 +114,22 @@ class BallscrewController(FrictionFedController):
         )
 
 
+def tuned_ballscrew(config: BallscrewAxisConfig | None = None) -> AxisController:
+    """Return the controller that won on the ball-screw axis after tuning, `TUNED_BALLSCREW`.
+
+    Parameters
+    ----------
+    config : BallscrewAxisConfig, optional
+        The axis as it is known; its factors, load and faults are not looked at.
+
+    Examples
+    --------
+    >>> type(tuned_ballscrew()).__mro__[1].__name__
+    'PidController'
+    """
+    return make_axis_controller(replace(TUNED_BALLSCREW, plant=config or BallscrewAxisConfig()))
+
+
 Factory = Callable[..., AxisController]
 """Makes a controller from the nominal model of an axis and options by name."""
 
@@ -156,6 +183,9 @@ DEFAULT_CONTROLLER = next(iter(CONTROLLERS))
 
 FOR_USE = tuple(name for name in CONTROLLERS if name != 'fixed_universe_paper')
 """Controllers that a node offers; the one left out stops far short, for comparison alone."""
+
+SUITED = 'suited'
+"""Stands for the controller that won on an axis after tuning with equal effort."""
 
 WITH_PARAMS = tuple(name for name in CONTROLLERS if name.startswith('variable_universe'))
 """Controllers that `VariableUniverseParams` are for."""

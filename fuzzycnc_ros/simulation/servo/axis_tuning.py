@@ -16,7 +16,7 @@ from scipy.optimize import differential_evolution
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
-from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, SETTINGS, make_axis_controller
+from fuzzycnc_ros.core.servo.axis_control import SETTINGS, make_axis_controller
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
@@ -35,6 +35,17 @@ what swings there has no margin."""
 HELD_OUT_GAINS = (0.5, 0.62, 0.85, 1.2, 1.7, 2.0)
 """Factors on the gain on which it is judged."""
 
+PULSES = ((0.5, 1.0), (1.0, 0.8))
+"""Pulses of load, on the way and at rest, for which an axis is tuned: share of the largest load,
+and factor on the gain.  A load that sets in at rest alone says little of how stiff the loop is: on
+the ball screw what had been tuned on that gave way to pulses twice as far as it needs to."""
+
+HELD_OUT_PULSES = ((0.2, 1.15), (0.6, 0.9), (1.0, 1.0))
+"""Pulses on which it is judged."""
+
+_PULSE = 0.13
+"""Time for which a pulse acts, and for which it then does not [s]."""
+
 _EQUAL = 1.05
 """Factor between the errors of two controllers up to which the simpler one is taken [-]."""
 
@@ -47,12 +58,12 @@ _PER_FAULT = 100.0
 _Progress = Callable[[int, int], None]
 """Told how many generations are done, and how many there are."""
 
-Plant = Callable[['_AxisCase'], AxisPlant]
+Plant = Callable[['AxisCase'], AxisPlant]
 """Makes the axis that a case is driven on."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class _AxisCase:
+class AxisCase:
     """A way there and back, with what is off against the nominal axis.
 
     Parameters
@@ -65,6 +76,8 @@ class _AxisCase:
         Factor on its friction [-].
     load : float
         Load [-], as duty, that sets in amid the rest before the way back.
+    pulse : float
+        Load [-], as duty, that comes and goes throughout the case.
     pace : float
         Share of the axis' limits at which it goes [-].
     delay : float
@@ -77,13 +90,14 @@ class _AxisCase:
     gain: float = 1.0
     friction: float = 1.0
     load: float = 0.0
+    pulse: float = 0.0
     pace: float = 1.0
     delay: float = 0.0
     seed: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class _AxisFigures:
+class AxisFigures:
     """What a controller did in a case.
 
     Attributes
@@ -114,7 +128,7 @@ class TunedController:
         Cost on the cases of the search [m]; infinite without one.
     trials : int
         Settings that were tried.
-    held_out : tuple of _AxisFigures
+    held_out : tuple of AxisFigures
         Figures on cases that nothing was tuned on.
     held_out_cost : float
         Cost on these [m].
@@ -124,8 +138,13 @@ class TunedController:
     settings: dict[str, float]
     cost: float
     trials: int
-    held_out: tuple[_AxisFigures, ...]
+    held_out: tuple[AxisFigures, ...]
     held_out_cost: float
+
+    @property
+    def error(self) -> float:
+        """Geometric mean of its errors on the held-out cases [m]."""
+        return float(np.exp(_logs(self.held_out).mean()))
 
     @property
     def faults(self) -> int:
@@ -155,12 +174,12 @@ class AxisTuning:
     ----------
     controllers : tuple of TunedController
         In the order of `AXIS_CONTROLLERS`, the simplest first.
-    held_out : tuple of _AxisCase
+    held_out : tuple of AxisCase
         What they were judged on.
     """
 
     controllers: tuple[TunedController, ...]
-    held_out: tuple[_AxisCase, ...]
+    held_out: tuple[AxisCase, ...]
 
     @property
     def best(self) -> TunedController:
@@ -178,8 +197,8 @@ class AxisTuning:
         )
 
 
-def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tuple[_AxisCase, ...]:
-    """Return the cases of an axis: ways from some counts to half its travel, gains, loads.
+def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tuple[AxisCase, ...]:
+    """Return the cases of an axis: ways from some counts to half its travel, gains, loads, pulses.
 
     Parameters
     ----------
@@ -199,7 +218,7 @@ def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tupl
     ways = draw.permutation(ways * np.exp(draw.uniform(-0.3, 0.0, len(gains))))
     load = data.limits.load * (1.0 if held_out else 0.9)
     cases = [
-        _AxisCase(
+        AxisCase(
             way=float(way) * (-1.0 if draw.random() < 0.5 else 1.0),
             gain=gain,
             friction=float(draw.uniform(0.6, 1.6)),
@@ -210,9 +229,21 @@ def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tupl
         )
         for index, (gain, way) in enumerate(zip(gains, ways, strict=True))
     ]
+    pulses = HELD_OUT_PULSES if held_out else PULSES
+    cases += [
+        AxisCase(
+            way=float(draw.uniform(0.1, 0.3)) * travel * (-1.0 if draw.random() < 0.5 else 1.0),
+            gain=gain,
+            friction=float(draw.uniform(0.6, 1.6)),
+            pulse=float(draw.choice([-1.0, 1.0])) * share * load * min(gain, 1.0),
+            pace=float(draw.uniform(0.4, 0.8)) * min(gain, 1.0),
+            seed=1000 * held_out + index,
+        )
+        for index, (share, gain) in enumerate(pulses, len(cases))
+    ]
     if not held_out:
         cases += [
-            _AxisCase(
+            AxisCase(
                 way=0.3 * travel,
                 gain=gain,
                 friction=0.3,
@@ -226,8 +257,8 @@ def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tupl
 
 
 def _drive_case(
-    controller: AxisController, plant: AxisPlant, data: AxisData, case: _AxisCase
-) -> _AxisFigures:
+    controller: AxisController, plant: AxisPlant, data: AxisData, case: AxisCase
+) -> AxisFigures:
     """Drive a case on a plant, and return the figures.
 
     Parameters
@@ -235,42 +266,45 @@ def _drive_case(
     controller : AxisController
         The controller, made for the nominal axis.
     plant : AxisPlant
-        The axis as it is in this case, at 0; its load sets in by itself (`_load_time`).
+        The axis as it is in this case, at 0; its load sets in by itself (`load_time`).
     data : AxisData
         Limits of the way.
-    case : _AxisCase
+    case : AxisCase
         Way and pace.
     """
     period = plant.period
     rows, judged = _course(data, case, period)
+    width = round(_PULSE / period)
     controller.reset(plant.measure())
     errors = np.empty(len(rows))
     for step, (place, speed, rise) in enumerate(rows.tolist()):
         errors[step] = place - plant.position
-        plant.drive(controller.step(place, plant.measure(), speed, rise))
+        duty = controller.step(place, plant.measure(), speed, rise)
+        # What acts on the drive is what loads it; its range has to hold both.
+        plant.drive(duty - case.pulse * (step // width % 2) if case.pulse else duty)
         if controller.watch.fault:
             lost = _GIVEN_UP * (data.limits.travel_high - data.limits.travel_low)
-            return _AxisFigures(rms=lost, largest=lost, rest=lost, fault=controller.watch.fault)
-    return _AxisFigures(
+            return AxisFigures(rms=lost, largest=lost, rest=lost, fault=controller.watch.fault)
+    return AxisFigures(
         rms=float(np.sqrt((errors**2).mean())),
         largest=float(np.abs(errors).max()),
         rest=float(np.sqrt((errors[judged] ** 2).mean())),
     )
 
 
-def _load_time(data: AxisData, case: _AxisCase, period: float) -> float:
+def load_time(data: AxisData, case: AxisCase, period: float) -> float:
     """Return when the load of a case sets in: amid the rest before the way back [s]."""
     return REST + _way(data, case, period)[:, 0].size * period + 0.3 * REST
 
 
-def _simulated_case(data: AxisData, case: _AxisCase) -> AxisPlant:
+def _simulated_case(data: AxisData, case: AxisCase) -> AxisPlant:
     """Return the axis of the machine file as it is in a case."""
     plant = data.known_plant()
     changes: dict[str, Any] = {
         'gain_factor': case.gain,
         'delay': plant.delay + case.delay,
         'seed': case.seed,
-        'load_time': _load_time(data, case, plant.period),
+        'load_time': load_time(data, case, plant.period),
     }
     if isinstance(plant, LatheAxisConfig):
         changes |= {
@@ -348,50 +382,40 @@ def tune_controller(
 
 
 def judged_controller(
-    data: AxisData, name: str, settings: Mapping[str, float], *, seed: int = 0
+    data: AxisData,
+    name: str,
+    settings: Mapping[str, float],
+    *,
+    seed: int = 0,
+    plant: Plant | None = None,
 ) -> TunedController:
-    """Return a controller with its figures on the held-out cases, without a search."""
-    cases = axis_cases(data, held_out=True, seed=seed)
-    figures = _figures_of(data, name, settings, cases)
-    return TunedController(name, dict(settings), inf, 0, figures, _cost(data, figures))
-
-
-def _tune_axis(
-    data: AxisData, *, seed: int = 0, generations: int = 8, population: int = 6
-) -> AxisTuning:
-    """Tune all controllers of an axis with equal effort, and find which suits it.
-
-    Every kind has the same three settings, the same bounds and the same number of trials on the
-    same cases.  They are judged on cases that nothing was tuned on.
+    """Return a controller with its figures on the held-out cases, without a search.
 
     Parameters
     ----------
     data : AxisData
-        The axis, with a plant.
+        The axis that the controller is made for.
+    name : str
+        Of `AXIS_CONTROLLERS`.
+    settings : mapping of str to float
+        Of `SETTINGS`.
     seed : int
-        Seed of cases and search.
-    generations, population : int
-        As `tune_controller`.
-
-    Raises
-    ------
-    ValueError
-        If the axis has no plant.
+        Seed of the cases.
+    plant : callable, optional
+        Makes the axis that is driven, by default the simulated one of the data.
     """
-    found = [
-        tune_controller(data, name, seed=seed, generations=generations, population=population)
-        for name in AXIS_CONTROLLERS
-    ]
-    return AxisTuning(tuple(found), axis_cases(data, held_out=True, seed=seed))
+    cases = axis_cases(data, held_out=True, seed=seed)
+    figures = _figures_of(data, name, settings, cases, plant)
+    return TunedController(name, dict(settings), inf, 0, figures, _cost(data, figures))
 
 
 def _figures_of(
     data: AxisData,
     name: str,
     settings: Mapping[str, float],
-    cases: Sequence[_AxisCase],
+    cases: Sequence[AxisCase],
     plant: Plant | None = None,
-) -> tuple[_AxisFigures, ...]:
+) -> tuple[AxisFigures, ...]:
     """Return the figures of a controller on some cases.
 
     Parameters
@@ -402,7 +426,7 @@ def _figures_of(
         Of `AXIS_CONTROLLERS`.
     settings : mapping of str to float
         Of `SETTINGS`.
-    cases : sequence of _AxisCase
+    cases : sequence of AxisCase
         What is driven.
     plant : callable, optional
         Makes the axis that is driven, by default the simulated one of the data.
@@ -415,7 +439,7 @@ def _figures_of(
         return tuple(_drive_case(controller, made(case), data, case) for case in cases)
 
 
-def _case_cost(data: AxisData, figures: _AxisFigures) -> float:
+def _case_cost(data: AxisData, figures: AxisFigures) -> float:
     """Return what a case costs [m]: the geometric mean of its three errors, not below a count."""
     plant = data.known_plant()
     least = max(0.5 * plant.count, plant.noise, 1e-9)
@@ -423,7 +447,7 @@ def _case_cost(data: AxisData, figures: _AxisFigures) -> float:
     return float(np.exp(np.mean([log(max(error, least)) for error in errors])))
 
 
-def _cost(data: AxisData, figures: Sequence[_AxisFigures]) -> float:
+def _cost(data: AxisData, figures: Sequence[AxisFigures]) -> float:
     costs = [_case_cost(data, one) for one in figures]
     if not all(map(isfinite, costs)):
         return inf
@@ -432,7 +456,7 @@ def _cost(data: AxisData, figures: Sequence[_AxisFigures]) -> float:
     return float(np.exp(np.mean(np.log(costs)))) * _PER_FAULT**lost
 
 
-def _logs(figures: Sequence[_AxisFigures]) -> Array:
+def _logs(figures: Sequence[AxisFigures]) -> Array:
     """Return logarithms of the errors of figures, one a case."""
     return np.array(
         [np.mean([log(max(e, 1e-9)) for e in (one.rms, one.largest, one.rest)]) for one in figures]
@@ -446,7 +470,7 @@ def _settings(point: Array) -> dict[str, float]:
     }
 
 
-def _way(data: AxisData, case: _AxisCase, period: float) -> Array:
+def _way(data: AxisData, case: AxisCase, period: float) -> Array:
     """Return position, velocity and acceleration over a way, shape (n, 3)."""
     velocity, acceleration, jerk = data.limits.positioning
     limits = ProfileLimits(
@@ -456,7 +480,7 @@ def _way(data: AxisData, case: _AxisCase, period: float) -> Array:
     return np.column_stack([course.position, course.velocity, course.acceleration])
 
 
-def _course(data: AxisData, case: _AxisCase, period: float) -> tuple[Array, Array]:
+def _course(data: AxisData, case: AxisCase, period: float) -> tuple[Array, Array]:
     """Return the reference of a case, shape (n, 3), and which samples are judged at rest."""
     there = _way(data, case, period)
     rest = round(REST / period)

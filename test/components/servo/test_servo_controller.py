@@ -267,7 +267,7 @@ def test_live_limits_act_on_the_next_move():
         ({'reversed_axes': ('Y',)}, 'reversed_axes: expected axes among X but found Y'),
         ({'travel_low': 0.3}, 'travel_high: expected more than travel_low'),
         ({'silence_max': 0.05}, 'silence_max: expected at most command_validity = 0.02 s'),
-        ({'axes': ('Z:ballscrew',), 'controller': 'pid'}, 'variable_universe for a ballscrew'),
+        ({'axes': ('Z:ballscrew',), 'controller': 'cascade'}, 'universe, pid for a ballscrew'),
     ],
 )
 def test_parameters_that_do_not_fit_are_refused(changes, message):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.io import loadmat
-from two_mass_axis import UNSEEN, TwoMassAxis
+from two_mass_axis import UNSEEN, TwoMassAxis, operated
 
 from fuzzycnc_ros.core.identify.axis_data import identified_axis, identified_dead_time
 from fuzzycnc_ros.core.identify.axis_fit import AxisRecording, fit_axis
@@ -17,23 +17,6 @@ from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, simulated_axis
 
 PERIOD = 1e-3
-
-
-def operated(plant, acceleration, seconds=4.0, seed=0, width=25.0):
-    """Record an axis that a weak proportional-derivative loop moves about."""
-    draw = np.random.default_rng(seed)
-    rows, target, speed, last = [], 0.0, 0.0, plant.measure()
-    for step in range(round(seconds / PERIOD)):
-        if step % 700 == 0:
-            target = draw.uniform(-0.1, 0.1) * (0.1 if draw.random() < 0.3 else 1.0)
-        place = plant.measure()
-        speed, last = 0.9 * speed + 0.1 * (place - last) / PERIOD, place
-        pull = float(np.clip(width**2 / acceleration * (target - place), -0.6, 0.6))
-        duty = float(np.clip(pull - 1.4 * width / acceleration * speed, -1.0, 1.0))
-        rows.append((duty, place))
-        plant.drive(duty)
-    duty, place = np.array(rows).T
-    return AxisRecording(duty, place, PERIOD)
 
 
 @pytest.fixture(scope='module')

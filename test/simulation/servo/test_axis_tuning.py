@@ -1,0 +1,46 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What controllers of an axis are tuned on and judged by: pulses of load are part of it."""
+
+import pytest
+
+from fuzzycnc_ros.machine_file.reader import read_machine_file
+from fuzzycnc_ros.simulation.servo.axis_tuning import axis_cases, judged_controller
+
+
+@pytest.fixture(scope='module')
+def data():
+    return read_machine_file('ballscrew').axes['X']
+
+
+@pytest.mark.parametrize('held_out', [False, True])
+def test_loads_come_as_steps_and_as_pulses_that_the_axis_bears(data, held_out):
+    cases = axis_cases(data, held_out=held_out)
+    assert any(case.load for case in cases)
+    assert sum(bool(case.pulse) for case in cases) >= 2
+    for case in cases:
+        assert abs(case.load) + abs(case.pulse) <= data.limits.load * min(case.gain, 1.0)
+
+
+def test_nothing_is_judged_by_what_it_was_tuned_on(data):
+    tuned, judged = (axis_cases(data, held_out=held_out) for held_out in (False, True))
+    assert not {case.way for case in tuned} & {case.way for case in judged}
+    assert not {case.seed for case in tuned} & {case.seed for case in judged}
+
+
+def test_a_soft_loop_gives_way_to_pulses(data):
+    pulsed = [bool(case.pulse) for case in axis_cases(data, held_out=True)]
+    stiff, soft = (
+        judged_controller(data, 'pid', settings)
+        for settings in (data.settings, {**data.settings, 'bandwidth': 0.5})
+    )
+    assert not stiff.faults
+    for mine, its, pulse in zip(stiff.held_out, soft.held_out, pulsed, strict=True):
+        if pulse:
+            assert its.largest > 4.0 * mine.largest
+
+
+def test_the_pulses_act_on_the_axis(data):
+    """Pulses of the whole load move it several times as far as small ones."""
+    small, *_, whole = judged_controller(data, 'pid', data.settings).held_out[-3:]
+    assert whole.largest > 3.0 * small.largest
