@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchContext, LaunchDescription
+from launch import Event, EventHandler, LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     LogInfo,
@@ -23,8 +23,8 @@ from launch.event_handlers import OnProcessExit
 from launch.events.process import ProcessExited
 from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import LifecycleNode, Node
-from launch_ros.event_handlers import OnStateTransition
+from launch_ros.actions import Node
+from launch_ros.ros_adapters import get_ros_node
 
 from fuzzycnc_ros.ros.bring_up import (
     ACTIVE_TIMEOUT,
@@ -42,10 +42,41 @@ from fuzzycnc_ros.ros.bring_up import (
 )
 from fuzzycnc_ros.ros.presence import Presence
 from fuzzycnc_ros.ros.processes import REFUSED
+from fuzzycnc_ros.ros.topics import HISTORY_DEPTH, create_subscription, durable
+from fuzzycnc_ros.runtime.host import NodeConfiguration
 
 PACKAGE = 'fuzzycnc_ros'
 PRESENCE = Presence()
-"""Locks of the nodes of this launch, until its process ends."""
+"""Names of the nodes of this launch, until its process ends."""
+
+
+class Told(Event):
+    """A node has told its lifecycle state."""
+
+    name = 'fuzzycnc_ros.Told'
+
+    def __init__(self, node: tuple[str, str], state: str) -> None:
+        self.node, self.state = node, state
+
+
+def listen(context: LaunchContext, machine: str) -> None:
+    """Let what the nodes of a machine tell of themselves be events of this launch.
+
+    launch's own events follow `transition_event`, which nobody keeps: a node that activates itself
+    as soon as it is there has often told so before this process has found it.
+    """
+
+    def on_configuration(message: object) -> None:
+        told = Told((machine, message.node), message.lifecycle_state)
+        context.asyncio_loop.call_soon_threadsafe(context.emit_event_sync, told)
+
+    create_subscription(
+        get_ros_node(context),
+        NodeConfiguration.TYPE,
+        f'/{machine}/node_configuration',
+        on_configuration,
+        durable(HISTORY_DEPTH),
+    )
 
 
 class Process:
@@ -54,8 +85,8 @@ class Process:
     def __init__(self, item: Launched) -> None:
         self.item, self.spec = item, item.spec
         self.resume = bool(item.spec.parameters.get('autostart'))
-        self.managed = 'autostart' in item.spec.parameters
         self.policy, self.begun, self.restarts = RestartPolicy(), [], 0
+        self.was_active = False  # in its present life
         self.on_active: list = []
         """Actions that wait for the node to be active for the first time."""
 
@@ -65,8 +96,8 @@ class Process:
         return f'{self.item.machine}/{self.spec.name}'
 
     def actions(self) -> list:
-        """Return what starts the node and watches over it."""
-        node = (LifecycleNode if self.managed else Node)(
+        """Return what starts the node, and starts it anew when it ends."""
+        node = Node(
             package=PACKAGE,
             executable=self.spec.name,
             name=self.spec.name,
@@ -76,26 +107,28 @@ class Process:
             remappings=[tuple(rule.split(':=')) for rule in self.item.remap],
             additional_env={TAKEOVER: '1'},  # this launch has looked who else is there
         )
-        handlers = [OnProcessExit(target_action=node, on_exit=self._ended)]
-        if self.managed:
-            handlers += [
-                OnStateTransition(
-                    target_lifecycle_node=node,
-                    start_state=before,
-                    goal_state=after,
-                    handle_once=False,
-                    entities=[OpaqueFunction(function=self._became, args=[after])],
-                )
-                # A node that is configured becomes inactive, too: that is no deactivation.
-                for before, after in (('activating', 'active'), ('deactivating', 'inactive'))
-            ]
-        return [*map(RegisterEventHandler, handlers), node]
+        ended = OnProcessExit(target_action=node, on_exit=self._ended)
+        return [RegisterEventHandler(ended), node]
 
-    def _became(self, context: LaunchContext, state: str) -> list:
+    def watched(self) -> RegisterEventHandler:
+        """Return what follows its lifecycle, through all of its lives."""
+        key = self.item.machine, self.spec.name
+        told = OpaqueFunction(function=self._told)
+        return RegisterEventHandler(
+            EventHandler(
+                matcher=lambda event: isinstance(event, Told) and event.node == key,
+                entities=[told],
+            )
+        )
+
+    def _told(self, context: LaunchContext) -> list:
         """Note what a restart has to bring back: a manual deactivation is not undone."""
-        self.resume = state == 'active'
-        if not self.resume:
+        active = context.locals.event.state == 'active'
+        if not active:
+            # A node that is configured becomes inactive, too: that is no deactivation.
+            self.resume = self.resume and not self.was_active
             return []
+        self.resume = self.was_active = True
         waiting, self.on_active = self.on_active, []
         return waiting
 
@@ -115,6 +148,7 @@ class Process:
             return [LogInfo(msg=f'{self.title} ended with code {code}; given up')]
         self.begun.append(now + delay)
         self.restarts += 1
+        self.was_active = False
         self.spec = again(self.spec, self.restarts, resume=self.resume)
         text = f'{self.title} ended with code {code}; starts again in {delay:g} s'
         return [LogInfo(msg=text), TimerAction(period=delay, actions=self.actions())]
@@ -127,7 +161,10 @@ def bring_up(context: LaunchContext) -> list:
     items = launched(given, share / 'params', Path(launch_config.log_dir))
     if given['takeover'] != 'true':
         PRESENCE.claim_graph([(item.machine, item.spec.name) for item in items])
+    for machine in dict.fromkeys(item.machine for item in items if item.machine):
+        listen(context, machine)
     processes = [Process(item) for item in items]
+    watches = [item.watched() for item in processes]
     first = [item for item in processes if not item.resume and not _makes_time(item)]
     managed = [item for item in processes if item.resume]
     last = [item for item in processes if _makes_time(item)]
@@ -138,7 +175,7 @@ def bring_up(context: LaunchContext) -> list:
         item.on_active = [started]
         late = TimerAction(period=ACTIVE_TIMEOUT, actions=[started])
         following = [*item.actions(), late]
-    return [action for item in first for action in item.actions()] + following
+    return [*watches, *(action for item in first for action in item.actions()), *following]
 
 
 class _Once(OpaqueFunction):

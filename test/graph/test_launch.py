@@ -18,6 +18,8 @@ pytest.importorskip('launch_ros', reason='launch_ros is part of a full ROS insta
 FILE = Path(__file__).parents[2] / 'launch' / 'thermal_compensation.launch.py'
 RUN = """
 import sys
+from fuzzycnc_ros.ros import bring_up
+bring_up.ACTIVE_TIMEOUT = 1e6  # who waits for an active node waits for what it tells
 from launch import LaunchDescription, LaunchService
 from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
@@ -49,6 +51,12 @@ def test_a_run_ends_with_its_simulation(launch):
     running = launch('duties:=T2', 'rate:=3000')
     assert running.wait() == 0
     assert '"degraded": false' in running.output
+
+
+def test_two_machines_start_one_after_the_other(launch):
+    running = launch('duties:=T2', 'rate:=3000', 'machine:=mill_1,mill_2')
+    assert running.wait() == 0
+    assert len(pids(running, 'simulated_machine')) == 2
 
 
 def test_a_killed_node_comes_back_and_a_failed_simulation_ends_all(launch, observer):

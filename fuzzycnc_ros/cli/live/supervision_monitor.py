@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What nodes say of themselves: health on `/diagnostics`, lifecycle on `node_configuration`."""
 
+import pkgutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +11,9 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
+from fuzzycnc_ros import nodes
 from fuzzycnc_ros.cli.live.operator_client import Operator
+from fuzzycnc_ros.ros.presence import lives
 from fuzzycnc_ros.ros.topics import create_subscription, message_class, subscription_qos
 from fuzzycnc_ros.runtime.component import Durability, Level
 from fuzzycnc_ros.runtime.host import NodeConfiguration
@@ -95,13 +98,15 @@ class Monitor:
     def settle(self, machine: str, patience: float) -> None:
         """Listen until each node of a machine has reported, for no longer than a time [s].
 
-        On a busy computer nodes are found late: the first of them is waited for longer.
+        On a busy computer nodes are found late: the first of them is waited for longer.  Among
+        many processes they are found one after the other: those that live on this computer are
+        waited for.
         """
+        own, heard = _living(machine), False
         self.spin_until(DISCOVERED)
-        heard = False
         while self.age < (patience if heard else FIRST_HEARD):
-            nodes = {name for where, name in self.present() if where == machine}
-            reported = [self.view(machine, name).heard_at > 0.0 for name in nodes]
+            known = own | {name for where, name in self.present() if where == machine}
+            reported = [self.view(machine, name).heard_at > 0.0 for name in known]
             if reported and all(reported):
                 return
             heard = heard or any(reported)
@@ -169,3 +174,9 @@ class Monitor:
         found.sort(key=lambda entry: -entry[0])
         view.level = Level(found[0][0]) if found else Level.OK
         view.trouble = tuple(text for _, text in found)
+
+
+def _living(machine: str) -> set[str]:
+    """Return the nodes of a machine that live on this computer, under the names of their kinds."""
+    kinds = (item.name for item in pkgutil.iter_modules(nodes.__path__))
+    return {name for name in kinds if lives(machine, name)}
