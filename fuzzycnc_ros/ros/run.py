@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start nodes, spin them, end cleanly; what they say, with control characters spelt out."""
 
+import faulthandler
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, Protocol
 
 import rclpy
@@ -89,6 +91,9 @@ def main(make: HostFactory, arguments: Sequence[str] | None = None) -> None:
 def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -> int:
     """Run several nodes in one process; return the exit code."""
     spell_out_logs()
+    if not faulthandler.is_enabled():
+        with suppress(OSError, ValueError):  # standard error is no file
+            faulthandler.enable()  # a crash of the middleware leaves a stack in the log
     try:
         prepare_environment()
     except ValueError as error:

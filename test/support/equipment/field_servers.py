@@ -186,17 +186,20 @@ class Route:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.connections += 1
-        there, out = await asyncio.open_connection(LOCAL, self._target.port)
-        self._writers |= {writer, out}
+        ends = {writer}
+        self._writers.add(writer)  # whom the target refuses is dropped as well
         try:
+            there, out = await asyncio.open_connection(LOCAL, self._target.port)
+            ends.add(out)
+            self._writers.add(out)
             await asyncio.gather(
                 self._pass(reader, out, answers=False), self._pass(there, writer, answers=True)
             )
         except (ConnectionError, asyncio.CancelledError):
             pass
         finally:
-            self._writers -= {writer, out}
-            for end in (writer, out):
+            self._writers -= ends
+            for end in ends:
                 end.transport.abort()
 
     async def _pass(
@@ -232,9 +235,12 @@ class HostileServer:
         self._server.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        with contextlib.suppress(ConnectionError, asyncio.CancelledError):
+        try:
             while data := await reader.read(65536):
                 self.asked += 1
                 writer.write(self._answer(data))
                 await writer.drain()
-        writer.transport.abort()
+        except (ConnectionError, asyncio.CancelledError):
+            pass
+        finally:
+            writer.transport.abort()
