@@ -12,7 +12,11 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.rcutils_logger import RcutilsLogger, _internal_callers
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions, install_signal_handlers
+from rclpy.signals import (
+    SignalHandlerOptions,
+    install_signal_handlers,
+    uninstall_signal_handlers,
+)
 
 from fuzzycnc_ros.bags.uninterrupted import uninterrupted
 from fuzzycnc_ros.core.names import visible
@@ -151,6 +155,9 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
         code = max([refused, *(host.exit_code for host in hosts)])
         sys.stdout.flush()
         with ending_within(LETTING_GO, code):
+            # Ends the thread that wakes the executor: late on a busy computer, it would touch what
+            # is destroyed here.
+            uninstall_signal_handlers()
             if executor is not None:
                 executor.shutdown()
             for host in reversed(hosts):
