@@ -75,7 +75,8 @@ def controller(axis: AxisData, name: str = '', **settings: Any) -> AxisControlle
     name : str
         One of `AXIS_CONTROLLERS`; that of the machine file by default, else `pid`.
     **settings
-        Settings that differ from the machine file's, such as `bandwidth=2.0`.
+        Settings instead of the machine file's, such as `bandwidth=2.0`; those of the file are for
+        the controller that it names alone.
 
     Raises
     ------

@@ -124,7 +124,7 @@ def test_a_closed_path_of_points_is_smooth_where_it_closes():
 
 def test_an_axis_of_a_machine_file_arrives():
     axis = servo.read_axis('lathe', 'X')
-    run = servo.position(servo.controller(axis, 'pid'), servo.simulated_axis(axis), 1e-3, 0.5)
+    run = servo.position(servo.controller(axis), servo.simulated_axis(axis), 1e-3, 0.5)
     assert run.position[-1] == pytest.approx(1e-3, abs=2e-5)
     with pytest.raises(ValueError, match='expected one of X'):
         servo.read_axis('lathe', 'Q')

@@ -171,7 +171,8 @@ def make_axis_controller(
     name : str
         Of `AXIS_CONTROLLERS`; by default the axis' own, else `UNTUNED_CONTROLLER`.
     settings : mapping of str to float, optional
-        Of `SETTINGS`; by default the axis' own.  What is left out is not tuned.
+        Of `SETTINGS`; by default those of the axis, if its own controller is made.  What is left
+        out is not tuned.
     rules : RuleTable, optional
         Rules of `WITH_RULES` instead of the published ones.
 
@@ -186,7 +187,8 @@ def make_axis_controller(
         raise ValueError(
             f'controller: expected one of {", ".join(AXIS_CONTROLLERS)} but found {chosen!r}'
         )
-    given = data.settings if settings is None else settings
+    own = data.settings if chosen == data.controller else {}  # tuned for that one alone
+    given = own if settings is None else settings
     for key, value in given.items():
         if key not in SETTINGS:
             raise ValueError(

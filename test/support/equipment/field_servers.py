@@ -18,11 +18,24 @@ REGISTERS = 200
 NAMESPACE = 'urn:fuzzycnc:test'
 
 
+class _FieldLoop(asyncio.SelectorEventLoop):
+    """Holds its connections: who was left by the other side is held by nobody else."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.connections: list[asyncio.Transport] = []
+
+    def _make_socket_transport(self, *args: Any, **options: Any) -> asyncio.Transport:
+        made = super()._make_socket_transport(*args, **options)
+        self.connections.append(made)
+        return made
+
+
 class Field:
     """An event loop in a thread of its own, in which the servers of a test live."""
 
     def __init__(self) -> None:
-        self.loop = asyncio.new_event_loop()
+        self.loop = _FieldLoop()
         # A connection that is cut in the middle is what these servers are there for.
         self.loop.set_exception_handler(lambda loop, context: None)
         self._thread = threading.Thread(target=self.loop.run_forever, daemon=True)
@@ -52,7 +65,7 @@ class Field:
                 task.cancel()
             await asyncio.gather(*rest, return_exceptions=True)
             # Clients that came back while their server stopped are known to the loop only.
-            for transport in list(self.loop._transports.values()):
+            for transport in self.loop.connections:
                 transport.abort()
             await asyncio.sleep(0.05)  # transports close in a later turn of the loop
 
