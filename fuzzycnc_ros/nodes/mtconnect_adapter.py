@@ -9,6 +9,7 @@ from rclpy.node import Node
 
 from fuzzycnc_ros.adapters.mtconnect.shdr_server import ShdrServer
 from fuzzycnc_ros.adapters.report_node import ReportNode
+from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.components.report.shdr import Shdr
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.runtime.component import Health, Level
@@ -53,9 +54,7 @@ class MtconnectAdapterNode(ReportNode[MtconnectAdapterConfig]):
         try:
             if path.exists() and path.read_text() == text:
                 return
-            part = path.with_name(f'{path.name}.part')
-            part.write_text(text)
-            part.replace(path)
+            write_text(path, text)
         except (OSError, UnicodeDecodeError) as error:
             self._trouble = f'devices_file {path} cannot be written ({error})'
             log.warning(self._trouble)

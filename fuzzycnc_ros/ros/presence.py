@@ -126,7 +126,7 @@ def check_alone(machine: str, node: str) -> None:
 def at_work(found: Iterable[Key]) -> str:
     """Return the nodes that are at work, for a refusal."""
     names = ', '.join(f'/{machine.strip("/")}/{node}' for machine, node in found)
-    return f'{names} at work in ROS domain {os.environ.get("ROS_DOMAIN_ID", "").strip() or 0}'
+    return f'{names} at work in ROS domain {_domain()}'
 
 
 def lives(machine: str, node: str) -> bool:
@@ -184,4 +184,8 @@ def _name(machine: str, node: str, number: int) -> str:
 
 def _address(name: str) -> str:
     """Return the address of a name in this ROS domain, of the kind that lies in no folder."""
-    return f'\0fuzzycnc/{os.environ.get("ROS_DOMAIN_ID", "").strip() or 0}/{name}'
+    return f'\0fuzzycnc/{_domain()}/{name}'
+
+
+def _domain() -> str:
+    return os.environ.get('ROS_DOMAIN_ID', '').strip() or '0'

@@ -17,6 +17,7 @@ import pytest
 
 pytest.importorskip('asyncua')
 
+from benches.component_bench import thermal_error
 from equipment.field_servers import Field
 from equipment.opcua_machine import AXES, FILE, ControlServer, LineControl, control_file
 from live_graph import parameter_file, ros_arguments
@@ -105,20 +106,8 @@ class Loop:
         new.replace(file)
 
     def _tell_error(self):
-        size = len(AXES)
-        record = ThermalError(
-            stamp=time.time_ns() + self.ahead * SECOND,
-            frame_id='mill/workpiece',
-            axis=AXES,
-            channel=AXES,
-            error=np.full(size, -WANTED),
-            standard_deviation=np.full(size, MICRON),
-            valid=True,
-            reason=0,
-            in_domain=True,
-            model='test',
-            substituted=(),
-            substitute=(),
+        record = thermal_error(
+            time.time() + self.ahead, np.full(len(AXES), -WANTED), axis=AXES, channel=AXES
         )
         self._publisher.publish(encode(record, RCLPY))
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benches.component_bench import thermal_error
 from equipment.linuxcnc_machine import LinuxcncMachine, exclusive
 from equipment.linuxcnc_offsets import OffsetTrace, fastest
 
@@ -78,20 +79,8 @@ class Loop:
         new.replace(self._clock)
 
     def _tell_error(self):
-        record = ThermalError(
-            stamp=time.time_ns() + int(self._clock.read_text()),
-            frame_id='mill/workpiece',
-            axis=('Y', 'Z'),
-            channel=('Y', 'Z'),
-            error=np.array([0.0, -WANTED]),
-            standard_deviation=np.full(2, MICRON),
-            valid=True,
-            reason=0,
-            in_domain=True,
-            model='test',
-            substituted=(),
-            substitute=(),
-        )
+        ahead = 1e-9 * int(self._clock.read_text())
+        record = thermal_error(time.time() + ahead, (0.0, -WANTED))
         self._publisher.publish(encode(record, RCLPY))
 
     def cut(self):

@@ -11,9 +11,9 @@ import socket
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime, timezone
-from typing import Any
+from functools import partial
 
 from fuzzycnc_ros.adapters.modbus.registers import scaled
 from fuzzycnc_ros.adapters.mtconnect.documents import DataItem, Document, parse
@@ -93,16 +93,15 @@ class MtconnectLink(Link):
     async def open(self) -> None:
         """Ask for the data items and their present state."""
         loop = asyncio.get_running_loop()
-        ready = asyncio.Event()
+        ready, ended = asyncio.Event(), asyncio.Event()
+        self._ended = ended
 
-        self._ended = ended = asyncio.Event()
-
-        def tell(event: asyncio.Event = ready) -> None:
+        def tell(event: asyncio.Event) -> None:
             with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
                 loop.call_soon_threadsafe(event.set)
 
         def run() -> None:
-            self._run(tell)
+            self._run(partial(tell, ready))
             tell(ended)
 
         threading.Thread(target=run, name='mtconnect', daemon=True).start()
@@ -136,7 +135,7 @@ class MtconnectLink(Link):
             return f'data item {channel.item}: the agent tells no value of it'
         return reading_of(channel, item, self._values[item.identifier])
 
-    def _run(self, tell: Any) -> None:
+    def _run(self, tell: Callable[[], None]) -> None:
         """Read until something is wrong, or the link is closed; the thread's whole life."""
         failure: Exception
         try:
@@ -157,7 +156,7 @@ class MtconnectLink(Link):
             self._socket.close()
             self._socket = None
 
-    def _follow(self, tell: Any) -> None:
+    def _follow(self, tell: Callable[[], None]) -> None:
         """Take the present state, then what changes; begin anew after a restart or a gap."""
         while True:
             probe = self._document('probe', 'MTConnectDevices')

@@ -4,9 +4,9 @@
 
 import asyncio
 import contextlib
-import threading
 from collections.abc import Sequence
 
+from fuzzycnc_ros.adapters.loop_thread import LoopThread
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.component import Health, Level
 
@@ -18,8 +18,8 @@ CLIENTS_MAX = 16
 """Most clients; further ones are dropped at once."""
 LINE_MAX = 1024
 """Longest line that a client may send, in bytes."""
-CLOSE_TIMEOUT = 2.0
-"""Longest wait for the end of the thread [s]."""
+START_TIMEOUT, CLOSE_TIMEOUT = 10.0, 2.0
+"""Longest wait for the port, and for the end of the thread [s]."""
 PING = b'* PING'
 
 
@@ -44,24 +44,20 @@ class ShdrServer:
         self._everything: bytes = b''
         self._clients: set[asyncio.StreamWriter] = set()
         self.dropped = 0
-        self._loop = asyncio.new_event_loop()
-        # A client that goes in the middle of a line is no news.
-        self._loop.set_exception_handler(lambda loop, context: None)
+        self._loop = LoopThread('shdr')
         try:
-            self._server = self._loop.run_until_complete(self._listen())
+            self._server = self._loop.call(self._listen(), START_TIMEOUT)
         except OSError as error:
-            self._loop.close()
+            self._loop.end(CLOSE_TIMEOUT)
             raise ParameterError(
                 f'parameter port: expected a free port on {address} but {port} cannot be had '
                 f'({error.strerror}); is another adapter running?'
             ) from error
         self.port = self._server.sockets[0].getsockname()[1]
-        self._thread = threading.Thread(target=self._loop.run_forever, name='shdr', daemon=True)
-        self._thread.start()
 
     def publish(self, news: Sequence[str], everything: Sequence[str]) -> None:
         """Send news to the clients that are there; who comes later gets everything first."""
-        self._loop.call_soon_threadsafe(self._send, _bytes(news), _bytes(everything))
+        self._loop.soon(self._send, _bytes(news), _bytes(everything))
 
     def health(self) -> Health:
         """Say who listens."""
@@ -73,10 +69,8 @@ class ShdrServer:
 
     def close(self) -> None:
         """Drop all clients and end the thread."""
-        asyncio.run_coroutine_threadsafe(self._end(), self._loop).result(CLOSE_TIMEOUT)
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(CLOSE_TIMEOUT)
-        self._loop.close()
+        self._loop.call(self._end(), CLOSE_TIMEOUT)
+        self._loop.end(CLOSE_TIMEOUT)
 
     async def _listen(self) -> asyncio.Server:
         return await asyncio.start_server(self._serve, self._address, self.port, limit=LINE_MAX)

@@ -2,17 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serves the report of a machine over OPC UA, to be read and not written, in its own thread."""
 
-import asyncio
 import concurrent.futures
 import hmac
 import logging
-import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from fuzzycnc_ros.adapters.loop_thread import LoopThread
 from fuzzycnc_ros.adapters.opcua.session import library_trouble
 from fuzzycnc_ros.components.report.told import NO_VALUE, TOO_OLD, Told, told
 from fuzzycnc_ros.ros.parameters import ParameterError
@@ -83,25 +82,22 @@ class ReportServer:
         self._nodes: dict[tuple[str, str], Any] = {}
         self._folders: dict[str, Any] = {}
         self._trouble = ''
-        self._loop = asyncio.new_event_loop()
-        self._loop.set_exception_handler(lambda loop, context: None)
-        self._thread = threading.Thread(target=self._loop.run_forever, name='opcua', daemon=True)
-        self._thread.start()
+        self._loop = LoopThread('opcua')
         try:
-            self._call(self._start(), START_TIMEOUT)
+            self._loop.call(self._start(), START_TIMEOUT)
         except OSError as error:
-            self._halt()
+            self._loop.end(CLOSE_TIMEOUT)
             raise ParameterError(
                 f'expected a free port on {address} and files that can be read but: {error}'
             ) from error
         except Exception as error:
-            self._halt()
+            self._loop.end(CLOSE_TIMEOUT)
             raise ParameterError(f'OPC UA cannot be served ({error})') from error
 
     def publish(self, document: Mapping[str, Any]) -> None:
         """Take a report."""
         try:
-            self._call(self._take(document), TAKE_TIMEOUT)
+            self._loop.call(self._take(document), TAKE_TIMEOUT)
             self._trouble = ''
         except concurrent.futures.TimeoutError:
             self._trouble = f'a report took longer than {TAKE_TIMEOUT:g} s; too many clients?'
@@ -117,17 +113,9 @@ class ReportServer:
     def close(self) -> None:
         """Drop all clients and end the thread."""
         try:
-            self._call(self._server.stop(), CLOSE_TIMEOUT)
+            self._loop.call(self._server.stop(), CLOSE_TIMEOUT)
         finally:
-            self._halt()
-
-    def _call(self, coroutine: Any, timeout: float) -> Any:
-        return asyncio.run_coroutine_threadsafe(coroutine, self._loop).result(timeout)
-
-    def _halt(self) -> None:
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(CLOSE_TIMEOUT)
-        self._loop.close()
+            self._loop.end(CLOSE_TIMEOUT)
 
     async def _start(self) -> None:
         from asyncua import Server

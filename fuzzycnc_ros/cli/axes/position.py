@@ -186,9 +186,11 @@ def position(
     if profile is None:
         profile = axis != 'lathe'
     plant = made_with(partial(simulated_axis, data), knobs)
+    # Settings and rules that were learnt are those of the variable universe.
+    own = known.controller if params is None else DEFAULT
     with warnings_said():
-        chosen = _controller(known, controller, plant, params)
-    controller = controller or (DEFAULT if params is not None else known.controller)
+        chosen = _controller(known, controller, own, plant, params)
+    controller = controller or own
     # It is told of the load, as a machine's data tell of it, or it would take it for a run-away.
     limits = chosen.watch.limits
     pull = abs(signed('--load', load, SHARES, example='10%')) + BESIDE_LOAD
@@ -277,10 +279,9 @@ def _known(machine_file: str | None, axis: str) -> KnownAxis:
 
 
 def _controller(
-    known: KnownAxis, name: str, plant: 'AxisPlant', params: Path | None
+    known: KnownAxis, name: str, own: str, plant: 'AxisPlant', params: Path | None
 ) -> 'AxisController':
     if not known.machine:
-        own = known.controller if params is None else DEFAULT
         return make_controller(name or own, known.name, plant, _settings(params))
     from fuzzycnc_ros.cli.axes.servo_machine import machine_controller
 

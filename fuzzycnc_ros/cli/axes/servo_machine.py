@@ -83,9 +83,8 @@ def machine_controller(
     from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
     from fuzzycnc_ros.studies.servo.servo_settings import read_settings
 
-    own = data.settings if name in ('', data.controller) else {}
     if params is None:
-        return make_axis_controller(data, name, own)
+        return make_axis_controller(data, name)
     settings = read_settings(params)
     if settings.numbers or settings.rules is None:
         raise ValueError(
@@ -96,7 +95,7 @@ def machine_controller(
         raise ValueError(
             f'{params}: expected rules for the axis {axis} but found those for {settings.axis}'
         )
-    return make_axis_controller(data, name, own, settings.rules)
+    return make_axis_controller(data, name, rules=settings.rules)
 
 
 def analysed_controller(

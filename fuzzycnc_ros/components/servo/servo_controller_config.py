@@ -266,12 +266,9 @@ def _file_controller(config: ServoControllerConfig, name: str, data: AxisData) -
     direction = -1.0 if name in config.reversed_axes else data.plant.direction
     duty = min(config.duty_max, data.plant.duty_max)
     known = replace(data, plant=replace(data.plant, direction=direction, duty_max=duty))
-    asked = config.axis_controller
-    chosen = data.controller if asked == FROM_FILE else asked
+    asked = '' if config.axis_controller == FROM_FILE else config.axis_controller
     try:
-        controller = make_axis_controller(
-            known, chosen, data.settings if chosen == data.controller else {}
-        )
+        controller = make_axis_controller(known, asked)
     except ValueError as error:
         raise ValueError(f'axis_data: {name}: {error}') from error
     controller.watch.limits = replace(controller.watch.limits, bad_max=config.missed_max)

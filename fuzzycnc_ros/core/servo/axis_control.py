@@ -187,7 +187,8 @@ def make_axis_controller(
         raise ValueError(
             f'controller: expected one of {", ".join(AXIS_CONTROLLERS)} but found {chosen!r}'
         )
-    own = data.settings if chosen == data.controller else {}  # tuned for that one alone
+    # Settings are tuned for the controller that the axis has, and for that one alone.
+    own = data.settings if name in ('', data.controller) else {}
     given = own if settings is None else settings
     for key, value in given.items():
         if key not in SETTINGS:

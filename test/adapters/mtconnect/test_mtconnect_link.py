@@ -12,6 +12,7 @@ pytest.importorskip('rclpy')
 
 from equipment.field_servers import LOCAL, Field, HostileServer, Route
 from equipment.mtconnect_agent import BOUNDARY, Agent, http
+from equipment.polled import TIMEOUT, good, lost, wait
 
 from fuzzycnc_ros.adapters.link import LinkError
 from fuzzycnc_ros.adapters.mtconnect import link as mtconnect
@@ -25,7 +26,6 @@ from fuzzycnc_ros.runtime.component import Level
 
 pytestmark = pytest.mark.ros
 
-TIMEOUT = 60.0
 FILE = """
 devices:
   - name: mill
@@ -73,25 +73,6 @@ def poll(tmp_path, monkeypatch):
     for poller in pollers:
         poller.close()
         assert not poller._thread.is_alive()
-
-
-def wait(poller, wanted):
-    """Wait for a result that fulfils a condition; return it."""
-    deadline = time.monotonic() + TIMEOUT
-    polled = None
-    while time.monotonic() < deadline:
-        polled = poller.results.get(timeout=TIMEOUT)
-        if wanted(polled):
-            return polled
-    raise AssertionError(f'the last result was {polled}')
-
-
-def good(polled):
-    return polled.readings is not None
-
-
-def lost(polled):
-    return polled.readings is None
 
 
 def reads(first):

@@ -31,7 +31,7 @@ def server():
     made = ShdrServer(LOCAL, 0)
     yield made
     made.close()
-    assert not made._thread.is_alive()
+    assert not made._loop.alive
 
 
 @pytest.fixture

@@ -50,7 +50,7 @@ def test_a_client_reads_and_changes_nothing():
             ReportServer('mill', LOCAL, server.port, 150.0)
     finally:
         server.close()
-    assert not server._thread.is_alive()
+    assert not server._loop.alive
 
 
 async def read_and_try(server):

@@ -15,6 +15,7 @@ pytest.importorskip('pymodbus')
 
 from asyncua import ua
 from equipment.field_servers import LOCAL, Field, HostileServer, ModbusServer, OpcUaServer, Route
+from equipment.polled import TIMEOUT, good, lost, wait
 from equipment.secured_server import PINNING, SECURITY, secured, user_file
 
 from fuzzycnc_ros.adapters.opcua import readings_link as opc_ua
@@ -27,7 +28,6 @@ from fuzzycnc_ros.ros.parameters import ParameterError
 
 pytestmark = pytest.mark.ros
 
-TIMEOUT = 60.0
 MODBUS = """
 devices:
   - name: rtd
@@ -82,25 +82,6 @@ def poll(tmp_path):
 def impatient(monkeypatch):
     """A lost device is asked again at once."""
     monkeypatch.setattr(polling, 'BACK_OFF_FIRST', 0.05)
-
-
-def wait(poller, wanted):
-    """Wait for a result that fulfils a condition; return it."""
-    deadline = time.monotonic() + TIMEOUT
-    polled = None
-    while time.monotonic() < deadline:
-        polled = poller.results.get(timeout=TIMEOUT)
-        if wanted(polled):
-            return polled
-    raise AssertionError(f'the last result was {polled}')
-
-
-def good(polled):
-    return polled.readings is not None
-
-
-def lost(polled):
-    return polled.readings is None
 
 
 def test_a_wrong_register_costs_only_itself(field, poll):

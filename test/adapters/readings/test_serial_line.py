@@ -12,6 +12,7 @@ pytest.importorskip('pymodbus')
 pytest.importorskip('serial')
 
 from equipment.field_servers import Field
+from equipment.polled import lost
 from equipment.serial_cable import Cable
 
 from fuzzycnc_ros.adapters.modbus.serial_line import QUIET
@@ -91,10 +92,6 @@ def is_true(polled):
 
 def good(polled):
     return polled.readings is not None and not any(isinstance(r, str) for r in polled.readings)
-
-
-def lost(polled):
-    return polled.readings is None
 
 
 def in_use(polled):

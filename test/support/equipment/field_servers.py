@@ -160,7 +160,27 @@ class OpcUaServer:
         return value if isinstance(value, ua.DataValue) else ua.DataValue(ua.Variant(value))
 
 
-class Route:
+class LocalServer:
+    """A server of streams on a free port, which it has again when it is started again."""
+
+    def __init__(self) -> None:
+        self.port = 0
+        self._writers: set[asyncio.StreamWriter] = set()
+
+    async def start(self) -> None:
+        self._server = await asyncio.start_server(self._serve, LOCAL, self.port)
+        self.port = self._server.sockets[0].getsockname()[1]
+
+    async def stop(self) -> None:
+        self._server.close()
+        for writer in list(self._writers):
+            writer.transport.abort()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        raise NotImplementedError
+
+
+class Route(LocalServer):
     """A port that passes everything on to a server, until a fault is set.
 
     Attributes
@@ -174,20 +194,10 @@ class Route:
     CUT = 6
 
     def __init__(self, target: Any) -> None:
+        super().__init__()
         self._target = target
         self.fault = ''
         self.connections = 0
-        self.port = 0
-        self._writers: set[asyncio.StreamWriter] = set()
-
-    async def start(self) -> None:
-        self._server = await asyncio.start_server(self._serve, LOCAL, self.port)
-        self.port = self._server.sockets[0].getsockname()[1]
-
-    async def stop(self) -> None:
-        self._server.close()
-        for writer in list(self._writers):
-            writer.transport.abort()
 
     async def set(self, fault: str) -> None:
         """Begin a fault, or end it with an empty name."""
@@ -232,20 +242,13 @@ class Route:
         raise ConnectionError
 
 
-class HostileServer:
+class HostileServer(LocalServer):
     """A server that answers whatever it gets with bytes of the test's choice."""
 
     def __init__(self, answer: Callable[[bytes], bytes]) -> None:
+        super().__init__()
         self._answer = answer
-        self.port = 0
         self.asked = 0
-
-    async def start(self) -> None:
-        self._server = await asyncio.start_server(self._serve, LOCAL, self.port)
-        self.port = self._server.sockets[0].getsockname()[1]
-
-    async def stop(self) -> None:
-        self._server.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:

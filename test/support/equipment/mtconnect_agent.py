@@ -11,7 +11,7 @@ from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
-from equipment.field_servers import LOCAL
+from equipment.field_servers import LOCAL, LocalServer
 
 SPACE = 'urn:mtconnect.org:MTConnect{kind}:1.3'
 BOUNDARY = 'a4f1c0'
@@ -24,7 +24,7 @@ ITEMS = (
 )
 
 
-class Agent:
+class Agent(LocalServer):
     """An agent that keeps observations and streams them.
 
     Attributes
@@ -44,24 +44,14 @@ class Agent:
     """
 
     def __init__(self) -> None:
+        super().__init__()
         self.instance = 1
         self.observations: list[tuple[str, str]] = []
         self.first = 1
         self.streams = True
         self.chunked = False
         self.requests: list[str] = []
-        self.port = 0
         self._news = asyncio.Event()
-        self._writers: set[asyncio.StreamWriter] = set()
-
-    async def start(self) -> None:
-        self._server = await asyncio.start_server(self._serve, LOCAL, self.port)
-        self.port = self._server.sockets[0].getsockname()[1]
-
-    async def stop(self) -> None:
-        self._server.close()
-        for writer in list(self._writers):
-            writer.transport.abort()
 
     async def observe(self, **texts: object) -> None:
         """Take new observations: id and text."""
