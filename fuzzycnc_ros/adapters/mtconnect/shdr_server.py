@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import Sequence
 
-from fuzzycnc_ros.adapters.loop_thread import LoopThread
+from fuzzycnc_ros.adapters.loops import LoopThread
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.component import Health, Level
 
@@ -69,18 +69,11 @@ class ShdrServer:
 
     def close(self) -> None:
         """Drop all clients and end the thread."""
-        self._loop.call(self._end(), CLOSE_TIMEOUT)
+        self._loop.soon(self._server.close)
         self._loop.end(CLOSE_TIMEOUT)
 
     async def _listen(self) -> asyncio.Server:
         return await asyncio.start_server(self._serve, self._address, self.port, limit=LINE_MAX)
-
-    async def _end(self) -> None:
-        self._server.close()
-        tasks = asyncio.all_tasks() - {asyncio.current_task()}
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
 
     def _send(self, news: bytes, everything: bytes) -> None:
         self._everything = everything

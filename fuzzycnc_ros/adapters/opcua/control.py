@@ -13,6 +13,7 @@ import numpy as np
 
 from fuzzycnc_ros.adapters.controller import Controller
 from fuzzycnc_ros.adapters.link import LinkError
+from fuzzycnc_ros.adapters.loops import ConnectionLoop
 from fuzzycnc_ros.adapters.opcua.offset_lines import (
     LineLimits,
     LineOrders,
@@ -79,9 +80,7 @@ class OpcUaControl(Controller[LineStatus, LineOrders, LineLimits]):
         self._timeout = file.server.timeout
         self._claimed = False
         self._written = self._seen = 0
-        self._loop = asyncio.new_event_loop()
-        # What the library could not make sense of ends the connection, which is reported.
-        self._loop.set_exception_handler(lambda loop, context: None)
+        self._loop = ConnectionLoop()
         self._session: OpcUaSession | None = None
         try:
             self._variables = self._run(self._open(login), 2.0 * self._timeout)
@@ -133,11 +132,6 @@ class OpcUaControl(Controller[LineStatus, LineOrders, LineLimits]):
                 self._loop.run_until_complete(
                     asyncio.wait_for(self._session.close(), CLOSE_TIMEOUT)
                 )
-        rest = asyncio.all_tasks(self._loop)
-        for task in rest:
-            task.cancel()
-        if rest:
-            self._loop.run_until_complete(asyncio.gather(*rest, return_exceptions=True))
         self._loop.close()
 
     async def _open(self, login: Callable[[Path], tuple[str, str]]) -> Variables:

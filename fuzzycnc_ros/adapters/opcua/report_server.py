@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from fuzzycnc_ros.adapters.loop_thread import LoopThread
+from fuzzycnc_ros.adapters.loops import LoopThread
 from fuzzycnc_ros.adapters.opcua.session import library_trouble
 from fuzzycnc_ros.components.report.told import NO_VALUE, TOO_OLD, Told, told
 from fuzzycnc_ros.ros.parameters import ParameterError

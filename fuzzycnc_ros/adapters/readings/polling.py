@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from queue import SimpleQueue
 
+from fuzzycnc_ros.adapters.loops import ConnectionLoop
 from fuzzycnc_ros.adapters.readings.devices import Device
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
 
@@ -91,7 +92,8 @@ class Poller:
             self._thread.join(2.0 * CLOSE_TIMEOUT)
 
     def _run(self) -> None:
-        asyncio.run(self._serve_all())
+        with asyncio.Runner(loop_factory=ConnectionLoop) as runner:
+            runner.run(self._serve_all())
 
     def _cancel(self) -> None:
         for task in self._tasks:
@@ -99,9 +101,6 @@ class Poller:
 
     async def _serve_all(self) -> None:
         self._loop = asyncio.get_running_loop()
-        # What a protocol's callback could not make sense of ends its connection, which is
-        # reported; asyncio would write a traceback for each.
-        self._loop.set_exception_handler(lambda loop, context: None)
         serve = self._serve
         self._tasks = [asyncio.create_task(serve(i, d)) for i, d in enumerate(self._devices)]
         self._ready.set()

@@ -4,7 +4,6 @@
 
 import asyncio
 import contextlib
-import threading
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -12,39 +11,24 @@ from asyncua import Server, ua
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
+from fuzzycnc_ros.adapters.loops import LoopThread
+
 LOCAL = '127.0.0.1'
 REGISTERS = 200
 """Registers of the Modbus device; the next one is unknown to it."""
 NAMESPACE = 'urn:fuzzycnc:test'
 
 
-class _FieldLoop(asyncio.SelectorEventLoop):
-    """Holds its connections: who was left by the other side is held by nobody else."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.connections: list[asyncio.Transport] = []
-
-    def _make_socket_transport(self, *args: Any, **options: Any) -> asyncio.Transport:
-        made = super()._make_socket_transport(*args, **options)
-        self.connections.append(made)
-        return made
-
-
 class Field:
     """An event loop in a thread of its own, in which the servers of a test live."""
 
     def __init__(self) -> None:
-        self.loop = _FieldLoop()
-        # A connection that is cut in the middle is what these servers are there for.
-        self.loop.set_exception_handler(lambda loop, context: None)
-        self._thread = threading.Thread(target=self.loop.run_forever, daemon=True)
-        self._thread.start()
+        self._loop = LoopThread('field')
         self._closers: list[Callable[[], Coroutine[Any, Any, None]]] = []
 
     def call(self, coroutine: Coroutine[Any, Any, Any]) -> Any:
         """Run a coroutine there; return its result."""
-        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(60.0)
+        return self._loop.call(coroutine, 60.0)
 
     def add(self, part: Any) -> Any:
         """Start a server or route, to be stopped in the end."""
@@ -56,23 +40,7 @@ class Field:
         """Stop everything."""
         for stop in reversed(self._closers):
             self.call(stop())
-
-        async def drain() -> None:
-            # An accepted connection is somebody's only a turn later; cancelled before, it leaks.
-            await asyncio.sleep(0.05)
-            rest = asyncio.all_tasks() - {asyncio.current_task()}
-            for task in rest:
-                task.cancel()
-            await asyncio.gather(*rest, return_exceptions=True)
-            # Clients that came back while their server stopped are known to the loop only.
-            for transport in self.loop.connections:
-                transport.abort()
-            await asyncio.sleep(0.05)  # transports close in a later turn of the loop
-
-        self.call(drain())
-        self.loop.call_soon_threadsafe(self.loop.stop)
-        self._thread.join(60.0)
-        self.loop.close()
+        self._loop.end(60.0)
 
 
 class ModbusServer:

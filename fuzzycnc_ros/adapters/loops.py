@@ -1,0 +1,93 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Event loops beside a node: one that lets go of its connections, and a thread that runs it."""
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+T = TypeVar('T')
+
+
+class ConnectionLoop(asyncio.SelectorEventLoop):
+    """An event loop that ends its tasks and drops its connections when it is closed.
+
+    asyncio leaves open what nobody closed: a client that was accepted while its server stopped, a
+    connection that was made while its caller lost patience.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._connections: list[asyncio.Transport] = []
+        # What a protocol's callback could not make sense of ends its connection, which is
+        # reported; asyncio would write a traceback for each.
+        self.set_exception_handler(lambda loop, context: None)
+
+    def _make_socket_transport(self, *args: Any, **options: Any) -> asyncio.Transport:
+        made: asyncio.Transport = super()._make_socket_transport(*args, **options)  # type: ignore[misc]
+        self._connections = [item for item in self._connections if not item.is_closing()]
+        self._connections.append(made)
+        return made
+
+    def close(self) -> None:
+        """End all tasks and connections, then the loop, which must not run."""
+        if not self.is_closed():
+            self.run_until_complete(self._let_go())
+        super().close()
+
+    async def _let_go(self) -> None:
+        tasks = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        for connection in self._connections:
+            connection.abort()
+        await asyncio.sleep(0)  # a connection ends in the next turn of the loop
+
+
+class LoopThread:
+    """Run coroutines beside a node, which waits for them as long as it likes.
+
+    Parameters
+    ----------
+    name : str
+        Name of the thread.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._loop = ConnectionLoop()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread has not ended."""
+        return self._thread.is_alive()
+
+    def call(self, coroutine: Coroutine[Any, Any, T], timeout: float) -> T:
+        """Run a coroutine; return its result.
+
+        Raises
+        ------
+        concurrent.futures.TimeoutError
+            If it takes longer than `timeout` [s].
+        """
+        return asyncio.run_coroutine_threadsafe(coroutine, self._loop).result(timeout)
+
+    def soon(self, work: Callable[..., object], *arguments: Any) -> None:
+        """Let the loop call something; do not wait for it."""
+        self._loop.call_soon_threadsafe(work, *arguments)
+
+    def end(self, timeout: float) -> None:
+        """End the thread with all its connections; wait for no longer than `timeout` [s]."""
+        with contextlib.suppress(RuntimeError):  # it has ended
+            self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(timeout)
+
+    def _run(self) -> None:
+        try:
+            self._loop.run_forever()
+        finally:
+            self._loop.close()
