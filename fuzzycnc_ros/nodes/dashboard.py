@@ -166,7 +166,8 @@ class DashboardNode:
     def stop(self) -> None:
         """Serve no more; recordings that were started here end whole."""
         self._server.stop()
-        self._actions.close()
+        for text in self._actions.close():
+            self.node.get_logger().error(text)
 
     # What the server asks, from its own thread.
 

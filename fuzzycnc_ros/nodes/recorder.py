@@ -22,6 +22,7 @@ from fuzzycnc_ros.bags.holes import HoleCounter, not_explained
 from fuzzycnc_ros.bags.metadata import Qos
 from fuzzycnc_ros.bags.recorder import Progress, RecordingThread
 from fuzzycnc_ros.bags.shipping import Shipper
+from fuzzycnc_ros.bags.uninterrupted import Interrupted, uninterrupted
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.core.names import visible
@@ -127,7 +128,14 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self.node.get_logger().info(f'recording to {self._config.output}')
 
     def stop(self) -> None:
-        """Write what has arrived, close the bag and say what is in it."""
+        """Write what has arrived, close the bag and say what is in it.
+
+        Who asks a second time waits as well: what is torn here would be lost.
+        """
+        with suppress(Interrupted), uninterrupted():
+            self._end()
+
+    def _end(self) -> None:
         self.turns = None  # there is nobody to answer any more
         for subscription in tuple(self._subscriptions.values()):
             # What was published before the recorder was asked to end belongs into the bag.

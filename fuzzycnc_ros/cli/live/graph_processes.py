@@ -13,12 +13,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError, NodeSpec
+from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError, NodeSpec, stop_timeout
 from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
-
-STOP_TIMEOUT = 10.0
-"""Wall time [s] that a node gets to end by itself before it is killed."""
-
 
 COMPOSED = 'composed'
 """Name of a process that holds several nodes."""
@@ -87,6 +83,7 @@ class GraphProcesses:
         # Whoever starts a graph has looked who else is there, and holds the names of its nodes.
         self._environment = {**os.environ, TAKEOVER: '1', **(environment or {})}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._patience: dict[str, float] = {}  # s that each gets to end
         self._asked: set[str] = set()  # to end, by us
 
     def __enter__(self) -> 'GraphProcesses':
@@ -123,6 +120,7 @@ class GraphProcesses:
             command += [spec.name for spec in specs]
         command += self.arguments(*specs)
         self._asked.discard(name)
+        self._patience[name] = stop_timeout(spec.name for spec in specs)
         with self.log(name).open('ab' if name in self._processes else 'wb') as log:
             self._processes[name] = subprocess.Popen(
                 command,
@@ -206,11 +204,11 @@ class GraphProcesses:
 
     def wait_ended(self, names: Sequence[str]) -> None:
         """Wait for nodes that were asked to end; kill those that do not in time."""
-        until = time.monotonic() + STOP_TIMEOUT
+        begun = time.monotonic()
         for name in names:
             process = self._processes[name]
             try:
-                process.wait(max(0.0, until - time.monotonic()))
+                process.wait(max(0.0, begun + self._patience[name] - time.monotonic()))
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
