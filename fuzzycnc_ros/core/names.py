@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Names: foreign text as terminals and pages show it, as topics and files, and what comes twice."""
+"""Names: foreign text as terminals and pages show it, as topics and files, what comes twice."""
 
 import re
 import unicodedata

@@ -23,6 +23,8 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.node import Node
 
 from fuzzycnc_msgs.srv import SetThermalReference
+from fuzzycnc_ros.bags.errors import BagError
+from fuzzycnc_ros.bags.recording_loss import loss
 from fuzzycnc_ros.components.dashboard.machine_view import MachineView
 from fuzzycnc_ros.core.names import file_word
 from fuzzycnc_ros.ros.bring_up import RECORDER_STOP, GraphError
@@ -133,7 +135,7 @@ class Actions:
         Returns
         -------
         list of str
-            Which recorders go on, and which failed, in words.
+            Which recorders go on, which failed, and what is missing in bags.
         """
         for process, _ in self._recorders.values():
             process.terminate()
@@ -141,15 +143,15 @@ class Actions:
         told = []
         for process, bag in self._recorders.values():
             try:
-                if process.wait(max(0.0, until - time.monotonic())):
-                    told.append(_failure(process, bag))
+                process.wait(max(0.0, until - time.monotonic()))
+                told.append(_trouble(process, bag))
             except subprocess.TimeoutExpired:
                 told.append(
                     f'{bag.name} is not closed after {RECORDER_STOP:g} s; its recorder, process '
                     f'{process.pid}, goes on and ends when it has written all'
                 )
         self._recorders.clear()
-        return told
+        return [text for text in told if text]
 
     async def act(self, view: MachineView, action: str, body: Mapping[str, Any]) -> str:
         """Carry an action out and write it down; return what was done.
@@ -331,8 +333,8 @@ class Actions:
             RECORDER_STOP,
         )
         self._recorders.pop(machine, None)  # whoever has asked meanwhile has noticed its end
-        if process.returncode:
-            raise GraphError(_failure(process, bag))
+        if trouble := await asyncio.to_thread(_trouble, process, bag):
+            raise GraphError(trouble)
         return f'{bag.name} is closed'
 
     async def _call(self, kind: Any, name: str, request: Any) -> Any:
@@ -387,12 +389,17 @@ class NeedsForceError(GraphError):
     """It would be done if it were forced; the text says what that would do."""
 
 
-def _failure(process: 'subprocess.Popen[bytes]', bag: Path) -> str:
-    """Return in words that a recorder failed."""
-    return (
-        f'the recorder of {bag.name} ended with code {process.returncode}; make the bag whole '
-        'with fuzzycnc info --repair'
-    )
+def _trouble(process: 'subprocess.Popen[bytes]', bag: Path) -> str:
+    """Return in words that a recorder has failed, or what its bag lacks; empty if all is well."""
+    if process.returncode:
+        return (
+            f'the recorder of {bag.name} ended with code {process.returncode}; make the bag whole '
+            'with fuzzycnc info --repair'
+        )
+    try:
+        return loss(bag)
+    except BagError as error:
+        return str(error)
 
 
 def _is_length(value: Any) -> bool:

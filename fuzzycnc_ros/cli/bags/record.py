@@ -19,7 +19,7 @@ from fuzzycnc_ros.cli.bags.keeping import (
     SplitSize,
     keeping_parameters,
 )
-from fuzzycnc_ros.cli.bags.recording_loss import LACKING, loss
+from fuzzycnc_ros.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_at_least,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from fuzzycnc_ros.cli.bags.recording_loss import LACKING, loss
+from fuzzycnc_ros.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, process_name
 from fuzzycnc_ros.cli.live.supervision import State, Supervised, Supervisor
 from fuzzycnc_ros.cli.live.supervision_view import View
