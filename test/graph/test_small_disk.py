@@ -103,7 +103,10 @@ class Traffic:
         self._observer.until(lambda: self._counted('received'), 'all is received')
 
     def until_written(self):
-        self._observer.until(lambda: not self.alarms[-1] and self._counted('written'), 'it goes on')
+        def gone_on():
+            return not self.alarms[-1] and self._counted('written')
+
+        self._observer.until(gone_on, 'it goes on')
 
     def _counted(self, what):
         return self.alarms and int(self.values[what]) >= self.sent

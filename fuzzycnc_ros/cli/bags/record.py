@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from fuzzycnc_ros.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.bags.keeping import (
     Budget,
     FreeMin,
@@ -19,7 +20,6 @@ from fuzzycnc_ros.cli.bags.keeping import (
     SplitSize,
     keeping_parameters,
 )
-from fuzzycnc_ros.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_at_least,
