@@ -11,8 +11,10 @@ import sys
 
 import pytest
 from processes import HANG, children, start, wait_for
+from std_msgs.msg import Header
 
 from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.runtime.host import RecorderProgress
 from fuzzycnc_ros.runtime.records import SECOND, MachineState, Temperatures
 
 pytestmark = pytest.mark.ros
@@ -110,6 +112,30 @@ def test_who_asks_again_does_not_tear_what_is_being_closed(domain, root, tmp_pat
     assert f'{bag}: ' in told
     with BagReader(bag) as reader:
         assert reader.problems == []
+
+
+def test_publishers_that_end_before_their_recorder_are_told(graph, observer, tmp_path):
+    """What they sent last may be missing, and no number shows it."""
+    bag = tmp_path / 'bag'
+    topics = ('/mill/ended', '/mill/stayed')
+    publishers = [
+        observer.node.create_publisher(Header, name, 10) for name in (*topics, topics[0])
+    ]
+    recorder = graph.start('recorder', {'output': str(bag), 'topics': '^/mill/(ended|stayed)$'})
+    observer.until(lambda: all(item.get_subscription_count() for item in publishers), 'a recorder')
+    told = observer.records('recorder/progress', RecorderProgress)
+    for item in publishers:
+        item.publish(Header())
+    observer.until(lambda: told and told[-1].received == 3, 'all is received')
+    observer.node.destroy_publisher(publishers[-1])
+    observer.until(lambda: observer.node.count_publishers(topics[0]) == 1, 'its end')
+    graph.stop()
+    assert '3 messages on 2 topics, 0 lost; 1 publishers ended meanwhile, on /mill/ended' in (
+        recorder.output
+    )
+    with BagReader(bag) as reader:
+        said = json.loads(reader.attachments()['recording.json'].data)
+    assert said['publishers_left'] == {'/mill/ended': 1}
 
 
 def test_full_disk_ends_a_recording(command, observer, graph, tmp_path):
