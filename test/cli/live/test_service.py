@@ -149,6 +149,23 @@ def test_what_would_not_start_is_refused_before_it_is_written(units, capsys, wor
     assert not units.exists()
 
 
+@pytest.mark.parametrize(
+    'words',
+    [
+        ('--record', 'bags', '--record-options', '--ship sftp://mill:s3same@host/a'),
+        ('--record', 'bags', '--record-options', "'--ship=s3://shop/a?key=s3same'"),
+    ],
+)
+def test_no_secret_reaches_a_unit(units, capsys, words):
+    """Everybody reads units, and the list of processes."""
+    assert install(*words) != 0
+    assert install(*words, '--dry-run') != 0
+    said = ''.join(capsys.readouterr())
+    assert 'expected a URL without a password' in said
+    assert 's3same' not in said
+    assert not units.exists()
+
+
 def test_units_are_shown_and_removed(units, capsys):
     assert install('--record', 'bags', '--page') == 0
     assert run(['service', 'show', '--machine', 'mill_1']) == 0
