@@ -3,6 +3,7 @@
 """`fuzzycnc up`: which nodes, with which parameters; back-off, giving up, what is shown."""
 
 import io
+import math
 import os
 from pathlib import Path
 
@@ -337,7 +338,7 @@ def test_elsewhere_only_changes_are_written():
         {'heard_at': 0.0},
         {'lifecycle': 'active'},
     ):
-        views['compensator'] = Said(**changes)
+        views['compensator'] = Said(**{'heard_at': math.inf, **changes})
         view.update(bench.processes, views)
     assert out.getvalue().splitlines() == [
         'mill/compensator: inactive',
@@ -345,6 +346,26 @@ def test_elsewhere_only_changes_are_written():
         'mill/compensator: state: ramping for 1 s',
         'mill/compensator: no error any more',
         'mill/compensator: active',
+    ]
+
+
+def test_elsewhere_silence_is_written():
+    """A node that was stopped says nothing itself, and the others only that they miss it."""
+    bench = Bench(NodeSpec('compensator'), NodeSpec('sensor_selector'))
+    out = io.StringIO()
+    view = View(Console(file=out, width=100))
+    views = Views(compensator=Said(heard_at=math.inf))
+    for heard_at in (math.inf, 10.0, 10.0, math.inf, 10.0):
+        views['sensor_selector'] = Said(heard_at=heard_at)
+        view.update(bench.processes, views)
+    bench.graph.codes['sensor_selector'] = -9
+    bench.supervisor.poll(0.0)
+    view.update(bench.processes, views)
+    silent = 'mill/sensor_selector: silent, though its process runs: it hangs, was stopped, or the'
+    assert [line[: len(silent)] for line in out.getvalue().splitlines()] == [
+        silent,
+        'mill/sensor_selector: heard again',
+        silent,
     ]
 
 
