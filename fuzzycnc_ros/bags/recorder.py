@@ -8,6 +8,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -564,6 +565,20 @@ class RecordingThread:
         self._gap.stop = max(self._gap.stop, log_time)
 
     def _run(self) -> None:
+        try:
+            error = self._work()
+        except Exception as fault:  # else nobody would write, and nobody would know
+            error = self._writer.fail(fault)
+        if error is None:
+            return
+        with self._lock:
+            self._error = error
+            self._drop_queue()
+        if self._on_error is not None:
+            self._on_error(error)
+
+    def _work(self) -> BagError | None:
+        """Write what comes until all is written; return why no more can be."""
         while True:
             with self._lock:
                 if (self._paused or not self._queue) and not self._stopping:
@@ -574,25 +589,20 @@ class RecordingThread:
                 continue
             with self._lock:
                 size = 0 if self._paused else min(_BATCH, len(self._queue))
-                batch = [self._queue.popleft() for _ in range(size)]
+                batch = list(islice(self._queue, size))
                 if error is None and stopping and not batch:
                     self._drop_queue()  # empty, unless the disk has no room
-                    return
+                    return None
             written = 0
             if error is None:
                 written, error = self._write(batch)
             with self._lock:
-                for item in batch[:written]:
+                for _ in range(written):
+                    item = self._queue.popleft()
                     self._counts[item.topic].written += 1
                     self._pending_bytes -= len(item.payload)
-                self._queue.extendleft(reversed(batch[written:]))
-                if error is not None:
-                    self._error = error
-                    self._drop_queue()
             if error is not None:
-                if self._on_error is not None:
-                    self._on_error(error)
-                return
+                return error
 
     def _write(self, batch: list[_Item]) -> tuple[int, BagError | None]:
         """Write a batch; return how many messages were written and why no more."""

@@ -4,6 +4,7 @@
 
 import errno
 import json
+import re
 import threading
 
 import pytest
@@ -279,6 +280,34 @@ def test_error_of_the_thread_surfaces(tmp_path, monkeypatch):
         thread.close()
     progress = thread.progress()
     assert progress.received == progress.written + progress.topics['/a'].dropped
+    assert progress.pending == progress.pending_bytes == 0
+    monkeypatch.undo()
+    assert repair(tmp_path / 'bag', tmp_path / 'repaired').damage
+
+
+@pytest.mark.parametrize(
+    ('fault', 'says'),
+    [(MemoryError(), 'there is not enough memory'), (LookupError('x'), "found LookupError('x')")],
+)
+def test_whatever_ends_the_thread_surfaces(tmp_path, monkeypatch, fault, says):
+    """Else the recorder would go on, all is well by its reports, and nobody writes."""
+    thread = RecordingThread(BagWriter(tmp_path / 'bag'))
+    thread.add_topic('/a', NUMBER)
+    failed = threading.Event()
+    monkeypatch.setattr(thread, '_on_error', lambda error: failed.set())
+
+    def refuse(sink, data):
+        raise fault
+
+    monkeypatch.setattr('fuzzycnc_ros.bags.writer.Sink.write', refuse)
+    for k in range(3):
+        thread.put('/a', bytes(100_000), k)
+    assert failed.wait(60.0)
+    assert thread.failed
+    with pytest.raises(BagWriteError, match=re.escape(says)):
+        thread.close()
+    progress = thread.progress()
+    assert progress.received == progress.written + progress.topics['/a'].dropped == 3
     assert progress.pending == progress.pending_bytes == 0
     monkeypatch.undo()
     assert repair(tmp_path / 'bag', tmp_path / 'repaired').damage
