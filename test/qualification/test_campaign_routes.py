@@ -135,7 +135,7 @@ def test_only_the_messages_of_one_topic_are_falsified():
 
 
 def test_a_scenario_lasts_until_something_was_falsified():
-    """A pattern is sent every few seconds: on a busy computer none came while values were wrong."""
+    """A pattern comes every few seconds: on a busy computer none came in the time it was."""
 
     class Live:
         relay = SimpleNamespace(fault=None)

@@ -4,6 +4,7 @@
 
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -22,6 +23,16 @@ STOP_TIMEOUT = 10.0
 
 COMPOSED = 'composed'
 """Name of a process that holds several nodes."""
+
+STARVED = (
+    'MemoryError',
+    'std::bad_alloc',
+    'failed to map segment',
+    'Cannot allocate memory',
+    'pthread_create failed',
+    "can't start new thread",
+)
+"""What Python, the loader and the middleware write where a process gets no more memory."""
 
 
 def parameter_file(folder: Path, namespace: str, specs: Sequence[NodeSpec]) -> Path:
@@ -88,6 +99,7 @@ class GraphProcesses:
         self._environment = {**os.environ, TAKEOVER: '1', **(environment or {})}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._asked: set[str] = set()  # to end, by us
+        self._begun: dict[str, int] = {}  # where in its output the newest life of a node begins
 
     def __enter__(self) -> 'GraphProcesses':
         """Return the graph."""
@@ -124,6 +136,7 @@ class GraphProcesses:
         command += self.arguments(*specs)
         self._asked.discard(name)
         with self.log(name).open('ab' if name in self._processes else 'wb') as log:
+            self._begun[name] = log.tell()
             self._processes[name] = subprocess.Popen(
                 command,
                 stdout=log,
@@ -229,8 +242,20 @@ class GraphProcesses:
         return {}
 
     def last_words(self, name: str) -> str:
-        """Return the last line that a node wrote."""
-        return (self._lines(name) or ['it wrote nothing'])[-1]
+        """Return why a node ended as it said itself: its last line, unless it got no memory."""
+        return self.starved(name) or (self._lines(name) or ['it wrote nothing'])[-1]
+
+    def starved(self, name: str) -> str:
+        """Return in words that the newest life of a node got no more memory; empty if it did."""
+        told = self.log(name).read_bytes()[self._begun[name] :].decode(errors='replace')
+        if not any(sign in told for sign in STARVED):
+            return ''
+        # The nodes have inherited it.
+        most = resource.getrlimit(resource.RLIMIT_AS)[0]
+        limit = 'end other programs'
+        if most != resource.RLIM_INFINITY:
+            limit = f'it may have {most / 1e6:.0f} MB; allow more, see `ulimit -v`'
+        return f'there was not enough memory; {limit}'
 
     def _lines(self, name: str) -> list[str]:
         return self.log(name).read_text(errors='replace').strip().splitlines()

@@ -156,8 +156,8 @@ class Supervisor:
         self._tell(f'{process.title} runs as process {process.graph.pid(process.name)}')
 
     def _ended(self, process: Supervised, code: int, now: float) -> None:
-        words = process.graph.last_words(process.name)
-        process.reason = _cause(code) if code <= 0 else f'{_cause(code)}: {words}'
+        told = process.graph.last_words if code > 0 else process.graph.starved
+        process.reason = ': '.join(filter(None, (_cause(code), told(process.name))))
         process.ends.append(process.reason)
         if process.makes_time:
             if code:
