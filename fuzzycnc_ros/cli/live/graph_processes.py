@@ -61,6 +61,11 @@ def process_name(specs: Sequence[NodeSpec]) -> str:
     return specs[0].name if len(specs) == 1 else COMPOSED
 
 
+def node_title(machine: str, name: str) -> str:
+    """Return the name of a node or process for people; the live page belongs to no machine."""
+    return f'{machine}/{name}' if machine else name
+
+
 class GraphProcesses:
     """The nodes of a graph, each in a process of its own.
 
@@ -242,12 +247,15 @@ class GraphProcesses:
         return {}
 
     def last_words(self, name: str) -> str:
-        """Return why a node ended as it said itself: its last line, unless it got no memory."""
-        return self.starved(name) or (self._lines(name) or ['it wrote nothing'])[-1]
+        """Return why a node ended as it said itself: its newest error, or its last line."""
+        lines = self._newest(name).strip().splitlines()
+        # A recorder says at last what is in its bag.
+        errors = [line for line in lines if line.startswith('error: ')]
+        return self.starved(name) or (errors or lines or ['it wrote nothing'])[-1]
 
     def starved(self, name: str) -> str:
         """Return in words that the newest life of a node got no more memory; empty if it did."""
-        told = self.log(name).read_bytes()[self._begun[name] :].decode(errors='replace')
+        told = self._newest(name)
         if not any(sign in told for sign in STARVED):
             return ''
         # The nodes have inherited it.
@@ -256,6 +264,10 @@ class GraphProcesses:
         if most != resource.RLIM_INFINITY:
             limit = f'it may have {most / 1e6:.0f} MB; allow more, see `ulimit -v`'
         return f'there was not enough memory; {limit}'
+
+    def _newest(self, name: str) -> str:
+        """Return what the newest life of a node has written."""
+        return self.log(name).read_bytes()[self._begun[name] :].decode(errors='replace')
 
     def _lines(self, name: str) -> list[str]:
         return self.log(name).read_text(errors='replace').strip().splitlines()

@@ -95,15 +95,18 @@ def supervise(
     graphs: Sequence[GraphProcesses],
     plans: Sequence[Plan],
     manager: 'ServiceManager',
+    page: tuple[GraphProcesses, NodeSpec] | None,
 ) -> dict[str, Any]:
     """Run the processes of some graphs until they are over or interrupted; return how it went.
 
     The service manager, if there is one, learns when all nodes have reported, and as long as they
-    do.
+    do.  A live page beside them is started again like a node, but nothing depends on it.
     """
     with View(console) as view:
         supervisor = Supervisor(view.tell, monitor)
         try:
+            if page is not None:
+                supervisor.start(page[0], [page[1]], beside=True)
             _bring_up(supervisor, monitor, view, graphs, plans)
             view.tell(f'all started: {_names(supervisor)}; Ctrl-C ends them')
             while not supervisor.over:
@@ -145,6 +148,8 @@ def silent_nodes(processes: Sequence[Supervised], monitor: 'Monitor', now: float
     """
     found = []
     for process in processes:
+        if process.beside:
+            continue
         if process.state is State.GIVEN_UP:
             found.append(process.title)
         if process.state is not State.RUNNING:

@@ -12,6 +12,7 @@ from rich.live import Live
 from rich.table import Table
 
 from fuzzycnc_ros.cli.background_output import BackgroundOutput
+from fuzzycnc_ros.cli.live.graph_processes import node_title
 from fuzzycnc_ros.cli.live.supervision import State, Supervised
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.runtime.component import Level
@@ -38,7 +39,7 @@ def row(process: Supervised, node: str, view: 'NodeView', now: float) -> tuple[s
     running = process.state is State.RUNNING and not view.silent(now)
     activity = view.activity if running else {}
     cells = (
-        f'{process.graph.machine}/{node}',
+        node_title(process.graph.machine, node),
         state,
         str(process.restarts or ''),
         activity.get('rate [1/s]', ''),
@@ -126,7 +127,7 @@ class View:
             if process.state is not State.RUNNING:
                 continue  # how it ended has been told, and what is known of it is of before
             for spec in process.specs:
-                name = f'{process.graph.machine}/{spec.name}'
+                name = node_title(process.graph.machine, spec.name)
                 view = monitor.view(process.graph.machine, spec.name)
                 error = view.trouble[0] if view.level is Level.ERROR else ''
                 managed = 'autostart' in spec.parameters

@@ -119,6 +119,21 @@ def test_old_restarts_do_not_count():
     )
 
 
+def test_what_is_beside_the_run_is_started_again_and_never_ends_it():
+    """The live page: not by its death, not by refused parameters, not by being given up."""
+    bench = Bench(NodeSpec('compensator'))
+    page = bench.supervisor.start(bench.graph, [NodeSpec('dashboard')], beside=True)
+    bench.processes.append(page)
+    assert bench.end('dashboard', 1) == 0.5
+    assert bench.end('dashboard', 2) is None
+    assert page.state is State.GIVEN_UP
+    assert (bench.supervisor.given_up, bench.supervisor.over) == ([], False)
+    refused = bench.supervisor.start(bench.graph, [NodeSpec('dashboard')], beside=True)
+    bench.graph.codes['dashboard'] = 2
+    bench.supervisor.poll(bench.now)
+    assert refused.state is State.GIVEN_UP
+
+
 def test_others_are_left_alone():
     bench = Bench(NodeSpec('thermal_predictor'), NodeSpec('compensator'))
     bench.end('thermal_predictor', -9)
