@@ -255,6 +255,36 @@ def test_memory_is_bounded_and_what_does_not_fit_is_counted(tmp_path):
         assert [m.message.data for m in reader.messages()] == list(range(10))
 
 
+def test_who_announces_topics_and_models_does_not_wait_for_the_disk(tmp_path):
+    """It is the thread that takes messages: while it waits they are lost elsewhere."""
+    writer = SlowWriter(tmp_path / 'bag')
+    thread = RecordingThread(writer)
+    thread.add_topic('/a', NUMBER)
+    thread.put('/a', payload(0), 0)
+    assert writer.busy.wait(60.0)
+    done = threading.Event()
+
+    def announce():
+        thread.add_topic('/b', NUMBER)
+        thread.attach('model.json', '{}')
+        thread.put('/b', payload(1), 1)
+        done.set()
+
+    threading.Thread(target=announce, daemon=True).start()
+    announced = done.wait(10.0)
+    behind = thread.progress().behind
+    writer.go_on.set()
+    assert announced
+    assert behind > 0.0
+    assert thread.close().written == 2
+    assert thread.progress().behind == 0.0
+    with BagReader(tmp_path / 'bag') as reader:
+        assert [m.topic for m in reader.messages()] == ['/a', '/b']
+        assert reader.attachments()['model.json'].data == b'{}'
+    with pytest.raises(BagWriteError, match='expected an open bag'):
+        thread.attach('model.json', '{}')
+
+
 def test_error_of_the_thread_surfaces(tmp_path, monkeypatch):
     errors = []
     failed = threading.Event()
