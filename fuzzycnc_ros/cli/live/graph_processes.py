@@ -222,9 +222,9 @@ class GraphProcesses:
         """Ask nodes to end, all if none is named; kill those that do not."""
         self.wait_ended(self.interrupt(*names))
 
-    def wait_ended(self, names: Sequence[str]) -> None:
-        """Wait for nodes that were asked to end; kill those that do not in time."""
-        until = time.monotonic() + STOP_TIMEOUT
+    def wait_ended(self, names: Sequence[str], timeout: float = STOP_TIMEOUT) -> None:
+        """Wait for nodes that were asked to end; kill those that do not in time [s]."""
+        until = time.monotonic() + timeout
         for name in names:
             process = self._processes[name]
             try:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bring graphs up in order, watch them until they are over or interrupted, take them down."""
 
+import signal
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from fuzzycnc_ros.cli.bags.recording_loss import LACKING, loss
-from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, process_name
+from fuzzycnc_ros.cli.live.graph_processes import STOP_TIMEOUT, GraphProcesses, process_name
 from fuzzycnc_ros.cli.live.supervision import State, Supervised, Supervisor
 from fuzzycnc_ros.cli.live.supervision_view import View
 from fuzzycnc_ros.ros.bring_up import (
@@ -34,6 +35,9 @@ DECIDED = 6.0
 SPOKE = 4.0
 """Wall time [s] since its newest report for a node that is alive: it reports every second, a busy
 computer permitting."""
+
+CLOSED = 30.0
+"""Wall time [s] that recorders get for what waits for their disk, when all others have ended."""
 
 COMING_BACK = 30.0
 """Wall time [s] in which a node that was started anew reports, also on a busy computer."""
@@ -226,7 +230,7 @@ def _end(graphs: Sequence[GraphProcesses]) -> None:
             if late or name != 'recorder'
         ]
         for graph, names in asked:
-            graph.wait_ended(names)
+            graph.wait_ended(names, CLOSED if late else STOP_TIMEOUT)
 
 
 def _lacking(supervisor: Supervisor) -> list[str]:
@@ -237,7 +241,14 @@ def _lacking(supervisor: Supervisor) -> list[str]:
             continue
         code = process.graph.poll().get(process.name)
         reasons = list(process.ends)
-        if code and process.state is State.RUNNING:  # it was asked to end, and failed
+        if code == -signal.SIGKILL and process.state is State.RUNNING:
+            bags = ', '.join(f'{bag}' for bag in _bags(process))
+            found.append(
+                f'{process.title} did not close its bag within {CLOSED:g} s and was killed, the '
+                'disk was too slow: the recording lacks what came last; make it whole with '
+                f'`fuzzycnc info {bags} --repair`'
+            )
+        elif code and process.state is State.RUNNING:  # it was asked to end, and failed
             reasons.append(f'ended with code {code}: {process.graph.last_words(process.name)}')
         if reasons:
             found.append(f'{process.title} {reasons[0]}: the recording lacks what came then')
@@ -249,11 +260,17 @@ def _losses(process: Supervised) -> list[str]:
     """Return what the newest bag of a recorder says that it lacks."""
     from fuzzycnc_ros.bags.errors import BagError
 
-    bags = [spec.parameters['output'] for spec in process.specs if spec.name == 'recorder']
     try:
-        return [text for text in (loss(Path(str(bag))) for bag in bags) if text]
+        return [text for text in map(loss, _bags(process)) if text]
     except BagError:
         return []  # torn or not begun; why was said above
+
+
+def _bags(process: Supervised) -> list[Path]:
+    """Return the newest bags of a process."""
+    return [
+        Path(str(spec.parameters['output'])) for spec in process.specs if spec.name == 'recorder'
+    ]
 
 
 def _names(supervisor: Supervisor) -> str:
