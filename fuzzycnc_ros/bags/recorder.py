@@ -5,13 +5,15 @@
 import json
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fuzzycnc_ros.bags.errors import BagError, BagTypeError
+from fuzzycnc_ros.bags.errors import BagError, BagTopicError, BagTypeError, BagWriteError
 from fuzzycnc_ros.bags.metadata import Profiles, Qos
 from fuzzycnc_ros.bags.shipping import Shipper
 from fuzzycnc_ros.bags.writer import BagWriter, ClosedPart, not_announced
@@ -80,6 +82,8 @@ class Progress:
         Messages that wait for the thread.
     pending_bytes : int
         Their size [bytes].
+    behind : float
+        Wall time for which the oldest of them has waited [s].
     error : str
         Why nothing more is written; empty while all is well.
     paused : str
@@ -95,6 +99,7 @@ class Progress:
     topics: dict[str, TopicProgress] = field(default_factory=dict)
     pending: int = 0
     pending_bytes: int = 0
+    behind: float = 0.0
     error: str = ''
     paused: str = ''
     parts: int = 1
@@ -139,6 +144,8 @@ class _Item(NamedTuple):
     publish_time: int
     sequence: int
     publisher: Hashable
+    taken: float
+    """Monotonic time [s]."""
 
 
 @dataclass
@@ -339,6 +346,8 @@ class RecordingThread:
         self._pending_max = pending_max
         self._on_error = on_error
         self._queue: deque[_Item] = deque()
+        self._jobs: deque[Callable[[], None]] = deque()
+        self._types: dict[str, str] = {}
         self._pending_bytes = 0
         self._counts: dict[str, _Counts] = {}
         self._unknown_types: dict[str, str] = {}
@@ -346,7 +355,6 @@ class RecordingThread:
         self._stopping = False
         self._closed = False
         self._lock = threading.Lock()  # guards the queue and all counts
-        self._writing = threading.Lock()  # guards the writer
         self._ready = threading.Condition(self._lock)
         self._thread = threading.Thread(target=self._run, name='bag-writer', daemon=True)
         self._thread.start()
@@ -378,12 +386,18 @@ class RecordingThread:
         BagWriteError
             If the bag cannot be written.
         """
-        with self._writing:
+
+        def announce() -> None:
             try:
                 self._writer.add_topic(name, type_name, qos)
             except BagTypeError as error:
                 self._writer.add_topic(name, type_name, qos, definition='', encoding='')
                 self._unknown_types[type_name] = str(error)
+
+        known = self._types.setdefault(name, type_name)
+        if known != type_name:
+            raise BagTopicError(f'{name}: expected type {known} but found {type_name}')
+        self._do_soon(announce)
         with self._lock:
             self._counts.setdefault(name, _Counts(SequenceCounter(publishers)))
 
@@ -440,7 +454,9 @@ class RecordingThread:
             if self._gap is not None:
                 self._gap.stop, self._gap, self._gap_told = log_time, None, False
             sent = log_time if publish_time is None else publish_time
-            self._queue.append(_Item(topic, payload, log_time, sent, sequence or 0, sender))
+            self._queue.append(
+                _Item(topic, payload, log_time, sent, sequence or 0, sender, time.monotonic())
+            )
             self._pending_bytes += len(payload)
             if len(self._queue) == 1:
                 self._ready.notify()
@@ -454,8 +470,19 @@ class RecordingThread:
         BagWriteError
             If the bag cannot be written.
         """
-        with self._writing:
-            self._writer.attach(name, content, media_type, repeat=True)
+        self._do_soon(lambda: self._writer.attach(name, content, media_type, repeat=True))
+
+    def _do_soon(self, job: Callable[[], None]) -> None:
+        """Have the thread do something to the bag, before it writes what is put later.
+
+        Who calls it takes messages: it must not wait for a slow disk.
+        """
+        self.check()
+        with self._lock:
+            if self._stopping:
+                raise BagWriteError(f'{self._writer.path}: expected an open bag but it was closed')
+            self._jobs.append(job)
+            self._ready.notify()
 
     def progress(self) -> Progress:
         """Return how far the recording has come."""
@@ -464,6 +491,7 @@ class RecordingThread:
                 topics={name: counts.snapshot() for name, counts in self._counts.items()},
                 pending=len(self._queue),
                 pending_bytes=self._pending_bytes,
+                behind=time.monotonic() - self._queue[0].taken if self._queue else 0.0,
                 error=str(self._error or ''),
                 paused=self._paused,
                 parts=self._parts,
@@ -520,11 +548,10 @@ class RecordingThread:
         if not self._closed:
             self._closed = True
             try:
-                with self._writing:
-                    if self._error is None:
-                        self._attach_report(facts or {})
-                    self._writer.close()
-                    self._hand_on()
+                if self._error is None:
+                    self._attach_report(facts or {})
+                self._writer.close()
+                self._hand_on()
             finally:
                 if self._shipper is not None:
                     self._notices.extend(Notice(True, text) for text in self._shipper.close())
@@ -564,68 +591,87 @@ class RecordingThread:
         self._gap.stop = max(self._gap.stop, log_time)
 
     def _run(self) -> None:
+        try:
+            error = self._work()
+        except Exception as fault:  # else nobody would write, and nobody would know
+            error = self._writer.fail(fault)
+        if error is None:
+            return
+        with self._lock:
+            self._error = error
+            self._drop_queue()
+        if self._on_error is not None:
+            self._on_error(error)
+
+    def _work(self) -> BagError | None:
+        """Write what comes until all is written; return why no more can be."""
         while True:
             with self._lock:
-                if (self._paused or not self._queue) and not self._stopping:
+                waits = self._paused or not self._queue
+                if waits and not self._jobs and not self._stopping:
                     self._ready.wait(_WAKE)
                 stopping = self._stopping
-            error = self._keep_house()
+            error = self._do_jobs() or self._keep_house()
             if error is None and self._paused and not stopping:
                 continue
             with self._lock:
                 size = 0 if self._paused else min(_BATCH, len(self._queue))
-                batch = [self._queue.popleft() for _ in range(size)]
-                if error is None and stopping and not batch:
+                # What was announced in the meantime may have messages that wait.
+                batch = [] if self._jobs else list(islice(self._queue, size))
+                if error is None and stopping and not batch and not self._jobs:
                     self._drop_queue()  # empty, unless the disk has no room
-                    return
+                    return None
             written = 0
             if error is None:
                 written, error = self._write(batch)
             with self._lock:
-                for item in batch[:written]:
+                for _ in range(written):
+                    item = self._queue.popleft()
                     self._counts[item.topic].written += 1
                     self._pending_bytes -= len(item.payload)
-                self._queue.extendleft(reversed(batch[written:]))
-                if error is not None:
-                    self._error = error
-                    self._drop_queue()
             if error is not None:
-                if self._on_error is not None:
-                    self._on_error(error)
-                return
+                return error
+
+    def _do_jobs(self) -> BagError | None:
+        """Do to the bag what was asked for; return why no more can be written."""
+        try:
+            while self._jobs:
+                self._jobs[0]()
+                self._jobs.popleft()
+        except BagError as error:
+            return error
+        return None
 
     def _write(self, batch: list[_Item]) -> tuple[int, BagError | None]:
         """Write a batch; return how many messages were written and why no more."""
         written = 0
-        with self._writing:
-            try:
-                for topic, payload, log_time, publish_time, sequence, publisher in batch:
-                    if self._unseen >= _LOOK and not self._has_room():
-                        break
-                    if self._writer.is_full(log_time):
-                        self._attach_report(self._facts())
-                        self._writer.split(log_time)
-                        self._parts = len(self._writer.closed_parts) + 1
-                        self._hand_on()
-                    self._writer.write(topic, log_time, publish_time, payload, sequence, publisher)
-                    self._unseen += len(payload)
-                    written += 1
-                self._writer.flush_if_due()
-            except BagError as error:
-                return written, error
+        try:
+            for topic, payload, log_time, publish_time, sequence, publisher, _ in batch:
+                if self._unseen >= _LOOK and not self._has_room():
+                    break
+                if self._writer.is_full(log_time):
+                    self._attach_report(self._facts())
+                    self._writer.split(log_time)
+                    self._parts = len(self._writer.closed_parts) + 1
+                    self._hand_on()
+                self._writer.write(topic, log_time, publish_time, payload, sequence, publisher)
+                self._unseen += len(payload)
+                written += 1
+            self._writer.flush_if_due()
+        except BagError as error:
+            return written, error
         return written, None
 
     def _keep_house(self) -> BagError | None:
         """Look at the disk and at the budget; return why no more can be written."""
-        with self._writing:
-            try:
-                if self._has_room() and not self._gap_told:
-                    self._attach_report(self._facts())
-                if self._budget:
-                    self._keep_budget()
-                self._writer.flush_if_due()
-            except BagError as error:
-                return error
+        try:
+            if self._has_room() and not self._gap_told:
+                self._attach_report(self._facts())
+            if self._budget:
+                self._keep_budget()
+            self._writer.flush_if_due()
+        except BagError as error:
+            return error
         return None
 
     def _has_room(self) -> bool:

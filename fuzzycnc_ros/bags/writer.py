@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writing a rosbag2 directory of MCAP files, such that a killed writer loses little."""
 
+import errno
 import os
 import pickle
 import re
@@ -615,12 +616,19 @@ class BagWriter:
         try:
             yield
         except OSError as error:
-            raise self._fail(error) from error
+            raise self.fail(error) from error
 
-    def _fail(self, error: OSError) -> BagWriteError:
+    def fail(self, error: Exception) -> BagWriteError:
+        """Write no more, whatever has happened; return the error that says so."""
         self._part.sink.keep_whole_records()
+        if isinstance(error, MemoryError):
+            error = OSError(errno.ENOMEM, '')
+        if isinstance(error, OSError):
+            reason = os_sentence(error, self.file)
+        else:
+            reason = f'{self.file}: expected to write on but found {error!r}'
         self._failure = (
-            f'{os_sentence(error, self.file)}; what was recorded before stays readable after '
+            f'{reason}; what was recorded before stays readable after '
             '`fuzzycnc info --repair`; then start a new bag'
         )
         return BagWriteError(self._failure)

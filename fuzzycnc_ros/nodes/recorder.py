@@ -21,7 +21,7 @@ from rclpy.serialization import deserialize_message
 from fuzzycnc_ros.bags.errors import BagError, BagWriteError
 from fuzzycnc_ros.bags.holes import HoleCounter, not_explained
 from fuzzycnc_ros.bags.metadata import Qos
-from fuzzycnc_ros.bags.recorder import Progress, RecordingThread
+from fuzzycnc_ros.bags.recorder import PENDING_MAX, Progress, RecordingThread
 from fuzzycnc_ros.bags.shipping import Shipper
 from fuzzycnc_ros.bags.uninterrupted import Interrupted, uninterrupted
 from fuzzycnc_ros.bags.writer import BagWriter
@@ -61,6 +61,8 @@ _NAMED = 3
 _STATE = 'machine_state'
 _SAMPLED = (Temperatures.TYPE, Displacement.TYPE, MachineState.TYPE)
 """Types of what is sampled evenly; the last one tells how machine time went on."""
+BEHIND = 5.0
+"""Wall time [s] that a message may wait for the disk; one that keeps up takes it within 1 s."""
 RECORDER_PATIENCE = 25.0
 """Wall time [s] a turn waits for announced messages; below the sequencer's own timeout."""
 
@@ -337,6 +339,13 @@ class RecorderNode(PlainNode[RecorderConfig]):
         health = [Health('bag', level, text, values)]
         if progress.paused:
             health.append(Health('disk', Level.ERROR, progress.paused))
+        if progress.behind > BEHIND and not progress.paused:
+            text = (
+                f'too slow for what comes: {progress.pending} messages, the oldest for '
+                f'{progress.behind:.0f} s, wait in memory, {progress.pending_bytes / 1e6:.3g} of '
+                f'{PENDING_MAX / 1e6:.3g} MB; a kill loses them; record to a faster disk'
+            )
+            health.append(Health('disk', Level.WARN, text))
         if progress.waiting:
             health.append(Health('ship', Level.WARN, progress.waiting))
         if progress.deleted:

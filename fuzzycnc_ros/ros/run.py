@@ -3,9 +3,11 @@
 """Start nodes, spin them, end cleanly; what they say, with control characters spelt out."""
 
 import faulthandler
+import resource
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Protocol
 
 import rclpy
@@ -34,8 +36,13 @@ from fuzzycnc_ros.ros.processes import (
 )
 from fuzzycnc_ros.ros.service_manager import ServiceManager
 
+MEGABYTE = 1e6
 LETTING_GO = 20
 """Wall time [s] that the middleware has for its part of the end; it takes 0.1 s, or forever."""
+
+
+NO_MEMORY = 1
+"""What a node ends with that gets no more memory: started again it begins with little."""
 
 
 def tell_error(error: object) -> None:
@@ -86,8 +93,9 @@ HostFactory = Callable[[], Served]
 def main(make: HostFactory, arguments: Sequence[str] | None = None) -> None:
     """Run one node until it is interrupted, asked to end, or done.
 
-    The process ends with 0 on SIGINT, SIGTERM and at the end of a programme, and with 2 and one
-    line on standard error if a parameter or argument is wrong.
+    The process ends with 0 on SIGINT, SIGTERM and at the end of a programme, with 2 and one line
+    on standard error if a parameter or argument is wrong, and with 1 and a line if it gets no more
+    memory.
     """
     end(run([make], arguments))
 
@@ -114,7 +122,7 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
     """Run nodes until a wish to end is heard or one is done; return the exit code."""
     hosts: list[Served] = []
     executor: SingleThreadedExecutor | None = None
-    refused = 0
+    failed = 0
     presence = Presence()
     manager = ServiceManager()
     try:
@@ -146,13 +154,16 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
             raise
     except ParameterError as error:
         tell_error(error)
-        refused = REFUSED
+        failed = REFUSED
+    except MemoryError:
+        tell_error(_no_memory())
+        failed = NO_MEMORY
     finally:
         manager.stopping()
         for host in reversed(hosts):
             host.stop()
         # What a node holds may fail to be written to its end: the code is known only now.
-        code = max([refused, *(host.exit_code for host in hosts)])
+        code = max([failed, *(host.exit_code for host in hosts)])
         sys.stdout.flush()
         with ending_within(LETTING_GO, code):
             # Ends the thread that wakes the executor: late on a busy computer, it would touch what
@@ -165,3 +176,16 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
             rclpy.try_shutdown()
             presence.leave()
     return code
+
+
+def _no_memory() -> str:
+    """Say that this process got no more memory, how much it has, and what helps."""
+    pages = int(Path('/proc/self/statm').read_text(encoding='ascii').split()[0])
+    size = pages * resource.getpagesize() / MEGABYTE
+    most = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if most == resource.RLIM_INFINITY:
+        return f'there is not enough memory; this process has {size:.0f} MB; end other programs'
+    return (
+        f'there is not enough memory: this process may have {most / MEGABYTE:.0f} MB and has '
+        f'{size:.0f} MB; allow more, see `ulimit -v`'
+    )

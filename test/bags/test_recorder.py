@@ -4,6 +4,7 @@
 
 import errno
 import json
+import re
 import threading
 
 import pytest
@@ -254,6 +255,36 @@ def test_memory_is_bounded_and_what_does_not_fit_is_counted(tmp_path):
         assert [m.message.data for m in reader.messages()] == list(range(10))
 
 
+def test_who_announces_topics_and_models_does_not_wait_for_the_disk(tmp_path):
+    """It is the thread that takes messages: while it waits they are lost elsewhere."""
+    writer = SlowWriter(tmp_path / 'bag')
+    thread = RecordingThread(writer)
+    thread.add_topic('/a', NUMBER)
+    thread.put('/a', payload(0), 0)
+    assert writer.busy.wait(60.0)
+    done = threading.Event()
+
+    def announce():
+        thread.add_topic('/b', NUMBER)
+        thread.attach('model.json', '{}')
+        thread.put('/b', payload(1), 1)
+        done.set()
+
+    threading.Thread(target=announce, daemon=True).start()
+    announced = done.wait(10.0)
+    behind = thread.progress().behind
+    writer.go_on.set()
+    assert announced
+    assert behind > 0.0
+    assert thread.close().written == 2
+    assert thread.progress().behind == 0.0
+    with BagReader(tmp_path / 'bag') as reader:
+        assert [m.topic for m in reader.messages()] == ['/a', '/b']
+        assert reader.attachments()['model.json'].data == b'{}'
+    with pytest.raises(BagWriteError, match='expected an open bag'):
+        thread.attach('model.json', '{}')
+
+
 def test_error_of_the_thread_surfaces(tmp_path, monkeypatch):
     errors = []
     failed = threading.Event()
@@ -279,6 +310,34 @@ def test_error_of_the_thread_surfaces(tmp_path, monkeypatch):
         thread.close()
     progress = thread.progress()
     assert progress.received == progress.written + progress.topics['/a'].dropped
+    assert progress.pending == progress.pending_bytes == 0
+    monkeypatch.undo()
+    assert repair(tmp_path / 'bag', tmp_path / 'repaired').damage
+
+
+@pytest.mark.parametrize(
+    ('fault', 'says'),
+    [(MemoryError(), 'there is not enough memory'), (LookupError('x'), "found LookupError('x')")],
+)
+def test_whatever_ends_the_thread_surfaces(tmp_path, monkeypatch, fault, says):
+    """Else the recorder would go on, all is well by its reports, and nobody writes."""
+    thread = RecordingThread(BagWriter(tmp_path / 'bag'))
+    thread.add_topic('/a', NUMBER)
+    failed = threading.Event()
+    monkeypatch.setattr(thread, '_on_error', lambda error: failed.set())
+
+    def refuse(sink, data):
+        raise fault
+
+    monkeypatch.setattr('fuzzycnc_ros.bags.writer.Sink.write', refuse)
+    for k in range(3):
+        thread.put('/a', bytes(100_000), k)
+    assert failed.wait(60.0)
+    assert thread.failed
+    with pytest.raises(BagWriteError, match=re.escape(says)):
+        thread.close()
+    progress = thread.progress()
+    assert progress.received == progress.written + progress.topics['/a'].dropped == 3
     assert progress.pending == progress.pending_bytes == 0
     monkeypatch.undo()
     assert repair(tmp_path / 'bag', tmp_path / 'repaired').damage

@@ -2,11 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What disturbs routes and values, and what strangers order."""
 
+from types import SimpleNamespace
+from typing import ClassVar
+
 import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
 
+from campaign.actions import falsify
 from campaign.corrupted_values import (
     DRIVE_FIELDS,
     FIELDS,
@@ -108,17 +112,49 @@ def test_routes_are_disturbed_by_seed():
     assert 0.0 < waits[0] < 1.0
 
 
+def payload_of(record):
+    """Return a record as it goes over the wire."""
+    from rclpy.serialization import serialize_message
+
+    from fuzzycnc_ros.ros.topics import RCLPY
+
+    return bytes(serialize_message(encode(record, RCLPY)))
+
+
 def test_only_the_messages_of_one_topic_are_falsified():
-    from rclpy.serialization import deserialize_message, serialize_message
+    from rclpy.serialization import deserialize_message
 
-    from fuzzycnc_ros.ros.topics import RCLPY, message_class
+    from fuzzycnc_ros.ros.topics import message_class
 
-    payload = bytes(serialize_message(encode(command(TICK), RCLPY)))
+    payload = payload_of(command(TICK))
     fault = Falsify('compensation', falsified(FIELDS['compensation'], 'jump'))
     assert fault.passed('other', payload) == [(0.0, payload)]
     ((_, content),) = fault.passed('compensation', payload)
     message = deserialize_message(content, message_class(Compensation.TYPE))
     np.testing.assert_allclose(message.offset, 1.005e-3)
+
+
+def test_a_scenario_lasts_until_something_was_falsified():
+    """A pattern comes every few seconds: on a busy computer none came in the time it was."""
+
+    class Live:
+        relay = SimpleNamespace(fault=None)
+        destroyed = 0
+        done: ClassVar[list[str]] = []
+
+        def until(self, condition, what):
+            assert not condition()
+            self.relay.fault.passed('compensation', payload_of(command(TICK)))
+            assert condition()
+            self.done.append('falsified')
+
+        def run(self, minutes):
+            self.done.append(f'{minutes:g} min')
+
+    live = Live()
+    falsify(FIELDS['compensation'], 'jump', minutes=2.0)(live)
+    assert live.done == ['falsified', '2 min']
+    assert live.relay.fault is None
 
 
 def test_the_relay_stands_between_publisher_and_readers():

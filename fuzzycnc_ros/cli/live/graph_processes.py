@@ -4,6 +4,7 @@
 
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -18,6 +19,16 @@ from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
 
 COMPOSED = 'composed'
 """Name of a process that holds several nodes."""
+
+STARVED = (
+    'MemoryError',
+    'std::bad_alloc',
+    'failed to map segment',
+    'Cannot allocate memory',
+    'pthread_create failed',
+    "can't start new thread",
+)
+"""What Python, the loader and the middleware write where a process gets no more memory."""
 
 
 def parameter_file(folder: Path, namespace: str, specs: Sequence[NodeSpec]) -> Path:
@@ -44,6 +55,11 @@ def ros_arguments(namespace: str, files: Sequence[Path]) -> list[str]:
 def process_name(specs: Sequence[NodeSpec]) -> str:
     """Return the name of the process that holds some nodes."""
     return specs[0].name if len(specs) == 1 else COMPOSED
+
+
+def node_title(machine: str, name: str) -> str:
+    """Return the name of a node or process for people; the live page belongs to no machine."""
+    return f'{machine}/{name}' if machine else name
 
 
 class GraphProcesses:
@@ -85,6 +101,7 @@ class GraphProcesses:
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._patience: dict[str, float] = {}  # s that each gets to end
         self._asked: set[str] = set()  # to end, by us
+        self._begun: dict[str, int] = {}  # where in its output the newest life of a node begins
 
     def __enter__(self) -> 'GraphProcesses':
         """Return the graph."""
@@ -122,6 +139,7 @@ class GraphProcesses:
         self._asked.discard(name)
         self._patience[name] = stop_timeout(spec.name for spec in specs)
         with self.log(name).open('ab' if name in self._processes else 'wb') as log:
+            self._begun[name] = log.tell()
             self._processes[name] = subprocess.Popen(
                 command,
                 stdout=log,
@@ -227,8 +245,27 @@ class GraphProcesses:
         return {}
 
     def last_words(self, name: str) -> str:
-        """Return the last line that a node wrote."""
-        return (self._lines(name) or ['it wrote nothing'])[-1]
+        """Return why a node ended as it said itself: its newest error, or its last line."""
+        lines = self._newest(name).strip().splitlines()
+        # A recorder says at last what is in its bag.
+        errors = [line for line in lines if line.startswith('error: ')]
+        return self.starved(name) or (errors or lines or ['it wrote nothing'])[-1]
+
+    def starved(self, name: str) -> str:
+        """Return in words that the newest life of a node got no more memory; empty if it did."""
+        told = self._newest(name)
+        if not any(sign in told for sign in STARVED):
+            return ''
+        # The nodes have inherited it.
+        most = resource.getrlimit(resource.RLIMIT_AS)[0]
+        limit = 'end other programs'
+        if most != resource.RLIM_INFINITY:
+            limit = f'it may have {most / 1e6:.0f} MB; allow more, see `ulimit -v`'
+        return f'there was not enough memory; {limit}'
+
+    def _newest(self, name: str) -> str:
+        """Return what the newest life of a node has written."""
+        return self.log(name).read_bytes()[self._begun[name] :].decode(errors='replace')
 
     def _lines(self, name: str) -> list[str]:
         return self.log(name).read_text(errors='replace').strip().splitlines()

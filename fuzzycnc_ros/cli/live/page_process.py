@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
-from fuzzycnc_ros.ros.bring_up import PAGE, GraphError, page_spec
+from fuzzycnc_ros.ros.bring_up import PAGE, GraphError, NodeSpec, page_spec
 
 LOOPBACK = '127.0.0.1'
 Page = Annotated[
@@ -30,12 +30,10 @@ NEEDED = ('starlette', 'uvicorn', 'websockets')
 
 
 @contextmanager
-def page_beside(
+def page_process(
     console: Console, port: int | None, record: Path | None = None, log: Path | None = None
-) -> Iterator[GraphProcesses | None]:
-    """Serve the live page while the block runs, and say where.
-
-    It is neither waited for nor started again: what it does never touches the machines.
+) -> Iterator[tuple[GraphProcesses, NodeSpec] | None]:
+    """Say where the live page is; yield its process, to be started, which ends with the block.
 
     Parameters
     ----------
@@ -62,9 +60,23 @@ def page_beside(
     port = port or DashboardConfig().port
     _check(port)
     with GraphProcesses('', folder=log) as page:
-        page.start(page_spec(port, record))
         console.print(f'live page: http://{LOOPBACK}:{port}/', soft_wrap=True)
-        yield page
+        yield page, page_spec(port, record)
+
+
+@contextmanager
+def page_beside(console: Console, port: int | None, record: Path, log: Path) -> Iterator[None]:
+    """Serve the live page while the block runs; it is not waited for.
+
+    Parameters and what it raises are those of `page_process`.
+    """
+    with page_process(console, port, record, log) as beside:
+        if beside is None:
+            yield
+            return
+        page, spec = beside
+        page.start(spec)
+        yield
         if page.poll().get(PAGE):
             console.print(f'the live page had ended: {page.last_words(PAGE)}', soft_wrap=True)
 

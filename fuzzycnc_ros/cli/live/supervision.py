@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
-from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, process_name
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, node_title, process_name
 from fuzzycnc_ros.ros.bring_up import TIME_SOURCES, GraphError, NodeSpec, RestartPolicy, again
 from fuzzycnc_ros.ros.processes import REFUSED
 
@@ -43,6 +43,8 @@ class Supervised:
 
     Attributes
     ----------
+    beside : bool
+        Whether it only serves people, as the live page does: the run does not depend on it.
     resume : set of str
         Managed nodes that are to become active when the process is started again.
     ends : list of str
@@ -56,6 +58,7 @@ class Supervised:
     graph: GraphProcesses
     specs: tuple[NodeSpec, ...]
     resume: set[str]
+    beside: bool = False
     state: State = State.RUNNING
     ends: list[str] = field(default_factory=list)
     begun: list[float] = field(default_factory=list)
@@ -71,7 +74,7 @@ class Supervised:
     @property
     def title(self) -> str:
         """Name for people."""
-        return f'{self.graph.machine}/{self.name}'
+        return node_title(self.graph.machine, self.name)
 
     @property
     def makes_time(self) -> bool:
@@ -99,10 +102,12 @@ class Supervisor:
         self._policy = policy or RestartPolicy()
         self.processes: list[Supervised] = []
 
-    def start(self, graph: GraphProcesses, specs: Sequence[NodeSpec]) -> Supervised:
-        """Start a process and watch it from now on."""
+    def start(
+        self, graph: GraphProcesses, specs: Sequence[NodeSpec], *, beside: bool = False
+    ) -> Supervised:
+        """Start a process and watch it from now on; one that is beside the run never ends it."""
         resume = {spec.name for spec in specs if spec.parameters.get('autostart')}
-        process = Supervised(graph, tuple(specs), resume)
+        process = Supervised(graph, tuple(specs), resume, beside)
         self.processes.append(process)
         self._run(process)
         return process
@@ -110,14 +115,16 @@ class Supervisor:
     @property
     def over(self) -> bool:
         """Whether all that make time have come to their end, or nothing is left to watch."""
-        makers = [item for item in self.processes if item.makes_time] or self.processes
+        own = [item for item in self.processes if not item.beside]
+        makers = [item for item in own if item.makes_time] or own
         done = (State.ENDED, State.GIVEN_UP)
         return bool(makers) and all(item.state in done for item in makers)
 
     @property
     def given_up(self) -> list[str]:
-        """Processes that are not started any more."""
-        return [item.title for item in self.processes if item.state is State.GIVEN_UP]
+        """Processes of the run that are not started any more."""
+        own = (item for item in self.processes if not item.beside)
+        return [item.title for item in own if item.state is State.GIVEN_UP]
 
     @property
     def restarts(self) -> dict[str, int]:
@@ -156,15 +163,15 @@ class Supervisor:
         self._tell(f'{process.title} runs as process {process.graph.pid(process.name)}')
 
     def _ended(self, process: Supervised, code: int, now: float) -> None:
-        words = process.graph.last_words(process.name)
-        process.reason = _cause(code) if code <= 0 else f'{_cause(code)}: {words}'
+        told = process.graph.last_words if code > 0 else process.graph.starved
+        process.reason = ': '.join(filter(None, (_cause(code), told(process.name))))
         process.ends.append(process.reason)
         if process.makes_time:
             if code:
                 raise GraphError(f'{process.title} {process.reason}')
             process.state = State.ENDED
             return
-        if code == REFUSED and not process.restarts:
+        if code == REFUSED and not process.restarts and not process.beside:
             raise GraphError(f'{process.title} {process.reason}')
         self._note_lifecycles(process)
         policy = self._policy

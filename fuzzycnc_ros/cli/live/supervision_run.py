@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bring graphs up in order, watch them until they are over or interrupted, take them down."""
 
+import signal
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ from fuzzycnc_ros.cli.live.supervision import State, Supervised, Supervisor
 from fuzzycnc_ros.cli.live.supervision_view import View
 from fuzzycnc_ros.ros.bring_up import (
     ACTIVE_TIMEOUT,
+    RECORDER_STOP,
     TIME_SOURCES,
     GraphError,
     NodeSpec,
@@ -95,15 +97,18 @@ def supervise(
     graphs: Sequence[GraphProcesses],
     plans: Sequence[Plan],
     manager: 'ServiceManager',
+    page: tuple[GraphProcesses, NodeSpec] | None,
 ) -> dict[str, Any]:
     """Run the processes of some graphs until they are over or interrupted; return how it went.
 
     The service manager, if there is one, learns when all nodes have reported, and as long as they
-    do.
+    do.  A live page beside them is started again like a node, but nothing depends on it.
     """
     with View(console) as view:
         supervisor = Supervisor(view.tell, monitor)
         try:
+            if page is not None:
+                supervisor.start(page[0], [page[1]], beside=True)
             _bring_up(supervisor, monitor, view, graphs, plans)
             view.tell(f'all started: {_names(supervisor)}; Ctrl-C ends them')
             while not supervisor.over:
@@ -145,6 +150,8 @@ def silent_nodes(processes: Sequence[Supervised], monitor: 'Monitor', now: float
     """
     found = []
     for process in processes:
+        if process.beside:
+            continue
         if process.state is State.GIVEN_UP:
             found.append(process.title)
         if process.state is not State.RUNNING:
@@ -232,7 +239,14 @@ def _lacking(supervisor: Supervisor) -> list[str]:
             continue
         code = process.graph.poll().get(process.name)
         reasons = list(process.ends)
-        if code and process.state is State.RUNNING:  # it was asked to end, and failed
+        if code == -signal.SIGKILL and process.state is State.RUNNING:
+            bags = ', '.join(f'{bag}' for bag in _bags(process))
+            found.append(
+                f'{process.title} did not close its bag within {RECORDER_STOP:g} s and was killed, the '
+                'disk was too slow: the recording lacks what came last; make it whole with '
+                f'`fuzzycnc info {bags} --repair`'
+            )
+        elif code and process.state is State.RUNNING:  # it was asked to end, and failed
             reasons.append(f'ended with code {code}: {process.graph.last_words(process.name)}')
         if reasons:
             found.append(f'{process.title} {reasons[0]}: the recording lacks what came then')
@@ -244,11 +258,17 @@ def _losses(process: Supervised) -> list[str]:
     """Return what the newest bag of a recorder says that it lacks."""
     from fuzzycnc_ros.bags.errors import BagError
 
-    bags = [spec.parameters['output'] for spec in process.specs if spec.name == 'recorder']
     try:
-        return [text for text in (loss(Path(str(bag))) for bag in bags) if text]
+        return [text for text in map(loss, _bags(process)) if text]
     except BagError:
         return []  # torn or not begun; why was said above
+
+
+def _bags(process: Supervised) -> list[Path]:
+    """Return the newest bags of a process."""
+    return [
+        Path(str(spec.parameters['output'])) for spec in process.specs if spec.name == 'recorder'
+    ]
 
 
 def _names(supervisor: Supervisor) -> str:

@@ -12,6 +12,7 @@ from rich.live import Live
 from rich.table import Table
 
 from fuzzycnc_ros.cli.background_output import BackgroundOutput
+from fuzzycnc_ros.cli.live.graph_processes import node_title
 from fuzzycnc_ros.cli.live.supervision import State, Supervised
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.runtime.component import Level
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 REFRESH = 2.0
 """Pictures of the table per second."""
+SILENCE = 'silent, though its process runs: it hangs, was stopped, or the computer is too busy'
 _STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'red', Level.STALE: 'red'}
 _STATES = {State.WAITING: 'starts again', State.GIVEN_UP: 'given up', State.ENDED: 'ended'}
 
@@ -37,7 +39,7 @@ def row(process: Supervised, node: str, view: 'NodeView', now: float) -> tuple[s
     running = process.state is State.RUNNING and not view.silent(now)
     activity = view.activity if running else {}
     cells = (
-        f'{process.graph.machine}/{node}',
+        node_title(process.graph.machine, node),
         state,
         str(process.restarts or ''),
         activity.get('rate [1/s]', ''),
@@ -112,22 +114,29 @@ class View:
         """Show how all is now."""
         now = time.monotonic()
         if self._live is None:
-            self._tell_changes(processes, monitor)
+            self._tell_changes(processes, monitor, now)
         elif now - self._drawn_at > 1.0 / REFRESH and not self._behind:
             self._drawn_at = now
             self._live.update(table(processes, monitor, now), refresh=True)
 
-    def _tell_changes(self, processes: Sequence[Supervised], monitor: 'Monitor') -> None:
-        """Write lifecycle states, errors that come up and that are over."""
+    def _tell_changes(
+        self, processes: Sequence[Supervised], monitor: 'Monitor', now: float
+    ) -> None:
+        """Write lifecycle states, silence and errors that come up and that are over."""
         for process in processes:
+            if process.state is not State.RUNNING:
+                continue  # how it ended has been told, and what is known of it is of before
             for spec in process.specs:
-                name = f'{process.graph.machine}/{spec.name}'
+                name = node_title(process.graph.machine, spec.name)
                 view = monitor.view(process.graph.machine, spec.name)
                 error = view.trouble[0] if view.level is Level.ERROR else ''
                 managed = 'autostart' in spec.parameters
+                silence = SILENCE if view.silent(now) else ''
+                heard = bool(view.heard_at)
                 for key, text, gone in (
+                    (f'{name} silence', silence, 'heard again' if heard else ''),
                     (f'{name} lifecycle', view.lifecycle if managed else '', ''),
-                    (f'{name} error', error, 'no error any more' if view.heard_at else ''),
+                    (f'{name} error', error, 'no error any more' if heard else ''),
                 ):
                     before = self._told.get(key, '')
                     # The figures of an error change all the time; what it is about does not.

@@ -21,7 +21,7 @@ from fuzzycnc_ros.cli.bags.keeping import (
 from fuzzycnc_ros.cli.completion import node_names, some_of
 from fuzzycnc_ros.cli.console import check_folder, check_ros, words, write_json
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
-from fuzzycnc_ros.cli.live.page_process import Page, page_beside
+from fuzzycnc_ros.cli.live.page_process import Page, page_process
 from fuzzycnc_ros.cli.live.supervision_run import check_free, supervise
 from fuzzycnc_ros.cli.options import DUTIES
 from fuzzycnc_ros.cli.terminal import Terminal
@@ -228,8 +228,8 @@ def up(
             presence = stack.enter_context(Presence())
             check_free(monitor, presence, dict(zip(machines, plans, strict=True)))
         console.print(BANNER, style='yellow', soft_wrap=True)
-        with page_beside(console, page, record):
-            outcome = supervise(console, monitor, graphs, plans, manager)
+        with page_process(console, page, record) as beside:
+            outcome = supervise(console, monitor, graphs, plans, manager, beside)
     outcome['wall_s'] = round(time.monotonic() - started, 3)
     console.print(
         f'ended after {outcome["wall_s"]:.0f} s'

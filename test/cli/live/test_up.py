@@ -3,6 +3,7 @@
 """`fuzzycnc up`: which nodes, with which parameters; back-off, giving up, what is shown."""
 
 import io
+import math
 import os
 import threading
 from pathlib import Path
@@ -43,6 +44,9 @@ class Processes:
 
     def last_words(self, name):
         return f'{name} said this'
+
+    def starved(self, name):
+        return ''
 
 
 class Lifecycles:
@@ -117,6 +121,21 @@ def test_old_restarts_do_not_count():
     assert (
         'ended with code 1: thermal_predictor said this; starts again in 0.5 s' in (bench.said[-2])
     )
+
+
+def test_what_is_beside_the_run_is_started_again_and_never_ends_it():
+    """The live page: not by its death, not by refused parameters, not by being given up."""
+    bench = Bench(NodeSpec('compensator'))
+    page = bench.supervisor.start(bench.graph, [NodeSpec('dashboard')], beside=True)
+    bench.processes.append(page)
+    assert bench.end('dashboard', 1) == 0.5
+    assert bench.end('dashboard', 2) is None
+    assert page.state is State.GIVEN_UP
+    assert (bench.supervisor.given_up, bench.supervisor.over) == ([], False)
+    refused = bench.supervisor.start(bench.graph, [NodeSpec('dashboard')], beside=True)
+    bench.graph.codes['dashboard'] = 2
+    bench.supervisor.poll(bench.now)
+    assert refused.state is State.GIVEN_UP
 
 
 def test_others_are_left_alone():
@@ -341,7 +360,7 @@ def test_elsewhere_only_changes_are_written():
         {'heard_at': 0.0},
         {'lifecycle': 'active'},
     ):
-        views['compensator'] = Said(**changes)
+        views['compensator'] = Said(**{'heard_at': math.inf, **changes})
         view.update(bench.processes, views)
     assert out.getvalue().splitlines() == [
         'mill/compensator: inactive',
@@ -349,6 +368,26 @@ def test_elsewhere_only_changes_are_written():
         'mill/compensator: state: ramping for 1 s',
         'mill/compensator: no error any more',
         'mill/compensator: active',
+    ]
+
+
+def test_elsewhere_silence_is_written():
+    """A node that was stopped says nothing itself, and the others only that they miss it."""
+    bench = Bench(NodeSpec('compensator'), NodeSpec('sensor_selector'))
+    out = io.StringIO()
+    view = View(Console(file=out, width=100))
+    views = Views(compensator=Said(heard_at=math.inf))
+    for heard_at in (math.inf, 10.0, 10.0, math.inf, 10.0):
+        views['sensor_selector'] = Said(heard_at=heard_at)
+        view.update(bench.processes, views)
+    bench.graph.codes['sensor_selector'] = -9
+    bench.supervisor.poll(0.0)
+    view.update(bench.processes, views)
+    silent = 'mill/sensor_selector: silent, though its process runs: it hangs, was stopped, or the'
+    assert [line[: len(silent)] for line in out.getvalue().splitlines()] == [
+        silent,
+        'mill/sensor_selector: heard again',
+        silent,
     ]
 
 

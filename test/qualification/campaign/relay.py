@@ -91,11 +91,14 @@ class Falsify:
 
     def __init__(self, topic: str, change: Any) -> None:
         self._topic, self._change = topic, change
+        self.struck = False
+        """Whether a record was changed."""
 
     def passed(self, topic: str, payload: bytes) -> list[tuple[float, bytes]]:
         """Return the message, changed where it is one of that topic."""
         if topic != self._topic:
             return [(0.0, payload)]
+        self.struck = True
         if topic == CLOCK:
             kind = message_class(_CLOCK_TYPE)
             return [
