@@ -316,14 +316,3 @@ def grouped_folds(
     fold = np.empty(len(names), dtype=np.int64)
     fold[rng.permutation(len(names))] = np.arange(len(names)) % min(count, len(names))
     return [fold[group.ravel()] == number for number in range(min(count, len(names)))]
-
-
-def grouped_split(
-    groups: NDArray[np.int64], held_out: int, rng: np.random.Generator
-) -> NDArray[np.bool_]:
-    """Return the mask of about `held_out` rows in whole groups, drawn at random."""
-    names, group = np.unique(groups, return_inverse=True)
-    size = np.bincount(group.ravel())
-    order = rng.permutation(len(names))
-    taken = order[np.cumsum(size[order]) <= held_out]
-    return np.asarray(np.isin(group.ravel(), taken))
