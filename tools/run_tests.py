@@ -4,8 +4,9 @@
 """Run a tier of the tests, part by part, and show how long each part took.
 
 A tier has two parts: what keeps no time of its own runs on all processors, what runs in real time
-runs alone, one test after another.  Times are given in seconds and as a ratio to a fixed
-computation of the same run, which tells a slow machine from a slow suite.
+runs alone, one test after another.  Up to five tests that fail are run once more, alone: a part
+is `unsteady` if they pass then, and they are named.  Times are given in seconds and as a ratio to
+a fixed computation of the same run, which tells a slow machine from a slow suite.
 
 Usage: tools/run_tests.py fast|slow|qualify [PYTEST ARGUMENT...]
        tools/run_tests.py table
@@ -13,6 +14,7 @@ Usage: tools/run_tests.py fast|slow|qualify [PYTEST ARGUMENT...]
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import signal
@@ -30,8 +32,11 @@ TIERS = {
 }
 ON_ALL_CORES = ('-n', str(min(len(os.sched_getaffinity(0)) + 1, 8)), '--dist', 'worksteal')
 """One worker more than there are processors: tests that wait for a process leave theirs idle."""
-NO_TESTS = 5
-"""Exit code of pytest where the expression leaves none."""
+PASSED, FAILED, NO_TESTS = 0, 1, 5
+"""Exit codes of pytest: the last where the expression leaves none."""
+AGAIN_MAX = 5
+"""Most failed tests of a part that are run again: more do not fail by chance."""
+LAST_FAILED = ROOT / '.pytest_cache' / 'v' / 'cache' / 'lastfailed'
 
 
 def yardstick() -> float:
@@ -70,19 +75,35 @@ def noted() -> list[tuple[str, str, float]]:
     return [(name, outcome, float(seconds)) for name, outcome, seconds in rows]
 
 
-def run(name: str, command: list[str]) -> int:
-    """Run a part; return the exit code of pytest."""
+def run(name: str, arguments: list[str]) -> int:
+    """Run a part, and once more what fails of it; return the exit code of pytest."""
     begin = time.monotonic()
+    LAST_FAILED.unlink(missing_ok=True)
+    code = pytest(arguments)
+    outcome = {PASSED: 'passed', NO_TESTS: 'no tests'}.get(code, 'failed')
+    failed = list(json.loads(LAST_FAILED.read_text())) if LAST_FAILED.is_file() else []
+    if code == FAILED and 0 < len(failed) <= AGAIN_MAX:
+        print(f'run_tests: once more, alone: {", ".join(failed)}', flush=True)
+        if pytest(failed) == PASSED:
+            code, outcome = PASSED, 'unsteady'
+            print(
+                f'run_tests: unsteady, to be mended: {", ".join(failed)} failed among others and '
+                'passed alone'
+            )
+    note(name, outcome, time.monotonic() - begin)
+    return code
+
+
+def pytest(arguments: list[str]) -> int:
+    """Run pytest; return its exit code."""
+    command = [sys.executable, '-m', 'pytest', '--timeout=600', *arguments]
     process = subprocess.Popen(command, cwd=ROOT)
     try:
-        code = process.wait()
+        return process.wait()
     except KeyboardInterrupt:
         process.send_signal(signal.SIGINT)  # asked to end alone: the tests still clean up
         process.wait()
         raise
-    outcome = {0: 'passed', NO_TESTS: 'no tests'}.get(code, 'failed')
-    note(name, outcome, time.monotonic() - begin)
-    return code
 
 
 def main(arguments: list[str]) -> int:
@@ -96,18 +117,17 @@ def main(arguments: list[str]) -> int:
     if not arguments or arguments[0] not in TIERS:
         sys.exit(f'run_tests: expected table, {", ".join(TIERS)} but found {arguments[:1]}')
     tier, more = arguments[0], arguments[1:]
-    pytest = [sys.executable, '-m', 'pytest', '--timeout=600', *more]
     marks = TIERS[tier]
     before = len(noted())
     parts = ((*ON_ALL_CORES, '-m', f'{marks} and not realtime'), ('-m', f'{marks} and realtime'))
     codes = {
-        run(f'{tier}, {how}', [*pytest, *options])
+        run(f'{tier}, {how}', [*more, *options])
         for how, options in zip(('on all cores', 'in real time'), parts, strict=True)
     }
     print(table(noted()[before:], yardstick()), flush=True)
     if codes == {NO_TESTS}:
         print(f'run_tests: expected tests of the tier {tier} but {" ".join(more)} leaves none')
-    return 0 if 0 in codes <= {0, NO_TESTS} else 1
+    return 0 if PASSED in codes <= {PASSED, NO_TESTS} else 1
 
 
 if __name__ == '__main__':

@@ -14,6 +14,8 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from fuzzycnc_ros.runtime.records import nanoseconds
+
 STEP = 1_000_000_000
 """Difference to the monotonic clock that is a step [ns]; less is followed slowly."""
 FOLLOWING = 0.1
@@ -67,6 +69,17 @@ class SteadyClock:
             clock, after = self._clock(), self._monotonic()
             if after - before < TOGETHER:
                 return clock, after
+
+
+SIMULATED_FASTER = 60
+"""How many times as far ahead a stamp may be where time is simulated: that goes hundreds of times
+as fast as the wall clock, and a node's clock is behind by what its messages take on the wall."""
+
+
+def stamp_ahead_max(node: Node) -> int:
+    """Return how far ahead of a node's clock a stamp may be [ns]; 0 if any distance is allowed."""
+    most = nanoseconds(node.get_parameter('stamp_ahead_max').value)
+    return most * SIMULATED_FASTER if node.get_parameter('use_sim_time').value else most
 
 
 def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Any:

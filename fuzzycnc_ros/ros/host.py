@@ -16,7 +16,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from fuzzycnc_ros.ros.clocks import SteadyClock, wall_timer
+from fuzzycnc_ros.ros.clocks import SteadyClock, stamp_ahead_max, wall_timer
 from fuzzycnc_ros.ros.command_watch import CommandWatch
 from fuzzycnc_ros.ros.health import Activity, diagnostic_array, input_health
 from fuzzycnc_ros.ros.parameters import ParameterError, changed, declare, refusal
@@ -55,7 +55,6 @@ from fuzzycnc_ros.runtime.provenance import (
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Record,
-    nanoseconds,
 )
 
 NOTICED = 3600.0
@@ -95,6 +94,7 @@ class ComponentNode:
         # Simulated time goes at any speed, stands and jumps: that is no fault of a clock.
         simulated = bool(node.get_parameter('use_sim_time').value)
         self._steady = None if simulated or self.makes_time else SteadyClock(self._clock_now)
+        self._ahead_max = stamp_ahead_max(node)
         self.troubles: dict[str, str] = {}
         """Faults of the host itself, reported on /diagnostics until they are over."""
         self._publishers: dict[str, Any] = {}
@@ -329,14 +329,14 @@ class ComponentNode:
         Taken, it would have the node work up to that time and drop all that comes until then.
         Where machine time has not begun nothing is known to be ahead of it.
         """
-        now, most = self.now(), nanoseconds(self.settings.stamp_ahead_max)
+        now, most = self.now(), self._ahead_max
         if self.settings.lockstep or not (now and most) or record.stamp <= now + most:
             return False
         return self._refuse(
             name,
             record,
-            f'stamp: expected at most {self.settings.stamp_ahead_max:g} s ahead of the clock but '
-            f'found {(record.stamp - now) / SECOND:.9g} s',
+            f'stamp: expected at most {most / SECOND:g} s ahead of the clock but found '
+            f'{(record.stamp - now) / SECOND:.9g} s; compare the clocks, and stamp_ahead_max',
         )
 
     def _refuse(self, name: str, record: Record, why: str) -> bool:

@@ -114,10 +114,10 @@ class HostConfig(ExecutorConfig):
         False, '-', 'Work only in turns given by a sequencer (simulated_machine)'
     )
     stamp_ahead_max: float = param(
-        3600.0,
+        60.0,
         's',
         'Time by which a stamp may be ahead of the clock of the node in real time before its '
-        'message is refused; 0 for any time',
+        'message is refused, 60 times as much with use_sim_time; 0 for any time',
         low=0.0,
         high=1e9,
     )

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A message from the far future is refused in real time, and the replay refuses it too."""
 
+import time
+
 import numpy as np
 import pytest
 from rosgraph_msgs.msg import Clock
@@ -32,8 +34,11 @@ def sensors(observer):
         def tell(self, second, ahead=0.0):
             self.clock.publish(Clock(clock=RCLPY.time(int(second * SECOND))))
             observer.settle('temperature_acquisition')
+            self.read(second + ahead)
+
+        def read(self, second):
             record = Temperatures(
-                stamp=int((second + ahead) * SECOND),
+                stamp=int(second * SECOND),
                 frame_id='mill/machine',
                 sensor=('T1',),
                 temperature=np.array([20.0]),
@@ -83,3 +88,22 @@ def test_one_message_from_the_future_blocks_nothing(graph, observer, sensors, tm
     report = replay(tmp_path / 'bag')
     assert report.identical, report.topics
     assert not report.notes
+
+
+def test_clock_of_a_source_half_an_hour_ahead(graph, observer, sensors):
+    """On the wall clock a reading would else be fresh for half an hour after its source died."""
+    observer.watch_diagnostics()
+    samples = observer.records('temperatures', Temperatures)
+    graph.start('temperature_acquisition', {'interval': 0.1})
+    observer.until(
+        lambda: sensors.readings.get_subscription_count() == 1 and observer.hears('temperatures')
+    )
+    item = 'mill/temperature_acquisition: sensor_readings'
+
+    def told():
+        sensors.read(time.time() + 1800.0)
+        return observer.told(item, 'expected at most 60 s ahead of the clock but found 1')
+
+    observer.until(told, 'word of the refused readings')
+    assert not samples
+    observer.until(lambda: (sensors.read(time.time() + 1.0), samples)[1], 'a good reading')

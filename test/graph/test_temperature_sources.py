@@ -122,7 +122,7 @@ def test_readings_that_are_not_used_are_counted(graph, observer, plc):
             'reading_period': PERIOD,
             'interval': 4.0,
             'use_sim_time': True,
-            'stamp_ahead_max': 60.0,
+            'stamp_ahead_max': 1.0,
         },
     )
     observer.watch_diagnostics()

@@ -13,11 +13,11 @@ from sensor_msgs.msg import Temperature
 
 from fuzzycnc_ros.adapters.readings.source import Readings, Source
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisitionConfig
+from fuzzycnc_ros.ros.clocks import stamp_ahead_max
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.topics import SUBSCRIPTION_DEPTH
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.convert import stamp_of
-from fuzzycnc_ros.runtime.records import nanoseconds
 
 UNUSED = {
     'without a stamp': 'have its driver fill in header.stamp',
@@ -49,7 +49,7 @@ class TemperatureTopics(Source):
     def __init__(self, node: Node, config: TemperatureAcquisitionConfig, frame_id: str) -> None:
         topics = _named_topics(config.temperature_topics)
         self._node, self._topics = node, topics
-        self._ahead_max = nanoseconds(node.get_parameter('stamp_ahead_max').value)
+        self._ahead_max = stamp_ahead_max(node)
         self._counts: dict[str, Counter[str]] = {name: Counter() for name in topics}
         self._readings = Readings(node, list(topics), frame_id)
         self._index = {name: index for index, name in enumerate(topics)}
