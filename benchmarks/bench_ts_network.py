@@ -9,9 +9,12 @@ ours, and the most accurate one if none is.  Run with `python benchmarks/bench_t
 """
 
 import os
+import sys
+from pathlib import Path
 
 # One thread each, set before numpy starts its pool: algorithms are compared, not thread pools.
 os.environ |= dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'), '1')
+sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'support'))
 
 import warnings
 from collections.abc import Callable
@@ -19,11 +22,12 @@ from statistics import median
 from time import perf_counter
 
 import numpy as np
+from foam_splits import grouped_split
 
 from fuzzycnc_ros.core.deformation.features import FEATURE_SETS, load
 from fuzzycnc_ros.core.deformation.model import DeformationModel
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
-from fuzzycnc_ros.core.deformation.training import equal_rows, grouped_split
+from fuzzycnc_ros.core.deformation.training import equal_rows
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 
 SEEDS, SPLITS = (1, 2), 3

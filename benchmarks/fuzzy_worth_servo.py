@@ -526,7 +526,11 @@ def ballscrew_courses(recording: Path | None, quick: bool) -> Part:
 
 def recorded_reference(path: Path) -> Reference:
     """Return the reference of the EMPS recording, which begins amid a ramp."""
-    return Reference.from_positions(loadmat(path)['qg'].ravel().astype(float), 1e-3)
+    period = 1e-3
+    places = loadmat(path)['qg'].ravel().astype(float)
+    acceleration = np.zeros_like(places)  # rates are differences
+    acceleration[1:-1] = np.diff(places, 2) / period**2
+    return Reference(places, np.gradient(places, period), acceleration, period)
 
 
 def _run(

@@ -3,13 +3,17 @@
 """Part programs of `bench_linuxcnc_feedrate.py`: constant or chosen feeds on curves and a part."""
 
 import os
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'support'))
+
 import numpy as np
+from programs.without_feeds import strip_feeds
 from scipy.interpolate import BPoly, PPoly
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
@@ -17,7 +21,7 @@ from fuzzycnc_ros.components.motion.program_request import program_settings
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.segments import Segment, sample_path
-from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_program
+from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve

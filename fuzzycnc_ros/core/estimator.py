@@ -24,7 +24,7 @@ class DataConversionWarning(UserWarning):
     """Data had another shape than expected, but what is meant is clear."""
 
 
-class ParameterMixin:
+class _ParameterMixin:
     """`get_params`, `set_params` and the readable form, as scikit-learn defines them."""
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
@@ -94,16 +94,16 @@ def check_target(estimator: Any, target: ArrayLike) -> Array:
 
 
 if TYPE_CHECKING:
-    Estimator = ParameterMixin
+    Estimator = _ParameterMixin
 
-    class ClusterEstimator(ParameterMixin):
+    class ClusterEstimator(_ParameterMixin):
         """Base of cluster estimators."""
 
         def fit_predict(self, X: ArrayLike, y: Any = None, **params: Any) -> NDArray[np.int64]:  # noqa: N803
             """Return the label of each sample."""
             raise NotImplementedError
 
-    class RegressionEstimator(ParameterMixin):
+    class RegressionEstimator(_ParameterMixin):
         """Base of regressors."""
 
     def check_features(estimator: Any, samples: Any, *, reset: bool) -> Array:
@@ -135,16 +135,16 @@ else:
             return validate_data(estimator, samples, dtype=np.float64, reset=reset)
 
     except ImportError:
-        Estimator = ParameterMixin
+        Estimator = _ParameterMixin
 
-        class ClusterEstimator(ParameterMixin):
+        class ClusterEstimator(_ParameterMixin):
             """Base of cluster estimators."""
 
             def fit_predict(self, X: ArrayLike, y: Any = None, **params: Any) -> NDArray[np.int64]:  # noqa: N803
                 """Fit and return the label of each sample."""
                 return self.fit(X).labels_
 
-        class RegressionEstimator(ParameterMixin):
+        class RegressionEstimator(_ParameterMixin):
             """Base of regressors."""
 
         def check_features(estimator: Any, samples: Any, *, reset: bool) -> Array:

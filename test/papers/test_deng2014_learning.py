@@ -9,9 +9,10 @@ settings were chosen on data seeds from 11 on, which are not used here.
 
 import numpy as np
 import pytest
+from foam_splits import grouped_split
 
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
-from fuzzycnc_ros.core.deformation.training import equal_rows, grouped_split
+from fuzzycnc_ros.core.deformation.training import equal_rows
 from fuzzycnc_ros.core.fuzzy.clustering import GustafsonKessel, class_values
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from equipment.linuxcnc_machine import LinuxcncMachine, exclusive
 from equipment.linuxcnc_trace import Recorder, cut_of, judge
+from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.cli.main import run
-from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 

@@ -130,7 +130,7 @@ class _Clustered:
     problems: tuple[str, ...]
 
 
-def cluster(rows: _Rows, recipe: _Recipe, rng: np.random.Generator) -> _Clustered:
+def _cluster(rows: _Rows, recipe: _Recipe, rng: np.random.Generator) -> _Clustered:
     """Return rules from a clustering of inputs and outputs joined [deng2014]."""
     scaled, input_scale = _standardised(rows.inputs)
     output, output_scale = _standardised(rows.output)
@@ -179,7 +179,7 @@ def cluster(rows: _Rows, recipe: _Recipe, rng: np.random.Generator) -> _Clustere
     )
 
 
-def train(
+def _train(
     rules: _Clustered, recipe: _Recipe, ridge: float, rng: np.random.Generator
 ) -> RuleNetwork:
     """Return the rules with trained consequents, in the units of the samples."""
@@ -241,7 +241,7 @@ def _choose_ridge(
     """
     recipe = replace(recipe, members=1)
     parts = [
-        (rows.take(part), cluster(rows.take(~part), recipe, np.random.default_rng(seed)))
+        (rows.take(part), _cluster(rows.take(~part), recipe, np.random.default_rng(seed)))
         for part in held_out
     ]
     known: dict[int, float] = {}
@@ -250,7 +250,7 @@ def _choose_ridge(
         if at not in known:
             known[at] = sum(
                 unseen.square_error(
-                    train(rules, recipe, ridges[at], np.random.default_rng([seed, 1]))
+                    _train(rules, recipe, ridges[at], np.random.default_rng([seed, 1]))
                 )
                 for unseen, rules in parts
             )
@@ -463,8 +463,8 @@ class TSFuzzyNetwork(RegressionEstimator):
         rng = np.random.default_rng(self.random_state)
         recipe = self._recipe()
         ridge = self._chosen_ridge(samples, group, recipe, rng)
-        rules = cluster(samples, recipe, rng)
-        network = train(rules, recipe, ridge, rng)
+        rules = _cluster(samples, recipe, rng)
+        network = _train(rules, recipe, ridge, rng)
         problems += rules.problems
         count = len(network.antecedent.center)
         advised = 3 * (len(columns) + target.shape[1] + 1) * count

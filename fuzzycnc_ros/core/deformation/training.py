@@ -105,14 +105,14 @@ def cost_and_gradient(
     hidden = expit(samples.extended @ weights.inner.T)
     pull = samples.fitness @ weights.outer.T
     error = (hidden * pull).sum(axis=1) - samples.target
-    inner, outer = gradient(hidden, pull, error, samples)
+    inner, outer = _gradient(hidden, pull, error, samples)
     cost = 0.5 * float(error @ error)
     if ridge:
         cost += 0.5 * ridge * float((weights.inner**2).sum() + (weights.outer**2).sum())
     return cost, HiddenWeights(inner + ridge * weights.inner, outer + ridge * weights.outer)
 
 
-def gradient(
+def _gradient(
     hidden: Array, pull: Array, error: Array, samples: TrainingSamples
 ) -> tuple[Array, Array]:
     """Return the gradients of 1/2 sum e^2 by w_ij and w_jk [deng2014].
@@ -225,7 +225,7 @@ def project(
         pull = samples.fitness @ outer.T
         error = (hidden * pull).sum(axis=1) - samples.target
         # At the best w_jk the cost does not change with them: this is the whole gradient.
-        slope, _ = gradient(hidden, pull, error, samples)
+        slope, _ = _gradient(hidden, pull, error, samples)
         penalty = float(flat @ flat) + float((outer**2).sum())
         total = 0.5 * float(error @ error) + 0.5 * ridge * penalty
         return total, (slope + ridge * inner).ravel()
@@ -316,14 +316,3 @@ def grouped_folds(
     fold = np.empty(len(names), dtype=np.int64)
     fold[rng.permutation(len(names))] = np.arange(len(names)) % min(count, len(names))
     return [fold[group.ravel()] == number for number in range(min(count, len(names)))]
-
-
-def grouped_split(
-    groups: NDArray[np.int64], held_out: int, rng: np.random.Generator
-) -> NDArray[np.bool_]:
-    """Return the mask of about `held_out` rows in whole groups, drawn at random."""
-    names, group = np.unique(groups, return_inverse=True)
-    size = np.bincount(group.ravel())
-    order = rng.permutation(len(names))
-    taken = order[np.cumsum(size[order]) <= held_out]
-    return np.asarray(np.isin(group.ravel(), taken))

@@ -10,13 +10,18 @@ from math import isfinite
 
 import numpy as np
 
-from fuzzycnc_ros.core.identify.axis_fit import AxisFit, AxisRecording, told
+from fuzzycnc_ros.core.identify.axis_fit import AxisFit, AxisRecording
 from fuzzycnc_ros.core.identify.frequency import FrequencyResponse
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 
 _ROOM = 1.1
 """What limits are above what was recorded [-]."""
+
+
+def _told(fit: AxisFit, name: str) -> bool:
+    """Whether a parameter was identified, and the data can tell it."""
+    return any(one.name == name and not one.why_not for one in fit.parameters)
 
 
 def identified_dead_time(fit: AxisFit, response: FrequencyResponse) -> tuple[float, str]:
@@ -28,7 +33,7 @@ def identified_dead_time(fit: AxisFit, response: FrequencyResponse) -> tuple[flo
     delay, error = response.dead_time
     if isfinite(delay) and delay > 2.0 * error:
         return delay, 'phase'
-    if told(fit, 'delay'):
+    if _told(fit, 'delay'):
         return fit.model.delay + fit.model.drive_lag, 'output error'
     return 0.0, ''
 

@@ -574,8 +574,3 @@ def _why_not(name: str, value: float, low: float, high: float) -> str:
     if not high < inf or low <= 0.0 or high - low > value:
         return f'these data cannot tell it; {remedy} would'
     return ''
-
-
-def told(fit: AxisFit, name: str) -> bool:
-    """Whether a parameter was identified, and the data can tell it."""
-    return any(one.name == name and not one.why_not for one in fit.parameters)

@@ -89,7 +89,7 @@ class TrajectoryPart:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class _Motion:
     """The samples of a part on all axes of the machine, and what comes before them.
 
     Attributes
@@ -110,7 +110,7 @@ class Motion:
     @classmethod
     def of(
         cls, part: TrajectoryPart, axes: Sequence[str], before: Array, speed: Array
-    ) -> 'Motion':
+    ) -> '_Motion':
         """Spread a part whose content was checked over all axes; the others stand still."""
         count = len(part.arc_length)
         column = [axes.index(name) for name in part.axis]
@@ -166,7 +166,7 @@ def _refused_by_content(part: TrajectoryPart, axes: Sequence[str]) -> str:
     return ''
 
 
-def _refused_by_joint(motion: Motion, axes: Sequence[str], config: TrajectoryInputConfig) -> str:
+def _refused_by_joint(motion: _Motion, axes: Sequence[str], config: TrajectoryInputConfig) -> str:
     """Say where the first sample does not go on from what is commanded before it."""
     period = config.period
     push = _ROOM * config.acceleration_max * period
@@ -190,7 +190,7 @@ def _refused_by_joint(motion: Motion, axes: Sequence[str], config: TrajectoryInp
     return ''
 
 
-def _refused_by_limits(motion: Motion, axes: Sequence[str], config: TrajectoryInputConfig) -> str:
+def _refused_by_limits(motion: _Motion, axes: Sequence[str], config: TrajectoryInputConfig) -> str:
     """Say where a motion passes the limits of an axis, up to rest behind its last sample."""
     period = config.period
     top, push = _ROOM * config.velocity_max, _ROOM * config.acceleration_max * period
@@ -330,7 +330,7 @@ class TrajectoryInput:
         self._status = TrajectoryStatus.IDLE
         self._sample = Sample(rest, np.zeros(len(axes)), np.nan)
         self._newest: TrajectoryPart | None = None
-        self._queue: deque[tuple[TrajectoryPart, Motion]] = deque()
+        self._queue: deque[tuple[TrajectoryPart, _Motion]] = deque()
         self._row = 0  # next sample of the first part of the queue
 
     @property
@@ -506,14 +506,14 @@ class TrajectoryInput:
         still = np.zeros(len(self._axes))
         self._sample = Sample(self._sample.position, still, self._sample.arc_length)
 
-    def _motion(self, part: TrajectoryPart) -> Motion:
+    def _motion(self, part: TrajectoryPart) -> _Motion:
         """Return the part's motion on all axes, behind what is commanded before it."""
         if self._queue:
             last, motion = self._queue[-1]
             before, speed = motion.end(last.committed)
         else:
             before, speed = np.tile(self._sample.position, (2, 1)), np.zeros(len(self._axes))
-        return Motion.of(part, self._axes, before, speed)
+        return _Motion.of(part, self._axes, before, speed)
 
     def _known(self, part: TrajectoryPart) -> bool:
         """Whether a part was accepted before; a path that is run again starts later."""

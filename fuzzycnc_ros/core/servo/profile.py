@@ -129,19 +129,6 @@ class Reference:
         if not np.isfinite([self.position, self.velocity, self.acceleration]).all():
             raise ValueError('Reference: expected finite numbers only')
 
-    @classmethod
-    def from_positions(cls, position: ArrayLike, period: float) -> Reference:
-        """Return a reference from positions (n,) [m] alone, n above 2; rates are differences."""
-        places = np.asarray(position, dtype=float)
-        if places.ndim != 1 or len(places) < 3:
-            raise ValueError(
-                f'position: expected three or more numbers but found the shape {places.shape}'
-            )
-        velocity = np.gradient(places, period)
-        acceleration = np.zeros_like(places)
-        acceleration[1:-1] = np.diff(places, 2) / period**2
-        return cls(places, velocity, acceleration, period)
-
     def over(self, duration: float | None) -> tuple[Array, Array, Array]:
         """Return the motion over a duration [s], by default its own; it rests at its end."""
         if duration is None:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.fuzzy.mamdani import check_centres, memberships
+from fuzzycnc_ros.core.fuzzy.mamdani import check_centres
 
 SETS = ('NB', 'NM', 'NS', 'PS', 'PM', 'PB')
 """Names of the published sets, in the order of their centres; none of them is zero."""
@@ -32,9 +32,6 @@ SETS_WITH_ZERO = ('NB', 'NM', 'NS', 'ZO', 'PS', 'PM', 'PB')
 
 CENTRES_WITH_ZERO = (-1.0, -2.0 / 3.0, -1.0 / 3.0, 0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
 """Centres of seven sets [-]: six intervals of a third, as the source's own bound asks for."""
-
-PRINTED_MEDIUM = 0.677
-"""Consequent of the medium sets as the published table prints it, for `published_rules`."""
 
 _ROUNDING = 1e-15
 """Constant of a cell below which it is zero."""
@@ -180,20 +177,6 @@ class RuleTable:
         result = at[..., 0] + at[..., 1] * one + (at[..., 2] + at[..., 3] * one) * two
         return np.asarray(result)
 
-    def rule_sum(self, x: float, y: float) -> float:
-        """Return the surface as the source writes it: all rules, product, centre average.
-
-        Examples
-        --------
-        >>> rules = published_rules()
-        >>> abs(rules.rule_sum(-0.2, 0.5) - rules(-0.2, 0.5)) < 1e-15
-        True
-        """
-        rows = memberships(np.array([x]), self.centres)[:, 0]
-        columns = memberships(np.array([y]), self.centres)[:, 0]
-        strength = np.outer(rows, columns)
-        return float((strength * np.array(self.values)).sum() / strength.sum())
-
 
 def published_rules(medium: float = 0.67) -> RuleTable:
     """Return the 36 published rules [long2014], table 2.
@@ -217,38 +200,3 @@ def published_rules(medium: float = 0.67) -> RuleTable:
     )
     lower = tuple(tuple(-value for value in row[::-1]) for row in upper[::-1])
     return RuleTable(CENTRES, upper + lower)
-
-
-def rules_with_zero(rules: RuleTable | None = None) -> RuleTable:
-    """Return rules on seven sets, one of them about zero.
-
-    So the partition is as fine as [long2014] asks for; the published six sets are not.
-
-    Parameters
-    ----------
-    rules : RuleTable, optional
-        Rules whose surface they take over at their centres; the published ones by default.
-
-    Returns
-    -------
-    RuleTable
-        Odd if the given rules are.
-
-    Notes
-    -----
-    The source's bound on the error of interpolation asks for six intervals of a third, so seven
-    sets; it then leaves out the one about zero, which makes the middle interval twice as wide and
-    the bound 0.180 instead of 0.046 (0.05 asked for).  That is about rules that follow a curved
-    surface.  The published rules are flat there, so both tables are the same surface within 0.01;
-    the seventh set is for rules that are learnt.
-
-    Examples
-    --------
-    >>> rules = rules_with_zero()
-    >>> len(rules.centres), rules.is_odd, round(rules(1 / 3, -1 / 3), 3)
-    (7, True, -0.336)
-    """
-    surface = (rules or published_rules()).surface
-    grid = np.array(CENTRES_WITH_ZERO)
-    values = np.clip(surface(grid[:, np.newaxis], grid), -1.0, 1.0)  # rounding
-    return RuleTable(CENTRES_WITH_ZERO, tuple(tuple(row) for row in values.tolist()))

@@ -87,7 +87,7 @@ def _gaps_of(values: Array) -> Iterator[tuple[int, int, int]]:
             yield column, int(first), int(end) - 1
 
 
-def bridged(time: Array, values: Array, longest: float, free: float, begin: int) -> Array:
+def _bridged(time: Array, values: Array, longest: float, free: float, begin: int) -> Array:
     """Return readings whose short gaps are filled.
 
     Parameters
@@ -420,7 +420,7 @@ class ThermalRun:
         do all of a sensor without any of the first three samples.
         """
         longest = _bridged_max(float(np.median(np.diff(self.time))))
-        values = bridged(
+        values = _bridged(
             self.time, self.temperature, longest, self._settled_until, REFERENCE_SAMPLES
         )
         return self if values is self.temperature else replace(self, temperature=values)
@@ -581,10 +581,6 @@ def _check_values(run: ThermalRun) -> None:
             )
 
 
-SPARSE = 4.0
-"""Time without a measurement that still belongs to the training, in usual steps of it [-]."""
-
-
 def counted(run: ThermalRun, start: float | None = None, stop: float | None = None) -> ThermalRun:
     """Return a run of which only the samples from `start` to `stop` [s] are measured.
 
@@ -649,31 +645,6 @@ def hidden(run: ThermalRun, inside: NDArray[np.bool_]) -> ThermalRun:
         displacement=np.where(inside[:, np.newaxis], np.nan, run.displacement),
         spindle_speed=speed,
     )
-
-
-def observed(time: Array, displacement: Array) -> NDArray[np.bool_]:
-    """Return which samples of a run were trained on, shape (n,).
-
-    Those with a displacement, and those between two that are no further apart than usual: a
-    touch probe measures once in many samples.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Time of each sample [s].
-    displacement : ndarray, shape (n, c)
-        Thermal error [m]; NaN where nothing was measured.
-    """
-    at = np.flatnonzero(np.isfinite(displacement).any(axis=1))
-    trained = np.zeros(len(time), dtype=np.bool_)
-    trained[at] = True
-    if len(at) < 2:
-        return trained
-    step = np.diff(time[at])
-    near = step <= SPARSE * float(np.median(step))
-    for first, last in zip(at[:-1][near], at[1:][near], strict=True):
-        trained[first:last] = True
-    return trained
 
 
 SPINDLE_SPEED = 'spindle_speed'

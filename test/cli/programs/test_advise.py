@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.split_program import check_same_path
-from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 from fuzzycnc_ros.core.feedrate.schedule.controller_program import program_moves
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig

@@ -9,10 +9,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.cli.quantities import FEEDS, LENGTHS, SHARES, quantity
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds
 
 PROGRAM = b"""%\r
 (part 7 \xb0C \xff)\r

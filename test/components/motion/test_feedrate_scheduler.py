@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from benches.feedrate_rig import CONFIG, PROGRAM, SMALL, Rig, check_motion, distance, path_of
+from paths.reference_segments import reference_path
 
 from fuzzycnc_ros.components.motion.feedrate_run import planner_settings
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
@@ -19,7 +20,6 @@ from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.segments import LineSegment
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 from fuzzycnc_ros.core.feedrate.path.nodes import NodePlan, with_nodes
-from fuzzycnc_ros.core.feedrate.path.reference_path import reference_path
 from fuzzycnc_ros.core.feedrate.schedule.planner import Planner
 from fuzzycnc_ros.runtime.records import (
     SECOND,

@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from foam_splits import grouped_split
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import check_grad
@@ -23,7 +24,6 @@ from fuzzycnc_ros.core.deformation.training import (
     descend,
     equal_rows,
     grouped_folds,
-    grouped_split,
     initial_weights,
     levenberg_marquardt,
     project,

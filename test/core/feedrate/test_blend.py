@@ -13,9 +13,10 @@ from paths.reference_segments import (
     nurbs,
     polyline,
     random_segment,
+    reference_path,
 )
 
-from fuzzycnc_ros.core.feedrate.path.reference_path import EASING, reference_path
+from fuzzycnc_ros.core.feedrate.path.reference_path import EASING
 
 TURNS = [1e-5, 0.02, 0.09, 0.11, 0.4, 0.6, np.pi / 3, np.pi / 2, 1.7, 2 * np.pi / 3, 2.6]
 

@@ -11,10 +11,11 @@ import math
 import numpy as np
 import pytest
 from programs.rs274 import check_against, interpreted
+from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, sample_path
-from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_program
+from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
 
 # Name, segments that may be scheduled, arcs, runs.
 FILES = {

@@ -11,12 +11,13 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from programs.flow_programs import FlowProgram
 from programs.rs274 import check_against, interpreted
+from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.core.feedrate.gcode import reader
 from fuzzycnc_ros.core.feedrate.gcode.blocks import FeedTally
 from fuzzycnc_ros.core.feedrate.gcode.expressions import read_value
 from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, read_program
-from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_blocks, write_program
+from fuzzycnc_ros.core.feedrate.gcode.writer import write_blocks, write_program
 
 MM = 1e-3
 DIGIT = 1.1e-3 / 60e3  # of a feed word, and of what rs274 prints [m/s]

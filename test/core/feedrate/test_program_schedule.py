@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
     FeedrateSchedulerConfig,
@@ -15,7 +16,7 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
 )
 from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, read_program
 from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment
-from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_program
+from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
 from fuzzycnc_ros.core.feedrate.schedule import program_run

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Role
 from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, read_program
-from fuzzycnc_ros.core.feedrate.gcode.writer import strip_feeds, write_blocks, write_program
+from fuzzycnc_ros.core.feedrate.gcode.writer import write_blocks, write_program
 
 NAN = math.nan
 

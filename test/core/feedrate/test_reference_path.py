@@ -20,6 +20,7 @@ from paths.reference_segments import (
     nurbs,
     polyline,
     random_program,
+    reference_path,
 )
 
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
@@ -28,7 +29,6 @@ from fuzzycnc_ros.core.feedrate.path.reference_path import (
     EASING,
     PathBuilder,
     ReferencePath,
-    reference_path,
 )
 
 L_SHAPE = [[0, 0, 0], [0.0004, 0, 0], [0.001, 0, 0], [0.001, 0.001, 0], [0.001, 0.001, 0.001]]
@@ -305,8 +305,6 @@ def test_paths_without_motion_and_wrong_numbers_are_refused():
     flat = replace(nurbs(np.eye(3), 2), curve=curve)
     with pytest.raises(ValueError, match='X, Y and Z'):
         reference_path([flat])
-    with pytest.raises(ValueError, match='found more'):
-        reference_path(polyline(L_SHAPE), exact_stop=[False] * 5)
     with pytest.raises(ValueError, match='parts: expected at least one'):
         ReferencePath.join([])
     one = reference_path(polyline(L_SHAPE))

@@ -89,13 +89,6 @@ def test_samples_end_at_rest_on_target_and_are_padded():
     assert len(reference.over(0.1)[0]) == 100
 
 
-def test_reference_from_positions_has_their_differences():
-    time = 1e-3 * np.arange(100)
-    reference = Reference.from_positions(0.5 * time**2, 1e-3)
-    assert reference.velocity[1:-1] == pytest.approx(time[1:-1], abs=1e-12)
-    assert reference.acceleration[1:-1] == pytest.approx(1.0, abs=1e-7)
-
-
 @pytest.mark.parametrize(
     ('call', 'message'),
     [
@@ -106,7 +99,6 @@ def test_reference_from_positions_has_their_differences():
         (lambda: Reference(np.zeros(2), np.zeros(2), np.zeros(3), 1e-3), 'one position, velocity'),
         (lambda: Reference(np.zeros(0), np.zeros(0), np.zeros(0), 1e-3), 'one position, velocity'),
         (lambda: Reference(np.full(1, np.nan), np.zeros(1), np.zeros(1), 1e-3), 'finite numbers'),
-        (lambda: Reference.from_positions([0.0, 1.0], 1e-3), 'three or more'),
     ],
 )
 def test_refusals(call, message):

@@ -17,6 +17,7 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import (
 )
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.path_geometry import bernstein
+from fuzzycnc_ros.core.feedrate.path.reference_path import PathBuilder, ReferencePath
 
 
 def line(start, end, number=1, *, feed=0.01, rapid=False):
@@ -27,6 +28,13 @@ def line(start, end, number=1, *, feed=0.01, rapid=False):
 def polyline(points, **options):
     pairs = pairwise(points)
     return [line(*ends, k, **options) for k, ends in enumerate(pairs, 1)]
+
+
+def reference_path(segments, *, blend=0.0, exact_stop=None):
+    """Return the whole reference path of segments."""
+    builder = PathBuilder(blend=blend)
+    parts = [builder.push(segments, exact_stop), builder.finish()]
+    return ReferencePath.join([part for part in parts if part is not None])
 
 
 def dwell(place, duration, number=1):

@@ -183,7 +183,7 @@ Files = Callable[[str], str | None]
 """Told the name of a subroutine; returns the text of its file, None where there is none."""
 
 
-class Subroutines:
+class _Subroutines:
     """Finds subroutines in the order of LinuxCNC: before the call, in a file, behind the call.
 
     Parameters
@@ -335,7 +335,7 @@ class _Run:
     ) -> None:
         self._interpreter = interpreter
         self._main = self._listing = listing
-        self._subroutines = Subroutines(listing, files)
+        self._subroutines = _Subroutines(listing, files)
         self._stop = stop
         self._sealed = sealed
         self._frames: list[_Frame] = []

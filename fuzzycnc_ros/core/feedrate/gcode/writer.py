@@ -3,7 +3,6 @@
 """Write part programs: every line as it was, but for the feed words."""
 
 import math
-import re
 from array import array
 from collections.abc import Iterable, Iterator
 from math import inf, isnan, nan
@@ -12,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program, Role
-from fuzzycnc_ros.core.feedrate.gcode.lexer import read_line
 from fuzzycnc_ros.core.feedrate.gcode.modal import INCH, MINUTE
 from fuzzycnc_ros.core.feedrate.gcode.segments import DwellSegment
 
@@ -272,32 +270,6 @@ def write_blocks(blocks: Iterable[tuple[Block, float | None]]) -> Iterator[str]:
         else:
             merger.take(block, feed)
     yield from writer.flush() if merger is None else merger.lines()
-
-
-def strip_feeds(text: str) -> str:
-    """Return a program without its feed words, to compare what must not change.
-
-    Parameters
-    ----------
-    text : str
-        A part program.
-
-    Returns
-    -------
-    str
-        The program without the words F that set a feed, and without the blanks before them.
-    """
-    lines = []
-    for number, line in enumerate(re.findall(r'[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+', text), 1):
-        rest = line
-        if 'F' in line or 'f' in line:
-            words = read_line(line, number).words
-            if not any(word.letter == 'G' and word.value == 4.0 for word in words):
-                for word in reversed(words):
-                    if word.letter == 'F':
-                        rest = rest[: word.start].rstrip(' \t') + rest[word.end :]
-        lines.append(rest)
-    return ''.join(lines)
 
 
 class _Writer:

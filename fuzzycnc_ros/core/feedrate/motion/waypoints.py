@@ -9,7 +9,6 @@ waypoint.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,16 +21,6 @@ _ROOM = 1.005
 """What of a limit a sampled way to rest may take up."""
 _NEIGHBOURS = np.arange(-1, 3)
 """Samples about the present one within which the motion of the next period lies."""
-
-
-class Curve(Protocol):
-    """Positions, velocities and accelerations over time, and how long it takes [s]."""
-
-    duration: float
-
-    def at(self, time: Array) -> tuple[Array, Array, Array]:
-        """Return them, each shape (k, axes) [m, m/s, m/s^2], at `time`, shape (k,) [s]."""
-        ...
 
 
 class WaypointCurve:
@@ -124,13 +113,13 @@ class SampledCurve:
 
     Parameters
     ----------
-    curve : Curve
+    curve : WaypointCurve
         The curve.
     period : float
         Time between two samples [s].
     """
 
-    def __init__(self, curve: Curve, period: float) -> None:
+    def __init__(self, curve: WaypointCurve, period: float) -> None:
         count = max(1, int(np.ceil(curve.duration / period - 1e-9)))
         self._curve, self._period = curve, period
         self._rate = curve.duration / (count * period)

@@ -23,7 +23,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import islice, pairwise
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -553,8 +553,6 @@ _GAP = 1e-9
 """Distance up to which two segments meet [m]."""
 _SHORT = 2e-9
 """Segments up to this length are none: sums of relative moves are off by the last digits [m]."""
-_BLOCK = 4096
-"""Segments that `reference_path` takes at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -870,34 +868,6 @@ class PathBuilder:
             )
         moving = np.array(placed, dtype=np.intp)[length > _SHORT]
         return moving, (line[-1], given[placed[-1]].end)
-
-
-def reference_path(
-    segments: Iterable[Segment],
-    *,
-    blend: float = 0.0,
-    exact_stop: Iterable[bool] | None = None,
-) -> ReferencePath:
-    r"""Return the whole reference path of segments, see `PathBuilder`.
-
-    Examples
-    --------
-    >>> from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-    >>> segments = read_program('F600 G1 X1\nY1\n').segments
-    >>> path = reference_path(segments, blend=1e-5)
-    >>> int(path.stop.sum()), int(path.blend.sum()), round(1e3 * path.geometry.length, 3)
-    (2, 8, 1.985)
-    """
-    builder = PathBuilder(blend=blend)
-    waiting = iter(segments)
-    flags = None if exact_stop is None else iter(exact_stop)
-    parts = []
-    while block := list(islice(waiting, _BLOCK)):
-        parts.append(builder.push(block, None if flags is None else islice(flags, len(block))))
-    if flags is not None and next(flags, None) is not None:
-        raise ValueError('exact_stop: expected one flag for each segment, but found more')
-    parts.append(builder.finish())
-    return ReferencePath.join([part for part in parts if part is not None])
 
 
 def _running_sums(length: Array) -> Array:

@@ -53,11 +53,6 @@ def desired_feed(
         return np.asarray(min(override, 1.0) * np.minimum(wanted, max(override, 1.0) * given))
 
 
-def feed_limit(scheduler: Scheduler, override: float) -> float:
-    """Return the feed that no desired one exceeds [m/s]."""
-    return scheduler.feed_max * (override if scheduler.relative else min(override, 1.0))
-
-
 class FeedPlan:
     """Scheduled and desired feeds at the nodes of a reference path that arrives in parts.
 

@@ -23,7 +23,7 @@ from fuzzycnc_ros.core.feedrate.motion.stream import (
 )
 from fuzzycnc_ros.core.feedrate.motion.sweeps import Braking
 from fuzzycnc_ros.core.feedrate.motion.trajectory import MotionSamples, Trajectory
-from fuzzycnc_ros.core.feedrate.schedule.feeds import FeedPlan, feed_limit
+from fuzzycnc_ros.core.feedrate.schedule.feeds import FeedPlan
 from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
 
 if TYPE_CHECKING:
@@ -329,6 +329,11 @@ class PlannedFeed:
     owner: NDArray[np.intp]
 
 
+def _feed_limit(scheduler: Scheduler, override: float) -> float:
+    """Return the feed that no desired one exceeds [m/s]."""
+    return scheduler.feed_max * (override if scheduler.relative else min(override, 1.0))
+
+
 class Planner:
     """Samples of the motion along a path that arrives in parts, within limits that may change.
 
@@ -593,7 +598,7 @@ class Planner:
         return MotionStream(
             settings.limits,
             self._axes,
-            feed_max=feed_limit(settings.scheduler, settings.override),
+            feed_max=_feed_limit(settings.scheduler, settings.override),
             window=self._window or None,
             settle=settings.settle,
             entry=entry,

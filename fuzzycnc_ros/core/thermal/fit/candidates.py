@@ -3,7 +3,7 @@
 """The models that compete for a machine, fitted and judged on held-out samples."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 
@@ -45,7 +45,6 @@ from fuzzycnc_ros.core.thermal.recursions.base import (
     Recursion,
     SeriesRecursion,
     combine,
-    leading,
 )
 from fuzzycnc_ros.core.thermal.run import ThermalDataError
 
@@ -74,6 +73,27 @@ class Contender:
     network: bool = False
     chosen: bool = True
     held_out: Callable[[TrainingSet], tuple[list[Settings], list[Array]]] | None = None
+
+
+def _leading(recursion: Recursion, inputs: int) -> Recursion:
+    """Return a recursion that reads the first of `inputs` inputs and ignores the others."""
+    ignored = inputs - recursion.inputs
+    if not ignored:
+        return recursion
+    if isinstance(recursion, LinearRecursion):
+        return replace(
+            recursion,
+            drive=np.pad(recursion.drive, ((0, 0), (0, ignored))),
+            direct=np.pad(recursion.direct, ((0, 0), (0, ignored))),
+        )
+    bank = LinearRecursion(
+        pole=np.empty(0),
+        drive=np.empty((0, inputs)),
+        readout=np.empty((recursion.inputs, 0)),
+        direct=np.eye(recursion.inputs, inputs),
+        offset=np.zeros(recursion.inputs),
+    )
+    return SeriesRecursion(bank, recursion)
 
 
 def _fit_recursion(
@@ -112,14 +132,14 @@ def _fit_recursion(
     model = contender.make(interval=data.interval)
     if isinstance(model, GreyModel):
         model.fit(data.rise, target, runs=data.label, use=use)
-        return leading(model.recursion_, inputs), model.problems_
+        return _leading(model.recursion_, inputs), model.problems_
     if use is not None:
         target = np.where(use, target, np.nan)
     kind = name.removesuffix(SPEED_SUFFIX)
     model.set_params(**settings)
     if kind == name:
         model.fit(data.rise, target, runs=data.label)
-        recursion = leading(model.recursion_, inputs)
+        recursion = _leading(model.recursion_, inputs)
     elif kind == 'lag_ridge':
         model.set_params(drivers=data.drive.shape[1], driver_lags=SPEED_LAGS)
         samples = np.hstack([data.rise, data.drive])

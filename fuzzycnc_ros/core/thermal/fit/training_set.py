@@ -11,7 +11,35 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.fit.folds import run_rows, training_folds
 from fuzzycnc_ros.core.thermal.moments import Fold, measured_together
-from fuzzycnc_ros.core.thermal.run import ThermalRun, drive_of, observed
+from fuzzycnc_ros.core.thermal.run import ThermalRun, drive_of
+
+_SPARSE = 4.0
+"""Time without a measurement that still belongs to the training, in usual steps of it [-]."""
+
+
+def _observed(time: Array, displacement: Array) -> NDArray[np.bool_]:
+    """Return which samples of a run were trained on, shape (n,).
+
+    Those with a displacement, and those between two that are no further apart than usual: a
+    touch probe measures once in many samples.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Time of each sample [s].
+    displacement : ndarray, shape (n, c)
+        Thermal error [m]; NaN where nothing was measured.
+    """
+    at = np.flatnonzero(np.isfinite(displacement).any(axis=1))
+    trained = np.zeros(len(time), dtype=np.bool_)
+    trained[at] = True
+    if len(at) < 2:
+        return trained
+    step = np.diff(time[at])
+    near = step <= _SPARSE * float(np.median(step))
+    for first, last in zip(at[:-1][near], at[1:][near], strict=True):
+        trained[first:last] = True
+    return trained
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +55,7 @@ class TrainingSet:
     displacement : ndarray, shape (n, c)
         Thermal error [m]; NaN where nothing was measured.
     trained : ndarray of bool, shape (n,)
-        Samples between the measurements, see `observed`.
+        Samples between measurements that are no further apart than usual.
     label : ndarray, shape (n,)
         Number of the run of each sample.
     rows : list of slice
@@ -65,7 +93,7 @@ class TrainingSet:
             rise=_rise(runs, inputs),
             drive=np.concatenate([drive_of(run, drivers) for run in runs]),
             displacement=np.concatenate([run.displacement for run in runs]),
-            trained=np.concatenate([observed(run.time, run.displacement) for run in runs]),
+            trained=np.concatenate([_observed(run.time, run.displacement) for run in runs]),
             label=np.repeat(np.arange(len(runs)), [len(run.time) for run in runs]),
             rows=rows,
             interval=runs[0].interval,

@@ -753,27 +753,6 @@ class SeriesRecursion(Recursion):
         return cls(bank, read_recursion(model, bank.channels))
 
 
-def leading(recursion: Recursion, inputs: int) -> Recursion:
-    """Return a recursion that reads the first of `inputs` inputs and ignores the others."""
-    ignored = inputs - recursion.inputs
-    if not ignored:
-        return recursion
-    if isinstance(recursion, LinearRecursion):
-        return replace(
-            recursion,
-            drive=np.pad(recursion.drive, ((0, 0), (0, ignored))),
-            direct=np.pad(recursion.direct, ((0, 0), (0, ignored))),
-        )
-    bank = LinearRecursion(
-        pole=np.empty(0),
-        drive=np.empty((0, inputs)),
-        readout=np.empty((recursion.inputs, 0)),
-        direct=np.eye(recursion.inputs, inputs),
-        offset=np.zeros(recursion.inputs),
-    )
-    return SeriesRecursion(bank, recursion)
-
-
 BOUND_FACTOR = 1.5
 """Bound of the output as a multiple of the largest deformation measured in training [-]."""
 
