@@ -39,6 +39,7 @@ from fuzzycnc_ros.ros.bring_up import (
     RestartPolicy,
     again,
     launched,
+    stop_timeout,
 )
 from fuzzycnc_ros.ros.presence import Presence
 from fuzzycnc_ros.ros.processes import REFUSED
@@ -106,6 +107,7 @@ class Process:
             parameters=[*map(str, self.item.files), dict(self.spec.parameters)],
             remappings=[tuple(rule.split(':=')) for rule in self.item.remap],
             additional_env={TAKEOVER: '1'},  # this launch has looked who else is there
+            sigterm_timeout=str(stop_timeout([self.spec.name])),
         )
         ended = OnProcessExit(target_action=node, on_exit=self._ended)
         return [RegisterEventHandler(ended), node]

@@ -190,6 +190,22 @@ class Shipper:
         )
 
 
+def check_no_secret(url: str) -> None:
+    """Refuse a URL that carries a secret, before it stands in a log or a list of processes.
+
+    Raises
+    ------
+    BagError
+        If it does; the text does not repeat it.
+    """
+    parts = urlsplit(url)
+    if parts.query or parts.password or (parts.username and parts.scheme in ('s3', 'gs')):
+        raise BagError(
+            'ship: expected a URL without a password, key or query but found one; '
+            "credentials come from the environment or from the files of the place's own tools"
+        )
+
+
 def file_system(url: str) -> tuple[Any, str]:
     """Return the file system of a URL and the path in it.
 
@@ -200,12 +216,8 @@ def file_system(url: str) -> tuple[Any, str]:
     BagError
         If the URL carries a password or a query, or is of an unknown kind.
     """
+    check_no_secret(url)
     parts = urlsplit(url)
-    if parts.query or parts.password or (parts.username and parts.scheme in ('s3', 'gs')):
-        raise BagError(  # and is not repeated: it would stand in a log
-            'ship: expected a URL without a password, key or query but found one; '
-            "credentials come from the environment or from the files of the place's own tools"
-        )
     try:
         core = load('fsspec.core')
     except MissingLibraryError as error:

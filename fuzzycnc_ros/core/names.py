@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Text of foreign origin: as terminals and pages may show it, as topics, and what comes twice."""
+"""Names: foreign text as terminals and pages show it, as topics and files, what comes twice."""
 
 import re
 import unicodedata
@@ -59,6 +59,19 @@ def repeated_names(names: Iterable[str]) -> list[str]:
     ['T1', 'T2']
     """
     return sorted(name for name, count in Counter(names).items() if count > 1)
+
+
+def file_word(machine: str) -> str:
+    """Return the name of a machine as a part of a file's name; no two share one.
+
+    A namespace has slashes, and no hyphen, which stands for them.
+
+    Examples
+    --------
+    >>> file_word('shop/mill'), file_word('shop_mill')
+    ('shop-mill', 'shop_mill')
+    """
+    return machine.replace('/', '-')
 
 
 def topic_words(names: Iterable[str]) -> dict[str, str]:

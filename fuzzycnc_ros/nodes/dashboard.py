@@ -27,6 +27,7 @@ from fuzzycnc_ros.ros.health import diagnostic_array
 from fuzzycnc_ros.ros.machine_watch import DISCOVERY_PERIOD, MachineWatch
 from fuzzycnc_ros.ros.page_actions import Actions, NeedsForceError
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
+from fuzzycnc_ros.ros.run import tell_error
 from fuzzycnc_ros.runtime.addresses import is_loopback
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.host import DashboardConfig
@@ -166,7 +167,9 @@ class DashboardNode:
     def stop(self) -> None:
         """Serve no more; recordings that were started here end whole."""
         self._server.stop()
-        self._actions.close()
+        for text in self._actions.close():
+            tell_error(text)  # the node's log may have ended already
+            self.exit_code = 1
 
     # What the server asks, from its own thread.
 

@@ -8,6 +8,7 @@ The callback only queues; a thread writes.  In a lock-step run the recorder take
 
 import re
 import struct
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -22,6 +23,7 @@ from fuzzycnc_ros.bags.holes import HoleCounter, not_explained
 from fuzzycnc_ros.bags.metadata import Qos
 from fuzzycnc_ros.bags.recorder import PENDING_MAX, Progress, RecordingThread
 from fuzzycnc_ros.bags.shipping import Shipper
+from fuzzycnc_ros.bags.uninterrupted import Interrupted, uninterrupted
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.document import text_hash
 from fuzzycnc_ros.core.names import visible
@@ -54,6 +56,8 @@ DEPTH = 5000
 """What the subscription may hold while the process is stopped."""
 DISCOVERY_PERIOD = 0.2
 """Wall time [s] between two looks for new topics."""
+_NAMED = 3
+"""Topics that are named at most."""
 _STATE = 'machine_state'
 _SAMPLED = (Temperatures.TYPE, Displacement.TYPE, MachineState.TYPE)
 """Types of what is sampled evenly; the last one tells how machine time went on."""
@@ -81,6 +85,8 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self._newest = 0
         self._models: set[str] = set()
         self._holes: dict[str, HoleCounter] = {}
+        self._publishers: dict[str, int] = {}  # of each topic, at the last look
+        self._left: Counter[str] = Counter()  # publishers that ended, by topic
         with bag_refused():
             writer = BagWriter(
                 config.output,
@@ -92,7 +98,7 @@ class RecorderNode(PlainNode[RecorderConfig]):
                 free_min=config.free_min,
                 budget=config.budget,
                 shipper=Shipper(config.ship, Path(config.output)) if config.ship else None,
-                facts=lambda: {'holes': self._found_holes()},
+                facts=self._facts,
             )
         with closed_on_failure(self._thread):
             self._connect(config)
@@ -129,15 +135,23 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self.node.get_logger().info(f'recording to {self._config.output}')
 
     def stop(self) -> None:
-        """Write what has arrived, close the bag and say what is in it."""
+        """Write what has arrived, close the bag and say what is in it.
+
+        Who asks a second time waits as well: what is torn here would be lost.
+        """
+        with suppress(Interrupted), uninterrupted():
+            self._end()
+
+    def _end(self) -> None:
         self.turns = None  # there is nobody to answer any more
         for subscription in tuple(self._subscriptions.values()):
             # What was published before the recorder was asked to end belongs into the bag.
             hand_over(subscription, DEPTH)
+        self._look_who_left()
+        facts = self._facts()
         try:
             self._release(self._newest)
-            holes = self._found_holes()
-            progress = self._thread.close({'holes': holes})
+            progress = self._thread.close(facts)
         except BagError as error:
             self._tell_notices()
             tell_error(error)
@@ -148,14 +162,32 @@ class RecorderNode(PlainNode[RecorderConfig]):
                 f'{visible(self._config.output)}: {progress.written} messages on '
                 f'{len(progress.topics)} topics, {progress.lost} lost'
                 + (f'; deleted: {progress.deleted}' if progress.deleted else '')
-                + ''.join(f', {hole["count"]} holes in {topic}' for topic, hole in holes.items()),
+                + ''.join(
+                    f', {hole["count"]} holes in {topic}' for topic, hole in facts['holes'].items()
+                )
+                + _told_left(self._left),
                 flush=True,
             )
+
+    def _facts(self) -> dict[str, Any]:
+        """Return what the bag says beside the counts of its messages."""
+        return {'holes': self._found_holes(), 'publishers_left': dict(self._left)}
+
+    def _look_who_left(self) -> None:
+        """Count publishers that have ended; in lock-step turns see to it that all has come."""
+        if self._config.lockstep:
+            return
+        for topic, subscription in self._subscriptions.items():
+            count = int(subscription.get_publisher_count())
+            if gone := max(0, self._publishers.get(topic, 0) - count):
+                self._left[topic] += gone
+            self._publishers[topic] = count
 
     def _wanted(self, topic: str) -> bool:
         return bool(self._include.search(topic)) and not self._exclude.search(topic)
 
     def _discover(self) -> None:
+        self._look_who_left()
         for topic, types in self.node.get_topic_names_and_types():
             if topic in self._subscriptions or topic in self._skipped or not self._wanted(topic):
                 continue
@@ -329,6 +361,18 @@ class RecorderNode(PlainNode[RecorderConfig]):
                 logger.error(text)
             else:
                 logger.info(text)
+
+
+def _told_left(left: Mapping[str, int]) -> str:
+    """Return in words that publishers ended, whose last messages no number tells of."""
+    if not left:
+        return ''
+    named = list(left)[:_NAMED]
+    more = f' and {len(left) - _NAMED} more' if len(left) > _NAMED else ''
+    return (
+        f'; {sum(left.values())} publishers ended meanwhile, on {", ".join(named)}{more}: '
+        'messages of their last moment may be missing uncounted'
+    )
 
 
 def _leading_stamp(payload: bytes) -> int:

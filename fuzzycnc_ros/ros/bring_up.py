@@ -6,10 +6,12 @@
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+from fuzzycnc_ros.core.names import file_word
 
 BANNER = (
     'fuzzycnc is not a safety function (ISO 13849): emergency stop, limit switches and drive '
@@ -35,6 +37,10 @@ TAKEOVER = 'FUZZYCNC_TAKEOVER'
 """Environment variable: a node starts whoever else stands for its machine or makes its time."""
 ACTIVE_TIMEOUT = 20.0
 """Wall time [s] until a managed node must be active."""
+NODE_STOP = 10.0
+"""Wall time [s] that a node gets to end by itself before it is killed."""
+RECORDER_STOP = 30.0
+"""The same for a recorder, which writes what waits, and for a page, which waits for recorders."""
 
 
 class GraphError(RuntimeError):
@@ -267,7 +273,12 @@ def bag_of(machine: str, machines: Sequence[str], bag: Path | None) -> Path | No
     """Return the bag of a machine: with several, its name follows that of the bag."""
     if bag is None or len(machines) < 2:
         return bag
-    return bag.with_name(f'{bag.name}_{machine.replace("/", "_")}')
+    return bag.with_name(f'{bag.name}_{file_word(machine)}')
+
+
+def stop_timeout(nodes: Iterable[str]) -> float:
+    """Return the wall time [s] that a process with these nodes gets to end by itself."""
+    return NODE_STOP if {'recorder', PAGE}.isdisjoint(nodes) else RECORDER_STOP
 
 
 @dataclass(frozen=True)

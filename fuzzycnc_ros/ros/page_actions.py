@@ -23,8 +23,11 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.node import Node
 
 from fuzzycnc_msgs.srv import SetThermalReference
+from fuzzycnc_ros.bags.errors import BagError
+from fuzzycnc_ros.bags.recording_loss import loss
 from fuzzycnc_ros.components.dashboard.machine_view import MachineView
-from fuzzycnc_ros.ros.bring_up import GraphError
+from fuzzycnc_ros.core.names import file_word
+from fuzzycnc_ros.ros.bring_up import RECORDER_STOP, GraphError
 from fuzzycnc_ros.ros.probing import check_unprobed, probe_record
 from fuzzycnc_ros.ros.processes import child_set_up
 from fuzzycnc_ros.ros.recording import is_recorded, recorder_command
@@ -41,8 +44,6 @@ ANSWERED = 10.0
 """Wall time [s] until it must have answered."""
 SETTLED = 0.5
 """Wall time [s] in which the readers of a new topic are found."""
-CLOSED = 30.0
-"""Wall time [s] that a recorder gets to close its bag."""
 POLL = 0.02
 ACTIVATED = ('compensator',)
 """Nodes that the page may activate: others move axes."""
@@ -125,17 +126,32 @@ class Actions:
             return None
         return None if process is None else bag.name
 
-    def close(self) -> None:
-        """Ask all recorders to end, and wait until their bags are whole."""
+    def close(self) -> list[str]:
+        """Ask all recorders to end, and wait until their bags are whole, but not for long.
+
+        A recorder that takes longer goes on without its page, and ends when its bag is whole:
+        killed, it would lose what it had yet to write.
+
+        Returns
+        -------
+        list of str
+            Which recorders go on, which failed, and what is missing in bags.
+        """
         for process, _ in self._recorders.values():
             process.terminate()
-        until = time.monotonic() + CLOSED
-        for process, _ in self._recorders.values():
+        until = time.monotonic() + RECORDER_STOP
+        told = []
+        for process, bag in self._recorders.values():
             try:
                 process.wait(max(0.0, until - time.monotonic()))
+                told.append(_trouble(process, bag))
             except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+                told.append(
+                    f'{bag.name} is not closed after {RECORDER_STOP:g} s; its recorder, process '
+                    f'{process.pid}, goes on and ends when it has written all'
+                )
+        self._recorders.clear()
+        return [text for text in told if text]
 
     async def act(self, view: MachineView, action: str, body: Mapping[str, Any]) -> str:
         """Carry an action out and write it down; return what was done.
@@ -277,7 +293,7 @@ class Actions:
             raise GraphError('expected a folder for bags; set the parameter bags of dashboard')
         if self.recording(machine) is not None or 'recorder' in view.living_nodes:
             raise GraphError(f'{machine} is recorded already; stop that recording first')
-        name = f'{machine.replace("/", "_")}_{time.strftime("%Y%m%d_%H%M%S", time.gmtime())}'
+        name = f'{file_word(machine)}_{time.strftime("%Y%m%d_%H%M%S", time.gmtime())}'
         bag = self._bags / name
         process = await self.thread.do(lambda: self._start_recorder(machine, bag))
         # It records once it listens: what is done before that would be missing in the bag.
@@ -314,14 +330,11 @@ class Actions:
         await self._until(
             lambda: process.poll() is not None,
             f'{bag.name} is not closed yet; it is, when the recorder has written all',
-            CLOSED,
+            RECORDER_STOP,
         )
         self._recorders.pop(machine, None)  # whoever has asked meanwhile has noticed its end
-        if process.returncode:
-            raise GraphError(
-                f'the recorder of {bag.name} ended with code {process.returncode}; make the bag '
-                'whole with fuzzycnc info --repair'
-            )
+        if trouble := await asyncio.to_thread(_trouble, process, bag):
+            raise GraphError(trouble)
         return f'{bag.name} is closed'
 
     async def _call(self, kind: Any, name: str, request: Any) -> Any:
@@ -374,6 +387,19 @@ class Actions:
 
 class NeedsForceError(GraphError):
     """It would be done if it were forced; the text says what that would do."""
+
+
+def _trouble(process: 'subprocess.Popen[bytes]', bag: Path) -> str:
+    """Return in words that a recorder has failed, or what its bag lacks; empty if all is well."""
+    if process.returncode:
+        return (
+            f'the recorder of {bag.name} ended with code {process.returncode}; make the bag whole '
+            'with fuzzycnc info --repair'
+        )
+    try:
+        return loss(bag)
+    except BagError as error:
+        return str(error)
 
 
 def _is_length(value: Any) -> bool:

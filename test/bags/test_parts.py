@@ -19,10 +19,10 @@ from fuzzycnc_ros.bags.errors import BagCountError, BagTruncatedError, BagWriteE
 from fuzzycnc_ros.bags.metadata import Qos, read_metadata, storage_files
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.recorder import DISK_FULL, REPORT_NAME, TOO_SLOW, RecordingThread
+from fuzzycnc_ros.bags.recording_loss import gaps, loss
 from fuzzycnc_ros.bags.repair import repair
 from fuzzycnc_ros.bags.typestore import serialize
 from fuzzycnc_ros.bags.writer import LATCHED_MAX, BagWriter
-from fuzzycnc_ros.cli.bags.recording_loss import gaps, loss
 
 NUMBER = 'std_msgs/msg/UInt64'
 LATCHED = Qos(depth=1, durability='transient_local')

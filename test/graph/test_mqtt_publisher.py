@@ -11,6 +11,7 @@ pytest.importorskip('paho')
 
 from bag_contents import contents
 from equipment.mqtt_broker import LOCAL, MOSQUITTO, PASSWORD, USER, MqttBroker, credentials, wait
+from processes import command_line
 
 pytestmark = [
     pytest.mark.ros,
@@ -66,13 +67,14 @@ def test_a_machine_is_told_of_and_its_secrets_are_not(graph, observer, broker, t
 
     again = broker.listen(STATUS)
     wait(lambda: (STATUS, '{"online": true}') in again, 'the status')
+    started = [command_line(item.process.pid) for item in (node, recorder)]
     node.send(signal.SIGKILL)
     wait(lambda: (STATUS, '{"online": false}') in again, 'the last will')
     assert recorder.interrupt() == 0
 
     secrets = (USER.encode(), PASSWORD.encode())
     written = [item for part in bag.rglob('*') if part.is_file() for item in contents(part)]
-    logs = [node.output.encode(), recorder.output.encode()]
+    logs = [text.encode() for text in (node.output, recorder.output, *started)]
     published = [text.encode() for _, text in [*heard, *again]]
     assert len(written) > 10
     assert not [text for text in (*written, *logs, *published) for s in secrets if s in text]

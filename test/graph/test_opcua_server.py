@@ -14,6 +14,7 @@ from bag_contents import contents
 from cryptography.x509.oid import ExtendedKeyUsageOID
 from equipment.field_servers import LOCAL
 from equipment.secured_server import PASSWORD, certificate, user_file
+from processes import command_line
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -57,6 +58,7 @@ def test_a_machine_is_read_with_the_password(graph, observer, tmp_path):
             return None  # not told yet
 
     observer.until(lambda: temperature() == 21.5, 'a temperature')
+    started = command_line(node.process.pid)
     assert node.interrupt() == 0
     assert recorder.interrupt() == 0
     written = [item for part in bag.rglob('*') if part.is_file() for item in contents(part)]
@@ -64,6 +66,7 @@ def test_a_machine_is_read_with_the_password(graph, observer, tmp_path):
     texts = [
         *written,
         node.output.encode(),
+        started.encode(),
         *(text.encode() for _, text in observer.statuses[name]),
     ]
     assert not [text for text in texts if PASSWORD.encode() in text]

@@ -11,8 +11,10 @@ import sys
 
 import pytest
 from processes import HANG, children, start, wait_for
+from std_msgs.msg import Header
 
 from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.runtime.host import RecorderProgress
 from fuzzycnc_ros.runtime.records import SECOND, MachineState, Temperatures
 
 pytestmark = pytest.mark.ros
@@ -64,6 +66,76 @@ def test_recorder_whose_disk_is_full_at_the_end(domain, root, tmp_path):
     assert process.returncode == 1, said
     assert said.startswith('error: ')
     assert 'the file would be larger than allowed' in said
+
+
+SLOW_TO_CLOSE = """
+import os, time
+from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.nodes import recorder
+from fuzzycnc_ros.ros import processes
+close, interrupt = BagWriter.close, processes.interrupt
+def slow(writer):
+    print('closing', flush=True)
+    while not os.path.exists(os.environ['ROOM']):
+        time.sleep(0.01)
+    close(writer)
+def hear():
+    print('wished', flush=True)
+    interrupt()
+BagWriter.close, processes.interrupt = slow, hear
+processes.ONE_WISH = 0.0  # each signal is a wish of its own
+recorder.main()
+"""
+"""A recorder that has closed its bag when there is room for it, and tells each wish to end."""
+
+
+def test_who_asks_again_does_not_tear_what_is_being_closed(domain, root, tmp_path):
+    bag, room = tmp_path / 'bag', tmp_path / 'room'
+    line = [sys.executable, '-c', SLOW_TO_CLOSE, '--ros-args', '-p', f'output:={bag}']
+    environment = {
+        **os.environ,
+        'PYTHONPATH': os.pathsep.join([str(root), os.environ.get('PYTHONPATH', '')]),
+        'ROS_DOMAIN_ID': str(domain),
+        'ROOM': str(room),
+    }
+    pipes = {'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE}
+    with start(line, env=environment, text=True, **pipes) as process:
+        assert 'recording to' in process.stderr.readline()
+        process.send_signal(signal.SIGTERM)
+        assert [process.stdout.readline() for _ in range(2)] == ['wished\n', 'closing\n']
+        for number in (signal.SIGINT, signal.SIGTERM):
+            process.send_signal(number)
+            assert process.stdout.readline() == 'wished\n'
+        room.touch()
+        told, said = process.communicate(timeout=HANG)
+    assert process.returncode == 0, said
+    assert f'{bag}: ' in told
+    with BagReader(bag) as reader:
+        assert reader.problems == []
+
+
+def test_publishers_that_end_before_their_recorder_are_told(graph, observer, tmp_path):
+    """What they sent last may be missing, and no number shows it."""
+    bag = tmp_path / 'bag'
+    topics = ('/mill/ended', '/mill/stayed')
+    publishers = [
+        observer.node.create_publisher(Header, name, 10) for name in (*topics, topics[0])
+    ]
+    recorder = graph.start('recorder', {'output': str(bag), 'topics': '^/mill/(ended|stayed)$'})
+    observer.until(lambda: all(item.get_subscription_count() for item in publishers), 'a recorder')
+    told = observer.records('recorder/progress', RecorderProgress)
+    for item in publishers:
+        item.publish(Header())
+    observer.until(lambda: told and told[-1].received == 3, 'all is received')
+    observer.node.destroy_publisher(publishers[-1])
+    observer.until(lambda: observer.node.count_publishers(topics[0]) == 1, 'its end')
+    graph.stop()
+    assert '3 messages on 2 topics, 0 lost; 1 publishers ended meanwhile, on /mill/ended' in (
+        recorder.output
+    )
+    with BagReader(bag) as reader:
+        said = json.loads(reader.attachments()['recording.json'].data)
+    assert said['publishers_left'] == {'/mill/ended': 1}
 
 
 def test_full_disk_ends_a_recording(command, observer, graph, tmp_path):

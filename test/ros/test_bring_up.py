@@ -77,6 +77,9 @@ def test_machines_have_names_bags_and_clocks_of_their_own(tmp_path):
     assert all(item.remap == ('/clock:=clock',) for item in items)
     bags = [item.spec.parameters['output'] for item in items if item.spec.name == 'recorder']
     assert bags == ['bags/shift_mill_1', 'bags/shift_mill_2']
+    items = launch(tmp_path, machine='shop/mill,shop_mill', record='bags/shift')
+    bags = [item.spec.parameters['output'] for item in items if item.spec.name == 'recorder']
+    assert bags == ['bags/shift_shop-mill', 'bags/shift_shop_mill']
     states = {item.spec.parameters.get('state_directory') for item in items} - {None}
     assert len(states) == 2
 

@@ -165,6 +165,8 @@ class _Credentials(Fields):
 def read_credentials(path: Path) -> tuple[str, str]:
     """Return user name and password of a credentials file.
 
+    What is wrong in it is not quoted: it may be the password.
+
     Raises
     ------
     ParameterError
@@ -178,5 +180,13 @@ def read_credentials(path: Path) -> tuple[str, str]:
         raise ParameterError(
             f'{path}: expected a file that only its owner can read; run chmod 600 {path}'
         )
-    found = read_file(path, _Credentials, 'username and password')
+    try:
+        found = read_file(path, _Credentials, 'username and password')
+    except ParameterError as error:
+        line = re.search(r'line \d+', str(error))
+        place = f'{path}: {line[0]}' if line else f'{path}'
+        raise ParameterError(
+            f"{place}: expected username and password, a line each, as password: 'SECRET' in "
+            'quotes; what stands there is not shown'
+        ) from None
     return found.username, found.password

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
-from fuzzycnc_ros.cli.bags.recording_loss import gaps, holes, lost_messages
+from fuzzycnc_ros.bags.recording_loss import gaps, holes, lost_messages
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     Tell,

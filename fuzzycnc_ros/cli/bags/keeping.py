@@ -4,6 +4,7 @@
 
 from typing import Annotated, Any
 
+from fuzzycnc_ros.bags.shipping import check_no_secret
 from fuzzycnc_ros.cli.console import check_at_least
 from fuzzycnc_ros.cli.options import OptionalNumber, OptionalText, given
 from fuzzycnc_ros.cli.quantities import SIZES, TIMES, number_in
@@ -64,6 +65,8 @@ def keeping_parameters(
     ------
     ValueError
         If a number is negative, or there is a budget but nothing splits the bag.
+    BagError
+        If the place to ship to carries a secret.
     """
     numbers = {
         '--split-size': split_size,
@@ -73,6 +76,7 @@ def keeping_parameters(
     }
     for option, value in numbers.items():
         check_at_least(option, value, 0.0)
+    check_no_secret(ship or '')
     if budget and not (split_size or split_duration):
         raise ValueError(
             '--budget: expected --split-size or --split-duration, too: only parts that are closed '

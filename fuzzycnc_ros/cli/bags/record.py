@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from fuzzycnc_ros.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.bags.keeping import (
     Budget,
     FreeMin,
@@ -19,7 +20,6 @@ from fuzzycnc_ros.cli.bags.keeping import (
     SplitSize,
     keeping_parameters,
 )
-from fuzzycnc_ros.cli.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_at_least,
@@ -31,12 +31,9 @@ from fuzzycnc_ros.cli.console import (
 )
 from fuzzycnc_ros.cli.options import OptionalNumber, given
 from fuzzycnc_ros.cli.quantities import TIMES, number_in
-from fuzzycnc_ros.ros.bring_up import GraphError, machine_name
+from fuzzycnc_ros.ros.bring_up import RECORDER_STOP, GraphError, machine_name
 from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
 from fuzzycnc_ros.ros.recording import recorder_command
-
-STOP_TIMEOUT = 30.0
-"""Time [s] that the recorder gets to close its bag."""
 
 
 def record(
@@ -122,12 +119,12 @@ def _run_recorder(command: list[str], bag: Path, duration: float | None) -> int:
         if process.poll() is None:
             process.terminate()
     try:
-        code = process.wait(STOP_TIMEOUT)
+        code = process.wait(RECORDER_STOP)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
         raise GraphError(
-            f'the recorder did not close {bag} within {STOP_TIMEOUT:g} s and was killed; make '
+            f'the recorder did not close {bag} within {RECORDER_STOP:g} s and was killed; make '
             f'the bag whole with `fuzzycnc info {bag} --repair`'
         ) from None
     if wished and code < 0:

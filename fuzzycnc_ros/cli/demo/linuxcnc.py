@@ -17,7 +17,7 @@ from rich.console import Console
 
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
 from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation, exclusive
-from fuzzycnc_ros.cli.bags.recording_loss import LACKING, loss
+from fuzzycnc_ros.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.console import complain
 from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Outcome, Steps, ended, play
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses

@@ -14,12 +14,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError, NodeSpec
+from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError, NodeSpec, stop_timeout
 from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
-
-STOP_TIMEOUT = 10.0
-"""Wall time [s] that a node gets to end by itself before it is killed."""
-
 
 COMPOSED = 'composed'
 """Name of a process that holds several nodes."""
@@ -103,6 +99,7 @@ class GraphProcesses:
         # Whoever starts a graph has looked who else is there, and holds the names of its nodes.
         self._environment = {**os.environ, TAKEOVER: '1', **(environment or {})}
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._patience: dict[str, float] = {}  # s that each gets to end
         self._asked: set[str] = set()  # to end, by us
         self._begun: dict[str, int] = {}  # where in its output the newest life of a node begins
 
@@ -140,6 +137,7 @@ class GraphProcesses:
             command += [spec.name for spec in specs]
         command += self.arguments(*specs)
         self._asked.discard(name)
+        self._patience[name] = stop_timeout(spec.name for spec in specs)
         with self.log(name).open('ab' if name in self._processes else 'wb') as log:
             self._begun[name] = log.tell()
             self._processes[name] = subprocess.Popen(
@@ -222,13 +220,13 @@ class GraphProcesses:
         """Ask nodes to end, all if none is named; kill those that do not."""
         self.wait_ended(self.interrupt(*names))
 
-    def wait_ended(self, names: Sequence[str], timeout: float = STOP_TIMEOUT) -> None:
-        """Wait for nodes that were asked to end; kill those that do not in time [s]."""
-        until = time.monotonic() + timeout
+    def wait_ended(self, names: Sequence[str]) -> None:
+        """Wait for nodes that were asked to end; kill those that do not in time."""
+        begun = time.monotonic()
         for name in names:
             process = self._processes[name]
             try:
-                process.wait(max(0.0, until - time.monotonic()))
+                process.wait(max(0.0, begun + self._patience[name] - time.monotonic()))
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()

@@ -11,6 +11,7 @@ from typing import Annotated, Optional
 
 import typer
 
+from fuzzycnc_ros.bags.shipping import check_no_secret
 from fuzzycnc_ros.cli.console import say, write_text
 from fuzzycnc_ros.cli.live.page_process import Page
 from fuzzycnc_ros.cli.live.service_units import (
@@ -117,6 +118,9 @@ def install(
     recorded = shlex.split(record_options)
     if recorded and record is None:
         raise GraphError('expected --record, too: --record-options says how it records')
+    for word in (*words, *recorded):
+        # Units are files that everybody reads.
+        check_no_secret(word.partition('=')[2] if word.startswith('--') else word)
     if run_as and not system:
         raise GraphError('expected --system, too: a service of this user has its rights')
     place = Place(system, run_as or installing_user(), Path.cwd(), passed_on(os.environ))

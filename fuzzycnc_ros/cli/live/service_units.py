@@ -11,9 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fuzzycnc_ros.cli.bags.record import STOP_TIMEOUT as RECORD_STOP
-from fuzzycnc_ros.cli.live.graph_processes import STOP_TIMEOUT as NODES_STOP
-from fuzzycnc_ros.ros.bring_up import ACTIVE_TIMEOUT
+from fuzzycnc_ros.core.names import file_word
+from fuzzycnc_ros.ros.bring_up import ACTIVE_TIMEOUT, NODE_STOP, RECORDER_STOP
 
 MARK = '# Written by `fuzzycnc service install`, which writes it anew.'
 """First line of a unit, by which its writer knows it."""
@@ -104,11 +103,14 @@ def passed_on(environment: Mapping[str, str]) -> dict[str, str]:
 
 def unit_name(machine: str, part: str = '') -> str:
     """Return the name of the unit of a machine, or of a part of it."""
-    words = ['fuzzycnc', *machine.split('/'), part]
-    return '-'.join(word for word in words if word) + '.service'
+    # A machine whose name ends as a unit of another would share it: such a one says what it is.
+    part = part or 'graph' * (machine.rpartition('/')[2] in PARTS)
+    return f'fuzzycnc-{file_word(machine)}{part and f"-{part}"}.service'
 
 
-PAGE = unit_name('page')
+PARTS = ('graph', 'page', 'record')
+"""Words that tell the units of one machine apart, and the unit of the page from all of them."""
+PAGE = 'fuzzycnc-page.service'
 """The unit of the live page, which shows all machines."""
 
 
@@ -123,7 +125,7 @@ def graph_unit(place: Place, machine: str, options: Sequence[str]) -> Unit:
         f'fuzzycnc: machine {machine}',
         line,
         # Nodes end first, then recorders.
-        stop=2 * NODES_STOP,
+        stop=NODE_STOP + RECORDER_STOP,
         start=MANAGED * ACTIVE_TIMEOUT,
         lines=(f'StateDirectory={state}',),
     )
@@ -132,14 +134,14 @@ def graph_unit(place: Place, machine: str, options: Sequence[str]) -> Unit:
 def record_unit(place: Place, machine: str, folder: Path, options: Sequence[str]) -> Unit:
     """Return the unit of a machine's recording: a bag in a folder, named by when it begins."""
     command = [*_python('cli.main'), 'record', '--machine', machine, *options]
-    stem = shlex.quote(str(folder / f'{machine.replace("/", "-")}-'))
+    stem = shlex.quote(str(folder / f'{file_word(machine)}-'))
     script = f'exec {shlex.join(command)} --out {stem}"$(date -u +%Y-%m-%dT%H-%M-%SZ)"'
     return _unit(
         place,
         unit_name(machine, 'record'),
         f'fuzzycnc: recording of machine {machine}',
         _words(['/bin/sh', '-c', script]),
-        stop=RECORD_STOP,
+        stop=RECORDER_STOP,
         # The recorder is a process of its own, which says itself how it is.
         lines=('NotifyAccess=all',),
     )
@@ -151,7 +153,7 @@ def page_unit(place: Place, port: int, bags: Path | None) -> Unit:
     if bags is not None:
         # JSON is YAML: a folder named 2024 stays a text.
         command += ['-p', f'bags:={json.dumps(str(bags))}']
-    return _unit(place, PAGE, 'fuzzycnc: live page', _words(command), stop=NODES_STOP)
+    return _unit(place, PAGE, 'fuzzycnc: live page', _words(command), stop=RECORDER_STOP)
 
 
 def _python(module: str) -> list[str]:

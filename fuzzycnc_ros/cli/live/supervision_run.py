@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from fuzzycnc_ros.cli.bags.recording_loss import LACKING, loss
-from fuzzycnc_ros.cli.live.graph_processes import STOP_TIMEOUT, GraphProcesses, process_name
+from fuzzycnc_ros.bags.recording_loss import LACKING, loss
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, process_name
 from fuzzycnc_ros.cli.live.supervision import State, Supervised, Supervisor
 from fuzzycnc_ros.cli.live.supervision_view import View
 from fuzzycnc_ros.ros.bring_up import (
     ACTIVE_TIMEOUT,
+    RECORDER_STOP,
     TIME_SOURCES,
     GraphError,
     NodeSpec,
@@ -35,9 +36,6 @@ DECIDED = 6.0
 SPOKE = 4.0
 """Wall time [s] since its newest report for a node that is alive: it reports every second, a busy
 computer permitting."""
-
-CLOSED = 30.0
-"""Wall time [s] that recorders get for what waits for their disk, when all others have ended."""
 
 COMING_BACK = 30.0
 """Wall time [s] in which a node that was started anew reports, also on a busy computer."""
@@ -230,7 +228,7 @@ def _end(graphs: Sequence[GraphProcesses]) -> None:
             if late or name != 'recorder'
         ]
         for graph, names in asked:
-            graph.wait_ended(names, CLOSED if late else STOP_TIMEOUT)
+            graph.wait_ended(names)
 
 
 def _lacking(supervisor: Supervisor) -> list[str]:
@@ -244,8 +242,8 @@ def _lacking(supervisor: Supervisor) -> list[str]:
         if code == -signal.SIGKILL and process.state is State.RUNNING:
             bags = ', '.join(f'{bag}' for bag in _bags(process))
             found.append(
-                f'{process.title} did not close its bag within {CLOSED:g} s and was killed, the '
-                'disk was too slow: the recording lacks what came last; make it whole with '
+                f'{process.title} did not close its bag within {RECORDER_STOP:g} s and was '
+                'killed, the disk was too slow: the recording lacks what came last; make it whole with '
                 f'`fuzzycnc info {bags} --repair`'
             )
         elif code and process.state is State.RUNNING:  # it was asked to end, and failed

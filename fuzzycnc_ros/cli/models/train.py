@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
-from fuzzycnc_ros.cli.bags.recording_loss import hole_text
+from fuzzycnc_ros.bags.recording_loss import hole_text
 from fuzzycnc_ros.cli.completion import one_of, some_of
 from fuzzycnc_ros.cli.console import (
     JsonFile,

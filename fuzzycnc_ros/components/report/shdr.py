@@ -14,7 +14,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from fuzzycnc_ros.components.report.told import SPINDLE, told
-from fuzzycnc_ros.core.names import topic_words
+from fuzzycnc_ros.core.names import file_word, topic_words
 
 UNAVAILABLE = 'UNAVAILABLE'
 NAMESPACE = 'urn:mtconnect.org:MTConnectDevices:1.3'
@@ -114,7 +114,7 @@ class Shdr:
             bufferSize='131072',
         )
         devices = ElementTree.SubElement(root, _tag('Devices'))
-        name = re.sub(r'\W', '_', self._machine)
+        name = file_word(self._machine)
         device = ElementTree.SubElement(
             devices, _tag('Device'), id=f'{name}_device', name=name, uuid=f'fuzzycnc-{name}'
         )

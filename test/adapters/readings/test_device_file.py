@@ -225,7 +225,7 @@ def test_credentials(tmp_path):
     path.chmod(0o600)
     assert read_credentials(path) == ('joe', '0123')
     path.write_text('username: joe\n')
-    with pytest.raises(ParameterError, match="expected the field 'password'"):
+    with pytest.raises(ParameterError, match='line 1: expected username and password'):
         read_credentials(path)
 
 

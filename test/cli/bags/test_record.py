@@ -29,6 +29,16 @@ def test_recording_without_ros_names_the_remedy(refused, monkeypatch):
     refused('record', '--out', 'b', naming=['rclpy', 'Jazzy'])
 
 
+def test_a_secret_starts_no_process(refused, monkeypatch):
+    """It would stand in the list of processes."""
+    monkeypatch.setattr('fuzzycnc_ros.cli.bags.record.subprocess.Popen', None)
+    text = refused(
+        *('record', '--out', 'b', '--ship', 'sftp://mill:s3same@host/a'),
+        naming=['expected a URL without a password'],
+    )
+    assert 's3same' not in str(text)
+
+
 @pytest.fixture
 def environment(root, domain):
     """A graph of its own on this host, and this source tree for processes in other folders."""

@@ -10,12 +10,11 @@ import sys
 
 import pytest
 
-from fuzzycnc_ros.cli.live import graph_processes
-from fuzzycnc_ros.cli.live.service_units import passed_on, unit_name
+from fuzzycnc_ros.cli.live.service_units import PAGE, passed_on, unit_name
 from fuzzycnc_ros.cli.live.supervision import State, Supervised
 from fuzzycnc_ros.cli.live.supervision_run import COMING_BACK, silent_nodes
 from fuzzycnc_ros.cli.main import run
-from fuzzycnc_ros.ros.bring_up import NodeSpec
+from fuzzycnc_ros.ros.bring_up import NODE_STOP, RECORDER_STOP, NodeSpec
 
 MODEL = 'a "good" $model 50%.json'
 """A name in which systemd sees more than letters."""
@@ -67,11 +66,24 @@ def test_a_service_is_written_but_not_started(units, capsys):
 
 
 def test_a_service_has_more_time_to_end_than_what_it_runs(units):
-    assert install('--record', 'bags') == 0
-    (stop,) = settings(units / 'fuzzycnc-mill_1.service')['TimeoutStopSec']
-    assert float(stop) > 2.0 * graph_processes.STOP_TIMEOUT
-    (stop,) = settings(units / 'fuzzycnc-mill_1-record.service')['TimeoutStopSec']
-    assert float(stop) > 30.0
+    assert install('--record', 'bags', '--page') == 0
+    for name, least in (
+        ('fuzzycnc-mill_1', NODE_STOP + RECORDER_STOP),
+        ('fuzzycnc-mill_1-record', RECORDER_STOP),
+        ('fuzzycnc-page', RECORDER_STOP),  # it waits for what it records
+    ):
+        (stop,) = settings(units / f'{name}.service')['TimeoutStopSec']
+        assert float(stop) > least, name
+
+
+def test_no_two_machines_share_a_unit():
+    """Not even those whose name is the last word of a unit of another."""
+    words = ('mill', 'record', 'page', 'graph')
+    machines = [*words, *(f'{a}/{b}' for a in words for b in words), 'shop_mill', 'shop/mill']
+    names = [unit_name(machine, part) for machine in machines for part in ('', 'record')]
+    assert len({PAGE, *names}) == 1 + len(names)
+    assert unit_name('mill') == 'fuzzycnc-mill.service'
+    assert unit_name('shop/mill', 'record') == 'fuzzycnc-shop-mill-record.service'
 
 
 def test_a_recording_has_a_bag_for_each_start(units):
@@ -134,6 +146,23 @@ def test_systemd_takes_the_units(units, tmp_path, system, monkeypatch, capsys):
 def test_what_would_not_start_is_refused_before_it_is_written(units, capsys, words, expected):
     assert install(*words) == 2
     assert expected in capsys.readouterr().err
+    assert not units.exists()
+
+
+@pytest.mark.parametrize(
+    'words',
+    [
+        ('--record', 'bags', '--record-options', '--ship sftp://mill:s3same@host/a'),
+        ('--record', 'bags', '--record-options', "'--ship=s3://shop/a?key=s3same'"),
+    ],
+)
+def test_no_secret_reaches_a_unit(units, capsys, words):
+    """Everybody reads units, and the list of processes."""
+    assert install(*words) != 0
+    assert install(*words, '--dry-run') != 0
+    said = ''.join(capsys.readouterr())
+    assert 'expected a URL without a password' in said
+    assert 's3same' not in said
     assert not units.exists()
 
 

@@ -5,15 +5,19 @@
 import io
 import math
 import os
+import threading
 from pathlib import Path
 
 import pytest
+from processes import HANG, wait_for
 from rich.console import Console
 
+from fuzzycnc_ros.cli.live import graph_processes
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.supervision import State, Supervisor
 from fuzzycnc_ros.cli.live.supervision_view import View, row, table
 from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.ros import processes
+from fuzzycnc_ros.ros import bring_up, processes
 from fuzzycnc_ros.ros.bring_up import THERMAL, GraphError, NodeSpec, RestartPolicy, node_specs
 from fuzzycnc_ros.runtime.component import Level
 
@@ -416,3 +420,36 @@ def test_what_the_user_has_chosen_stands(plain_environment, name):
     processes.open_to_network()
     processes.prepare_environment()
     assert 'ROS_AUTOMATIC_DISCOVERY_RANGE' not in os.environ
+
+
+SLOW_NODE = """#!/bin/sh
+trap 'while [ ! -e room ]; do sleep 0.01; done; exit 0' TERM
+touch "ready-$2"
+while :; do sleep 0.01; done
+"""
+"""Stands for the Python of a node that ends when there is room for what it holds."""
+
+
+def test_who_writes_a_bag_or_waits_for_one_has_time_to_end(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path('node').write_text(SLOW_NODE)
+    Path('node').chmod(0o755)
+    monkeypatch.setattr(graph_processes.sys, 'executable', str(tmp_path / 'node'))
+    monkeypatch.setattr(bring_up, 'NODE_STOP', 0.0)
+    monkeypatch.setattr(bring_up, 'RECORDER_STOP', HANG)
+
+    with GraphProcesses('mill', folder=tmp_path / 'log') as graph:
+        names = ('compensator', 'recorder', 'dashboard')
+        for name in names:
+            graph.start(NodeSpec(name))
+            wait_for(Path(f'ready-fuzzycnc_ros.nodes.{name}').exists, name)
+
+        def make_room():
+            wait_for(lambda: 'compensator' in graph.poll(), 'the end of the first one')
+            Path('room').touch()
+
+        room = threading.Thread(target=make_room)
+        room.start()
+        graph.stop()
+        room.join()
+        assert graph.poll() == {'compensator': -9, 'recorder': 0, 'dashboard': 0}

@@ -42,6 +42,19 @@ def values(line):
     return dict(zip(fields[::2], fields[1::2], strict=True))
 
 
+def test_machines_whose_names_look_alike_are_devices_of_their_own():
+    """One agent may gather them: what is the same twice, it takes for one."""
+    ids = []
+    for machine in ('shop/mill', 'shop_mill'):
+        shdr = Shdr(machine, 150.0)
+        shdr.take(document())
+        root = ElementTree.fromstring(shdr.devices())
+        ids += [
+            value for item in root.iter() for key in ('id', 'uuid') if (value := item.get(key))
+        ]
+    assert len(ids) == len(set(ids)) > 10
+
+
 def test_everything_is_told_in_the_units_of_mtconnect():
     shdr = Shdr('mill', 150.0)
     (line,) = shdr.take(document())
@@ -134,7 +147,7 @@ def test_the_file_of_devices_has_every_key_once():
     assert units['temperature_T2'] == 'CELSIUS'
     assert units['offset_Z'] == 'MILLIMETER'
     assert units['spindle_speed'] == 'REVOLUTION/MINUTE'
-    assert found.find(f'.//{{{NAMESPACE}}}Device').get('name') == 'shop_mill'
+    assert found.find(f'.//{{{NAMESPACE}}}Device').get('name') == 'shop-mill'
     # The same items give the same file, whatever came first or is known now.
     other = Shdr('shop/mill', 150.0)
     other.take(document(temperatures=None))

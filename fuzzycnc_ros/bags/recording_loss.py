@@ -57,7 +57,8 @@ def gaps(attachments: 'Mapping[str, Attachment]') -> list[str]:
     """
     try:
         return [
-            f'{int(gap["messages"])} messages from {gap["from_s"]:.9g} to {gap["to_s"]:.9g} s, '
+            f'{int(gap["messages"])} messages from {_time(gap["from_s"])} to '
+            f'{_time(gap["to_s"])} s, '
             f'since {gap["cause"]}'
             for gap in _said(attachments, 'gaps')
         ]
@@ -68,7 +69,12 @@ def gaps(attachments: 'Mapping[str, Attachment]') -> list[str]:
 def hole_text(count: int, longest: float, at: float) -> str:
     """Return in words how many holes there are, and the longest [s]."""
     number = '1 hole' if count == 1 else f'{count} holes, the longest'
-    return f'{number} of {longest:g} s at {at:.9g} s'
+    return f'{number} of {longest:g} s at {_time(at)} s'
+
+
+def _time(seconds: float) -> str:
+    """Return a time to the millisecond, also one of the day's clock, which has ten digits."""
+    return f'{seconds:.3f}'.rstrip('0').rstrip('.')
 
 
 def loss(bag: Path) -> str:
