@@ -242,9 +242,9 @@ def _lacking(supervisor: Supervisor) -> list[str]:
         if code == -signal.SIGKILL and process.state is State.RUNNING:
             bags = ', '.join(f'{bag}' for bag in _bags(process))
             found.append(
-                f'{process.title} did not close its bag within {RECORDER_STOP:g} s and was killed, '
-                'the disk was too slow: the recording lacks what came last; make it whole with '
-                f'`fuzzycnc info {bags} --repair`'
+                f'{process.title} did not close its bag within {RECORDER_STOP:g} s and was '
+                'killed, the disk was too slow: the recording lacks what came last; make it whole '
+                f'with `fuzzycnc info {bags} --repair`'
             )
         elif code and process.state is State.RUNNING:  # it was asked to end, and failed
             reasons.append(f'ended with code {code}: {process.graph.last_words(process.name)}')
