@@ -63,6 +63,8 @@ def sources() -> Iterator[Path]:
         )
         for name in sorted(names):
             path = Path(folder, name)
+            if name == '.git':  # of a work tree of its own, which says where the repository is
+                continue
             if path.suffix in TEXT or name in COMMENTED_NAMES:
                 yield path
 
