@@ -42,6 +42,8 @@ PATIENCE = 6.0
 """Wall time [s] until a node must be found."""
 ANSWERED = 10.0
 """Wall time [s] until it must have answered."""
+BEGUN = 30.0
+"""Wall time [s] until a recorder must listen, also on a busy computer."""
 SETTLED = 0.5
 """Wall time [s] in which the readers of a new topic are found."""
 POLL = 0.02
@@ -300,7 +302,7 @@ class Actions:
         await self._until(
             lambda: is_recorded(self._node, machine) or process.poll() is not None,
             f'the recorder did not begin {bag.name}; look at the log of dashboard',
-            ANSWERED,
+            BEGUN,
         )
         if process.poll() is not None:
             raise GraphError(f'the recorder ended with code {process.returncode}; see its log')

@@ -3,9 +3,14 @@
 """What fails of a part of the tests is run once more, alone, unless it is much."""
 
 import json
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 
 import pytest
-import run_tests
+
+SPEC = spec_from_file_location('run_tests', Path(__file__).parents[2] / 'tools' / 'run_tests.py')
+run_tests = module_from_spec(SPEC)
+SPEC.loader.exec_module(run_tests)
 
 
 @pytest.fixture
