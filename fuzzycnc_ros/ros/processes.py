@@ -8,6 +8,7 @@ the environment can be set before rclpy is.
 
 import ctypes
 import os
+import resource
 import signal
 import sys
 import threading
@@ -209,6 +210,12 @@ def end(code: int) -> NoReturn:
     for number in heard_wishes():
         signal.signal(number, signal.SIG_IGN)
     sys.exit(code)
+
+
+def memory_limit() -> float | None:
+    """Return how much address space this process and its children may have [MB]; None: any."""
+    most = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return None if most == resource.RLIM_INFINITY else most / 1e6
 
 
 def child_set_up() -> Callable[[], None]:

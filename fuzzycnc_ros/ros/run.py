@@ -32,15 +32,13 @@ from fuzzycnc_ros.ros.processes import (
     end,
     ending_within,
     interruptible,
+    memory_limit,
     prepare_environment,
 )
 from fuzzycnc_ros.ros.service_manager import ServiceManager
 
-MEGABYTE = 1e6
 LETTING_GO = 20
 """Wall time [s] that the middleware has for its part of the end; it takes 0.1 s, or forever."""
-
-
 NO_MEMORY = 1
 """What a node ends with that gets no more memory: started again it begins with little."""
 
@@ -181,11 +179,11 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
 def _no_memory() -> str:
     """Say that this process got no more memory, how much it has, and what helps."""
     pages = int(Path('/proc/self/statm').read_text(encoding='ascii').split()[0])
-    size = pages * resource.getpagesize() / MEGABYTE
-    most = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if most == resource.RLIM_INFINITY:
+    size = pages * resource.getpagesize() / 1e6
+    most = memory_limit()
+    if most is None:
         return f'there is not enough memory; this process has {size:.0f} MB; end other programs'
     return (
-        f'there is not enough memory: this process may have {most / MEGABYTE:.0f} MB and has '
+        f'there is not enough memory: this process may have {most:.0f} MB and has '
         f'{size:.0f} MB; allow more, see `ulimit -v`'
     )

@@ -117,12 +117,17 @@ def paused_and_gone_on(disk, traffic, ballast=ROOM[1]):
     traffic.heard()
     traffic.say()
     traffic.until_received()
+    fill_up(disk, traffic, ballast)
+    disk.make_room()
+    traffic.until_written()
+
+
+def fill_up(disk, traffic, ballast=ROOM[1]):
+    """Fill a disk under a recording, and say what finds no room."""
     disk.fill(ballast)
     traffic.until_alarmed()
     traffic.say()
     traffic.until_received()
-    disk.make_room()
-    traffic.until_written()
 
 
 def said(bag):
@@ -151,10 +156,7 @@ def test_record(graph, observer, small_disk, tmp_path, full):
     disk.seen_by(running)
     paused_and_gone_on(disk, traffic)
     if full:
-        disk.fill(ROOM[1])
-        traffic.until_alarmed()
-        traffic.say()
-        traffic.until_received()
+        fill_up(disk, traffic)
     assert running.interrupt() == full, running.output
     assert 'the recording to' in running.output
     errors = [text for text in running.output.splitlines() if text.startswith('error: ')]
@@ -178,10 +180,7 @@ def test_up(graph, observer, small_disk, tmp_path, full):
     disk.seen_by(running)
     paused_and_gone_on(disk, traffic)
     if full:
-        disk.fill(ROOM[1])
-        traffic.until_alarmed()
-        traffic.say()
-        traffic.until_received()
+        fill_up(disk, traffic)
     assert running.interrupt() == full, running.output
     lacking = json.loads((tmp_path / 'outcome.json').read_text())['lacking']
     assert len(lacking) == full
@@ -222,10 +221,7 @@ def test_page(graph, observer, small_disk, tmp_path, full, by):
     observer.until(lambda: act(page, by='anna', start=True)[0], 'a recording')
     paused_and_gone_on(disk, traffic, PLENTY[1])
     if full:
-        disk.fill(PLENTY[1])
-        traffic.until_alarmed()
-        traffic.say()
-        traffic.until_received()
+        fill_up(disk, traffic, PLENTY[1])
     (bag,) = disk.inside('.').glob('mill_*')
     if by == 'page':
         done, says = act(page, by='anna', start=False)

@@ -4,7 +4,6 @@
 
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -15,7 +14,7 @@ from types import TracebackType
 from typing import Any
 
 from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError, NodeSpec, stop_timeout
-from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
+from fuzzycnc_ros.ros.processes import child_set_up, memory_limit, prepare_environment
 
 COMPOSED = 'composed'
 """Name of a process that holds several nodes."""
@@ -256,11 +255,10 @@ class GraphProcesses:
         told = self._newest(name)
         if not any(sign in told for sign in STARVED):
             return ''
-        # The nodes have inherited it.
-        most = resource.getrlimit(resource.RLIMIT_AS)[0]
+        most = memory_limit()  # the nodes have inherited it
         limit = 'end other programs'
-        if most != resource.RLIM_INFINITY:
-            limit = f'it may have {most / 1e6:.0f} MB; allow more, see `ulimit -v`'
+        if most is not None:
+            limit = f'it may have {most:.0f} MB; allow more, see `ulimit -v`'
         return f'there was not enough memory; {limit}'
 
     def _newest(self, name: str) -> str:
