@@ -207,7 +207,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
         idle = np.isnan(lines.at(status.position)) & (status.applied == 0.0)
         return not np.any(idle | self._away(status, lines))
 
-    def _command(self, command: Compensation) -> None:
+    def _command(self, command: Compensation) -> bool:
         """Guard a command by its values at the ends of the travel."""
         status = self._status
         assert status is not None, 'who leads has read the control'
@@ -217,7 +217,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
             command, travel.sloping
         )
         if self._unusable:
-            return
+            return False
         rows = [self._axes.index(axis) for axis in command.axis]
         full = {name: np.zeros(len(self._axes)) for name in COLUMNS}
         for name, values in columns.items():
@@ -236,6 +236,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
         if answer.accepted:
             self._clipped = np.any(np.split(cut != wanted, 2), axis=0)
             self._reference = lines.reference_position
+        return answer.accepted
 
     def _steep(self, command: Compensation, sloping: Bools) -> str:
         """Say which slope this control cannot take; empty if it can take all."""

@@ -143,6 +143,24 @@ def test_adopted_offsets_do_not_stand_for_ever():
     assert rig.last.status == AppliedStatus.EXPIRED
 
 
+def test_adopted_offsets_do_not_stand_for_ever_on_a_connection_that_comes_and_goes():
+    """Each time the bridge goes on from what stands; nobody has commanded it since."""
+    rig = settled(adopt_time=10.0)
+    for _ in range(6):
+        rig.bench.emitted += rig.bridge.lose(nanoseconds(rig.time), 'no answer within 2 s')
+        rig.silence(1.0)
+        rig.run(4.0)
+    assert rig.at((0, 0))
+    assert rig.last.status == AppliedStatus.EXPIRED
+    rig.command((10, -20))
+    rig.run(5.0)
+    assert rig.at((10, -20))
+    rig.bench.emitted += rig.bridge.lose(nanoseconds(rig.time), 'no answer within 2 s')
+    rig.silence(1.0)
+    rig.run(8.0)
+    assert rig.at((10, -20))  # there was a command again
+
+
 def test_lost_connection_is_told_and_taken_up_again_without_a_step():
     rig = settled()
     told = list(rig.bridge.lose(nanoseconds(rig.time), 'no answer within 2 s'))
