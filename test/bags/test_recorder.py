@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from fuzzycnc_ros.bags.errors import BagTopicError, BagWriteError
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.recorder import (
-    NO_TIME,
     MODULUS,
+    NO_TIME,
     REPORT_NAME,
     UNSUPPORTED,
     RecordingThread,

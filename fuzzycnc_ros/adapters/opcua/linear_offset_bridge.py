@@ -134,10 +134,14 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
 
     def observe(self, stamp: int, status: LineStatus) -> Iterator[Emission]:
         """Take what was read at `stamp` [ns]; decide what to write, yield what is to be told."""
+        before = self._time
         self._work_at(stamp)
         self._status, self._absent, self._last = status, '', status.applied
         self._look_for_others(status)
-        if not self._leads or self._theirs != status.limits.slew_max:
+        # A control that heard nobody for so long may have gone elsewhere, and not say so.
+        paused = self._time - before > nanoseconds(self._config.takeover_time)
+        gone = paused and bool(np.any(self._apart(status)))
+        if not self._leads or gone or self._theirs != status.limits.slew_max:
             self._adopt(status)
         why = self._forbidden(status)
         self._input.allow(not why or not self._leads, why)

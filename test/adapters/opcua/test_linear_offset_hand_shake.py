@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 from benches.bridge_bench import Compensated
-from benches.line_control import WATCHDOG
+from benches.line_control import WATCHDOG, LineControl
 from benches.line_rig import CYCLE, SCALE, SLEW, Rig, settled
 
 from fuzzycnc_ros.adapters.opcua.hand_shake import NUMBERS
@@ -85,6 +85,27 @@ def test_killed_bridge_and_the_watchdog_of_the_control():
     rig.run(2.0)
     assert rig.allowed
     assert rig.at((0, 0))
+
+
+@pytest.mark.parametrize('says', [True, False])
+def test_stopped_bridge_goes_on_from_where_the_control_went_meanwhile(says):
+    """SIGSTOP: the watchdog takes the offsets away; SIGCONT must not put them back in a step.
+
+    A control that does not say that its watchdog has ended is known by where its axes are.
+    """
+    control = LineControl()
+    control.slew = 20 * SLEW
+    rig = settled((0, 40), control=control)
+    rig.says_alive = says
+    rig.silence(WATCHDOG + 6.0)
+    assert not np.any(rig.control.applied)
+    begin = len(rig.path)
+    rig.run(1.0)
+    rig.command((0, 40))
+    rig.run(6.0)
+    assert rig.at((0, 40))
+    way = np.abs(np.diff(rig.path[begin:], axis=0)).max()
+    assert way <= 2.01 * SLEW * CYCLE  # a set comes a cycle late now and then
 
 
 @pytest.mark.parametrize('slope', [0.0, 1e-4])
