@@ -69,7 +69,7 @@ class OpcuaBridgeNode(ControllerBridgeNode):
 
         config = self.component.configuration
         return ThreadedController(
-            lambda: OpcUaControl(file, self._name, read_credentials),
+            lambda: OpcUaControl(file, self._name, read_credentials, config.takeover_time),
             config.cycle_period,
             config.takeover_time,
         )

@@ -141,6 +141,8 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
         # A control that heard nobody for so long may have gone elsewhere, and not say so.
         paused = self._time - before > nanoseconds(self._config.takeover_time)
         gone = paused and bool(np.any(self._apart(status)))
+        if paused:
+            self._hand_shake.await_no_more()
         if not self._leads or gone or self._theirs != status.limits.slew_max:
             self._adopt(status)
         why = self._forbidden(status)

@@ -67,7 +67,7 @@ def server(field, started):
 @contextmanager
 def connected(path):
     """An adapter, closed in the end."""
-    adapter = OpcUaControl(read_control(path), 'tester', read_credentials)
+    adapter = OpcUaControl(read_control(path), 'tester', read_credentials, 1.0)
     try:
         yield adapter
     finally:
@@ -237,7 +237,9 @@ def test_after_a_pause_it_is_read_before_anything_is_written():
 
 def test_in_a_thread_nothing_waits(server, field, tmp_path):
     file = read_control(control_file(tmp_path, server.port))
-    adapter = ThreadedController(lambda: OpcUaControl(file, 'tester', read_credentials), 0.02, 1.0)
+    adapter = ThreadedController(
+        lambda: OpcUaControl(file, 'tester', read_credentials, 1.0), 0.02, 1.0
+    )
     assert adapter.read() is None
     with pytest.raises(LinkError, match='has not been read yet'):
         adapter.limits()
@@ -249,7 +251,7 @@ def test_in_a_thread_nothing_waits(server, field, tmp_path):
     adapter.close()
     wait(lambda: server.control.sequence == 0)
     failing = ThreadedController(
-        lambda: OpcUaControl(read_control(control_file(tmp_path, 1)), '', read_credentials),
+        lambda: OpcUaControl(read_control(control_file(tmp_path, 1)), '', read_credentials, 1.0),
         0.02,
         1.0,
     )
