@@ -15,7 +15,8 @@ A machine with 76 sensors is played at 1 Hz.  Measured are, one after the other:
 
 The windows are those of a headless Chromium, which needs its driver.
 
-Processor time is that of the process, from /proc, as a part of one core; memory is resident.
+Processor time is that of the process, from /proc, as a part of one core; memory is resident, and
+the share of the process, in which a page that several map counts once in all (PSS).
 Run with `python benchmarks/bench_dashboard.py [SECONDS [PYTHON WITH NICEGUI]]`.
 """
 
@@ -31,7 +32,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
@@ -89,10 +90,23 @@ def processor(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / _TICKS
 
 
-def memory(pid: int) -> float:
-    """Return the resident memory of a process [MiB]."""
-    lines = Path(f'/proc/{pid}/status').read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith('VmRSS')) / 1024
+class Memory(NamedTuple):
+    """Memory of a process [MiB]."""
+
+    resident: float
+    """Its pages that are in memory."""
+    share: float
+    """The same, each page divided by the processes that share it: what its end would free."""
+
+    def __str__(self) -> str:
+        return f'{self.resident:.0f} MiB resident ({self.share:.0f} MiB its share)'
+
+
+def memory(pid: int) -> Memory:
+    """Return the memory of a process."""
+    lines = Path(f'/proc/{pid}/smaps_rollup').read_text().splitlines()[1:]
+    sizes = {line.split(':')[0]: int(line.split()[1]) / 1024 for line in lines}
+    return Memory(sizes['Rss'], sizes['Pss'])
 
 
 @contextmanager
@@ -107,8 +121,8 @@ def running(*command: str) -> Iterator[int]:
             process.terminate()
 
 
-def cost(pid: int, seconds: float) -> tuple[float, float]:
-    """Return part of a core and memory [MiB] of a process over some time."""
+def cost(pid: int, seconds: float) -> tuple[float, Memory]:
+    """Return part of a core and memory of a process over some time."""
     before, began = processor(pid), time.monotonic()
     time.sleep(seconds)
     return (processor(pid) - before) / (time.monotonic() - began), memory(pid)
@@ -295,15 +309,15 @@ def nicegui(python: str, seconds: float) -> None:
         script.write_text(NICEGUI)
         pid = stack.enter_context(running(python, str(script)))
         time.sleep(2 * SETTLING)
-        share, resident = cost(pid, seconds)
-        print(f'NiceGUI, empty page closed: {100 * share:.2f} % of a core, {resident:.0f} MiB')
+        share, used = cost(pid, seconds)
+        print(f'NiceGUI, empty page closed: {100 * share:.2f} % of a core, {used}')
         driver = stack.enter_context(browser())
         for _ in range(PAGES):
             driver.switch_to.new_window('window')
             driver.get(f'http://127.0.0.1:{PORT + 1}/')
         time.sleep(SETTLING)
-        share, resident = cost(pid, seconds)
-        print(f'NiceGUI, {PAGES} windows: {100 * share:.2f} % of a core, {resident:.0f} MiB')
+        share, used = cost(pid, seconds)
+        print(f'NiceGUI, {PAGES} windows: {100 * share:.2f} % of a core, {used}')
 
 
 def main(seconds: float, python: str) -> None:
@@ -314,22 +328,22 @@ def main(seconds: float, python: str) -> None:
     with running(sys.executable, '-c', BARE) as pid:
         time.sleep(SETTLING)
         share, bare = cost(pid, seconds)
-        print(f'bare node: {100 * share:.2f} % of a core, {bare:.0f} MiB')
+        print(f'bare node: {100 * share:.2f} % of a core, {bare}')
     dashboard = (sys.executable, '-m', 'fuzzycnc_ros.nodes.dashboard', '--ros-args')
     with running(*dashboard, '-p', f'port:={PORT}') as pid:
         time.sleep(2 * SETTLING)
-        share, resident = cost(pid, seconds)
+        share, used = cost(pid, seconds)
         print(
-            f'page closed: {100 * share:.2f} % of a core, {resident:.0f} MiB, '
-            f'{resident - bare:.0f} MiB more than the bare node'
+            f'page closed: {100 * share:.2f} % of a core, {used}, '
+            f'{used.resident - bare.resident:.0f} MiB more than the bare node'
         )
         with pages(machine) as latencies:
             time.sleep(SETTLING)
             latencies.clear()
-            share, resident = cost(pid, seconds)
+            share, used = cost(pid, seconds)
             age = f'{1e3 * median(latencies):.0f} ms, at most {1e3 * max(latencies):.0f} ms'
         shown = on_screen(machine.sent, seconds)
-        print(f'{PAGES} pages at 1 Hz: {100 * share:.2f} % of a core, {resident:.0f} MiB')
+        print(f'{PAGES} pages at 1 Hz: {100 * share:.2f} % of a core, {used}')
         print(f'from the topic to the frame: median {age}, of {len(latencies)}')
         age = f'{1e3 * median(shown):.0f} ms, at most {1e3 * max(shown):.0f} ms'
         print(f'from the topic to the screen: median {age}, of {len(shown)}')

@@ -121,12 +121,14 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._time = 0
         self._stamp = 0
         self._ahead = 0
+        self._holding = False
+        self._adopted: int | None = None  # time at which the bridge went on from what stood
+        self._uncommanded = 0  # for how long it has held offsets since the newest command [ns]
         self._step_max = STEPS_MAX * self._config.cycle_period
         self._input = self._adopting(np.zeros(len(self._places)))
         self._status: StatusT | None = None
         self._absent = f'{self.CONTROLLER} has not been found yet'
         self._active = False
-        self._holding = False
         self._apart_since: int | None = None
         self._told: dict[str, tuple[int, tuple[Any, ...]]] = {}
         self._orders: OrdersT | None = None
@@ -171,8 +173,8 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
 
     def on_compensation(self, command: Compensation) -> None:
         """Take an offset command; the offset input decides whether it is followed."""
-        if self._active and self._leads:
-            self._command(command)
+        if self._active and self._leads and self._command(command):
+            self._adopted, self._uncommanded = None, 0
 
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
         """`activate` starts from the read-back; `deactivate` ramps to zero first."""
@@ -180,6 +182,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
             if self._active:
                 return Answer(False, 'already active')
             self._active = True
+            self._adopted, self._uncommanded = None, 0
             return Answer(True, f'active; {self._absent}' if self._absent else 'active')
         if name == 'deactivate':
             if not self._active:
@@ -194,6 +197,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         if not self._absent:
             self._told = {}
         self._status, self._absent = None, why
+        self._count_uncommanded()
         self._holding, self._orders, self._apart_since = False, None, None
         self._forget()
         self._input.allow(False, why)
@@ -274,8 +278,9 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         """Fastest change of an offset [m/s]."""
         return self._config.slew_max
 
-    def _command(self, command: Compensation) -> None:
-        self._input.command(
+    def _command(self, command: Compensation) -> bool:
+        """Hand a command to the offset input; return whether it was accepted."""
+        answer = self._input.command(
             command.epoch,
             command.axis,
             command.offset,
@@ -284,6 +289,13 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
             stamp=command.stamp + self._ahead,
             valid_until=command.valid_until + self._ahead,
         )
+        return answer.accepted
+
+    def _count_uncommanded(self) -> None:
+        """Note how long offsets that were adopted have stood: the next adoption adds nothing."""
+        if self._adopted is not None:
+            self._uncommanded += self._time - self._adopted
+        self._adopted = None
 
     def _work_at(self, stamp: int) -> None:
         """Go on to a stamp [ns].
@@ -302,10 +314,14 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
             validity_max=self._config.validity_max,
         )
         fresh = OffsetInput(self._places, config, start=self._time, step_max=self._step_max)
+        self._count_uncommanded()
+        if self._holding:
+            self._adopted = self._time
+        left = max(0, nanoseconds(self._config.adopt_time) - self._uncommanded)
         fresh.adopt(
             np.where(np.abs(offset) > NOTHING, offset, 0.0),
             epoch=epoch,
-            valid_until=self._time + nanoseconds(self._config.adopt_time),
+            valid_until=self._time + left,
         )
         return fresh
 

@@ -3,6 +3,7 @@
 """Any controller in a thread of its own, so that a node never waits for a network."""
 
 import threading
+import time
 from collections.abc import Callable
 
 from fuzzycnc_ros.adapters.controller import Controller, LimitsT, OrdersT, StatusT
@@ -26,12 +27,21 @@ class ThreadedController(Controller[StatusT, OrdersT, LimitsT]):
         Makes the connection; called in the thread.
     period : float
         Time between two exchanges [s].
+    pause : float
+        Time without one [s] after which it is read before anything is written: a controller that
+        heard nobody may have let the offsets go, and must not be sent back to them.
     """
 
     def __init__(
-        self, connect: Callable[[], Controller[StatusT, OrdersT, LimitsT]], period: float
+        self,
+        connect: Callable[[], Controller[StatusT, OrdersT, LimitsT]],
+        period: float,
+        pause: float,
     ) -> None:
-        self._connect, self._period = connect, period
+        self._connect, self._period, self._pause = connect, period, pause
+        self._begun = time.monotonic()
+        self._looks = False  # what was ordered before a pause counts no more
+        self._looked = False
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._status: StatusT | None = None
@@ -51,7 +61,10 @@ class ThreadedController(Controller[StatusT, OrdersT, LimitsT]):
     def write(self, orders: OrdersT) -> StatusT | None:
         """Hand over what to write in the next exchange; return as `read` does."""
         with self._lock:
-            self._orders = orders
+            if self._looks:
+                self._looks = self._status is None  # orders after this status know of the pause
+            else:
+                self._orders = orders
             return self._take()
 
     def limits(self) -> LimitsT:
@@ -104,6 +117,7 @@ class ThreadedController(Controller[StatusT, OrdersT, LimitsT]):
     def _exchange(self, controller: Controller[StatusT, OrdersT, LimitsT], last: bool) -> None:
         """Claim or release if that is asked for, write, read; the last time only let go."""
         with self._lock:
+            self._look_after_pause()
             claims, releases, orders = self._claims, self._releases, self._orders
             self._claims = self._releases = False
         if releases:
@@ -118,6 +132,13 @@ class ThreadedController(Controller[StatusT, OrdersT, LimitsT]):
             self._limits = limits
             if status is not None:
                 self._status = status
+
+    def _look_after_pause(self) -> None:
+        """Drop the orders from before a pause; where all exchanges are slow, every second time."""
+        begun, self._begun = self._begun, time.monotonic()
+        self._looked = self._begun - begun > self._pause and not self._looked
+        if self._looked:
+            self._status, self._orders, self._looks = None, None, True
 
     def _fail(self, error: LinkError) -> None:
         with self._lock:

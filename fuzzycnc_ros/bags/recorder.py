@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +22,7 @@ PENDING_MAX = 256 * 1024 * 1024
 """Most bytes that wait for the disk; what comes on top is dropped and counted."""
 
 DISK_FULL, TOO_SLOW = 'the disk was full', 'the disk was too slow'
+NO_TIME = 'there was no machine time for too long'
 """Why messages that came were not written."""
 
 REPORT_NAME = 'recording.json'
@@ -80,8 +81,10 @@ class Progress:
         Every topic.
     pending : int
         Messages that wait for the thread.
+    untimed : int
+        Messages that came before any time was known, and wait for one.
     pending_bytes : int
-        Their size [bytes].
+        Size of both [bytes].
     behind : float
         Wall time for which the oldest of them has waited [s].
     error : str
@@ -98,6 +101,7 @@ class Progress:
 
     topics: dict[str, TopicProgress] = field(default_factory=dict)
     pending: int = 0
+    untimed: int = 0
     pending_bytes: int = 0
     behind: float = 0.0
     error: str = ''
@@ -314,6 +318,8 @@ class RecordingThread:
 
     While the disk has too little space messages wait in that queue.  A pause that it spans costs
     nothing; after a longer one the bag says from when to when messages are missing.
+
+    What comes before machine time is known waits there too, and gets the first time that is.
     """
 
     def __init__(
@@ -346,6 +352,7 @@ class RecordingThread:
         self._pending_max = pending_max
         self._on_error = on_error
         self._queue: deque[_Item] = deque()
+        self._untimed: list[_Item] = []  # not in the queue yet
         self._jobs: deque[Callable[[], None]] = deque()
         self._types: dict[str, str] = {}
         self._pending_bytes = 0
@@ -410,7 +417,7 @@ class RecordingThread:
         self,
         topic: str,
         payload: bytes,
-        log_time: int,
+        log_time: int | None,
         publish_time: int | None = None,
         sequence: int | None = None,
         publisher: Hashable = None,
@@ -423,8 +430,11 @@ class RecordingThread:
             An announced topic.
         payload : bytes
             The message in CDR.
-        log_time, publish_time : int
-            When it was received and sent [ns]; sent when received if absent.
+        log_time : int, optional
+            When it was received [ns]; None where no time is known yet: it waits for that of the
+            next message that has one.
+        publish_time : int, optional
+            When it was sent [ns]; when it was received if absent.
         sequence : int, optional
             Its publication sequence number.
         publisher : hashable, optional
@@ -447,20 +457,32 @@ class RecordingThread:
             counts.received += 1
             sender = counts.sequence.update(sequence, publisher)
             full = self._pending_bytes + len(payload) > self._pending_max
+            if self._untimed and log_time is not None:
+                self._begin(log_time)
+            stamp = log_time or 0
             if full or self._error or self._stopping:
                 counts.dropped += 1
-                self._miss(log_time)
+                self._miss(stamp)
                 return False
             if self._gap is not None:
-                self._gap.stop, self._gap, self._gap_told = log_time, None, False
-            sent = log_time if publish_time is None else publish_time
-            self._queue.append(
-                _Item(topic, payload, log_time, sent, sequence or 0, sender, time.monotonic())
-            )
+                self._gap.stop, self._gap, self._gap_told = stamp, None, False
+            sent = stamp if publish_time is None else publish_time
+            item = _Item(topic, payload, stamp, sent, sequence or 0, sender, time.monotonic())
             self._pending_bytes += len(payload)
+            if log_time is None:
+                self._untimed.append(item)
+                return True
+            self._queue.append(item)
             if len(self._queue) == 1:
                 self._ready.notify()
         return True
+
+    def _begin(self, stamp: int) -> None:
+        """Queue what came before any time was known, at the first that is [ns]."""
+        for item in self._untimed:
+            self._queue.append(item._replace(log_time=stamp, publish_time=stamp))
+        self._untimed.clear()
+        self._ready.notify()
 
     def attach(self, name: str, content: str | bytes, media_type: str = 'text/plain') -> None:
         """Add an attachment, for example a model file.
@@ -487,11 +509,13 @@ class RecordingThread:
     def progress(self) -> Progress:
         """Return how far the recording has come."""
         with self._lock:
+            oldest = next(chain(self._untimed, self._queue), None)
             return Progress(
                 topics={name: counts.snapshot() for name, counts in self._counts.items()},
                 pending=len(self._queue),
+                untimed=len(self._untimed),
                 pending_bytes=self._pending_bytes,
-                behind=time.monotonic() - self._queue[0].taken if self._queue else 0.0,
+                behind=time.monotonic() - oldest.taken if oldest else 0.0,
                 error=str(self._error or ''),
                 paused=self._paused,
                 parts=self._parts,
@@ -542,7 +566,7 @@ class RecordingThread:
         """
         with self._lock:
             self._stopping = True
-            self._ready.notify()
+            self._begin(0)
         self._thread.join()
         progress = self.progress()
         if not self._closed:
@@ -583,7 +607,8 @@ class RecordingThread:
     def _miss(self, log_time: int) -> None:
         """Note that a message is not written."""
         if self._gap is None:
-            cause = DISK_FULL if self._paused or self._error else TOO_SLOW
+            cause = NO_TIME if self._untimed else TOO_SLOW
+            cause = DISK_FULL if self._paused or self._error else cause
             self._gap = _Gap(log_time, log_time, cause)
             if len(self._gaps) < _GAPS_MAX:
                 self._gaps.append(self._gap)
@@ -741,6 +766,7 @@ class RecordingThread:
 
     def _drop_queue(self) -> None:
         """Count everything that waits as dropped."""
+        self._begin(0)
         for item in self._queue:
             self._counts[item.topic].dropped += 1
             self._miss(item.log_time)

@@ -67,9 +67,11 @@ class OpcuaBridgeNode(ControllerBridgeNode):
             raise LinkError('parameter control_file: expected a file of a control but it is empty')
         from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
 
+        config = self.component.configuration
         return ThreadedController(
-            lambda: OpcUaControl(file, self._name, read_credentials),
-            self.component.configuration.cycle_period,
+            lambda: OpcUaControl(file, self._name, read_credentials, config.takeover_time),
+            config.cycle_period,
+            config.takeover_time,
         )
 
     def _wait(self) -> float:

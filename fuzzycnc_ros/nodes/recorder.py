@@ -81,7 +81,6 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self._exclude = pattern('exclude', config.exclude)
         self._subscriptions: dict[str, Any] = {}
         self._skipped: dict[str, str] = {}
-        self._early: list[tuple[str, bytes, int, str | None]] = []
         self._newest = 0
         self._models: set[str] = set()
         self._holes: dict[str, HoleCounter] = {}
@@ -150,7 +149,6 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self._look_who_left()
         facts = self._facts()
         try:
-            self._release(self._newest)
             progress = self._thread.close(facts)
         except BagError as error:
             self._tell_notices()
@@ -261,12 +259,9 @@ class RecorderNode(PlainNode[RecorderConfig]):
             self._newest = max(self._newest, _leading_stamp(payload))
         if topic in self._holes:
             self._holes[topic].update(_leading_stamp(payload))
-        if self._newest == 0:
-            # Before the first tick, or the first /clock, there is no time to log by.
-            self._early.append((topic, payload, sequence, sender))
-        else:
-            self._release(self._newest)
-            self._thread.put(topic, payload, self._newest, self._newest, sequence, sender)
+        # Before the first tick, or the first /clock, there is no time to log by.
+        stamp = self._newest or None
+        self._thread.put(topic, payload, stamp, stamp, sequence, sender)
         if self.turns is not None:
             self.turns.received(topic, sequence)
 
@@ -288,11 +283,6 @@ class RecorderNode(PlainNode[RecorderConfig]):
                     'at_s': longest.start / SECOND,
                 }
         return found
-
-    def _release(self, stamp: int) -> None:
-        for topic, payload, sequence, sender in self._early:
-            self._thread.put(topic, payload, stamp, stamp, sequence, sender)
-        self._early.clear()
 
     def _attach_model(self, message: Any) -> None:
         """Keep each model that a node runs with beside the messages."""
@@ -339,7 +329,14 @@ class RecorderNode(PlainNode[RecorderConfig]):
         health = [Health('bag', level, text, values)]
         if progress.paused:
             health.append(Health('disk', Level.ERROR, progress.paused))
-        if progress.behind > BEHIND and not progress.paused:
+        if progress.behind > BEHIND and progress.untimed:
+            text = (
+                f'{progress.untimed} messages, {progress.pending_bytes / 1e6:.3g} of '
+                f'{PENDING_MAX / 1e6:.3g} MB, wait in memory for the first machine time; start '
+                'the simulation or the player that publishes /clock, or set use_sim_time to false'
+            )
+            health.append(Health('clock', Level.WARN, text))
+        elif progress.behind > BEHIND and not progress.paused:
             text = (
                 f'too slow for what comes: {progress.pending} messages, the oldest for '
                 f'{progress.behind:.0f} s, wait in memory, {progress.pending_bytes / 1e6:.3g} of '

@@ -15,6 +15,7 @@ from fuzzycnc_ros.bags.errors import BagTopicError, BagWriteError
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.recorder import (
     MODULUS,
+    NO_TIME,
     REPORT_NAME,
     UNSUPPORTED,
     RecordingThread,
@@ -253,6 +254,39 @@ def test_memory_is_bounded_and_what_does_not_fit_is_counted(tmp_path):
     assert progress.lost == 15
     with BagReader(tmp_path / 'bag') as reader:
         assert [m.message.data for m in reader.messages()] == list(range(10))
+
+
+def test_what_comes_before_any_time_waits_and_is_bounded_as_well(tmp_path):
+    thread = RecordingThread(BagWriter(tmp_path / 'bag'), pending_max=10 * len(payload(0)))
+    thread.add_topic('/a', NUMBER)
+    taken = [thread.put('/a', payload(k), None, sequence=k + 1) for k in range(12)]
+    assert taken == [True] * 10 + [False] * 2
+    progress = thread.progress()
+    assert (progress.pending, progress.untimed) == (0, 10)
+    assert progress.pending_bytes == 10 * len(payload(0))
+    assert progress.behind > 0.0
+    assert not thread.put('/a', payload(12), 700, sequence=13)  # no room: it tells the time
+    progress = thread.close()
+    assert (progress.written, progress.lost, progress.untimed) == (10, 3, 0)
+    with BagReader(tmp_path / 'bag') as reader:
+        found = [(m.message.data, m.log_time) for m in reader.messages()]
+        gaps = json.loads(reader.attachments()['recording.json'].text)['gaps']
+    assert found == [(k, 700) for k in range(10)]
+    assert gaps == [{'cause': NO_TIME, 'from_s': 0.0, 'messages': 3, 'to_s': 7e-7}]
+
+
+def test_a_bag_that_never_had_a_time_is_whole(tmp_path):
+    thread = RecordingThread(BagWriter(tmp_path / 'bag'))
+    thread.add_topic('/a', NUMBER)
+    for k in range(3):
+        thread.put('/a', payload(k), None)
+    assert thread.close().written == 3
+    with BagReader(tmp_path / 'bag') as reader:
+        assert [(m.message.data, m.log_time) for m in reader.messages()] == [
+            (0, 0),
+            (1, 0),
+            (2, 0),
+        ]
 
 
 def test_who_announces_topics_and_models_does_not_wait_for_the_disk(tmp_path):

@@ -3,6 +3,7 @@
 """The bridge and a real OPC UA server that behaves as a control, with faults on either side."""
 
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -25,6 +26,8 @@ watched = pytest.mark.realtime
 """The bridge and the control watch each other by the clock."""
 
 SLEW = 200 * MICRON
+STOPS = 4
+"""How often a bridge is stopped: where it stands still is left to chance."""
 CLOSE = 0.05 * MICRON
 
 
@@ -262,6 +265,27 @@ def test_killed_bridge_leaves_no_offset_and_a_new_one_goes_on(rig):
     assert rig.at((0, 0))
     rig.epoch = 3
     rig.settle((5, 5))
+
+
+@watched
+@pytest.mark.slow
+def test_stopped_bridge_does_not_send_a_control_back_that_let_the_offsets_go(rig):
+    """The control is twenty times as fast as the bridge may be: a set of before would be a step."""
+    slow = SLEW / 20.0
+    rig.control.watchdog = 1.5
+    rig.start(text=FILE.replace('{timeout}', '60'), slew_max=slow, validity=60.0)
+    for _ in range(STOPS):
+        rig.settle((10, -20))
+        rig.bridge.send(signal.SIGSTOP)
+        rig.until(lambda: not np.any(rig.control.applied), 'the watchdog of the control')
+        rig.bridge.send(signal.SIGCONT)
+        begun, found = time.monotonic(), []
+        while time.monotonic() < begun + 1.0:
+            rig.observer.spin()
+            found.append((time.monotonic() - begun, np.abs(rig.control.applied).max()))
+        assert all(offset <= slow * (elapsed + 0.3) for elapsed, offset in found)
+        rig.until(lambda: rig.allowed, 'the bridge goes on')
+    rig.settle((10, -20))
 
 
 @watched

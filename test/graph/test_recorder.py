@@ -10,11 +10,14 @@ import sys
 import time
 
 import pytest
+from builtin_interfaces.msg import Time
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
 from fuzzycnc_ros.bags.errors import BagError, BagTruncatedError
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
+from fuzzycnc_ros.runtime.host import RecorderProgress
 from fuzzycnc_ros.runtime.records import SECOND, MachineState
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -22,6 +25,8 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 TOPICS = 5
 TRAFFIC = """
 import rclpy, sys
+from builtin_interfaces.msg import Time
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 from rclpy.executors import ExternalShutdownException
 rclpy.init(args=[sys.argv[0], '--ros-args', '-r', '__ns:=/mill'])
@@ -109,6 +114,37 @@ def test_what_was_published_before_the_end_is_in_the_bag(graph, observer, tmp_pa
         assert [item.message.frame_id for item in reader.messages()] == [
             str(number) for number in range(300)
         ]
+
+
+def test_what_comes_before_the_first_clock_is_told_and_kept(graph, observer, tmp_path):
+    bag = tmp_path / 'bag'
+    observer.watch_diagnostics()
+    progress = observer.records('recorder/progress', RecorderProgress)
+    said = observer.node.create_publisher(Header, '/mill/said', 500)
+    clock = observer.node.create_publisher(Clock, '/clock', 10)
+    recorder = graph.start(
+        'recorder', {'output': str(bag), 'topics': '^/mill/said', 'use_sim_time': True}
+    )
+    observer.until(lambda: said.get_subscription_count() == 1, 'a recorder that listens')
+    for number in range(2):
+        said.publish(Header(frame_id=str(number)))
+    observer.until(
+        lambda: observer.told('mill/recorder: clock', 'in memory for the first machine time'),
+        'people are told',
+    )
+    observer.until(clock.get_subscription_count, 'it reads the clock')
+
+    def goes_on():
+        clock.publish(Clock(clock=Time(sec=70)))
+        said.publish(Header(frame_id='later'))
+        return progress[-1].written > 2
+
+    observer.until(goes_on, 'it writes them')
+    recorder.send(signal.SIGINT)
+    assert observer.until_ended(recorder) == 0
+    with BagReader(bag) as reader:
+        found = [(item.message.frame_id, item.log_time) for item in reader.messages()]
+    assert found[:3] == [(text, 70 * SECOND) for text in ('0', '1', 'later')]
 
 
 def test_stopped_recorder_loses_nothing(graph, observer, model_file, tmp_path):

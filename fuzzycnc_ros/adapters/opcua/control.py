@@ -4,6 +4,7 @@
 
 import asyncio
 import contextlib
+import time
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,6 +66,9 @@ class OpcUaControl(Controller[LineStatus, LineOrders, LineLimits]):
         Who writes, for the variable `owner`.
     login : callable
         Returns user name and password of a credentials file.
+    pause : float
+        Time [s] after which orders are not written any more: whoever stood still meanwhile, in the
+        midst of an exchange, knows nothing of where the control has gone.
 
     Raises
     ------
@@ -74,9 +78,13 @@ class OpcUaControl(Controller[LineStatus, LineOrders, LineLimits]):
     """
 
     def __init__(
-        self, file: ControlFile, name: str, login: Callable[[Path], tuple[str, str]]
+        self,
+        file: ControlFile,
+        name: str,
+        login: Callable[[Path], tuple[str, str]],
+        pause: float,
     ) -> None:
-        self._file, self._name = file, name
+        self._file, self._name, self._pause = file, name, pause
         self._timeout = file.server.timeout
         self._claimed = False
         self._written = self._seen = 0
@@ -99,6 +107,7 @@ class OpcUaControl(Controller[LineStatus, LineOrders, LineLimits]):
         Before a new set it is read what stands: if that has changed, somebody else writes, and
         nothing is written over.
         """
+        until = time.monotonic() + self._pause
         values: dict[str, Any] = {'heartbeat': orders.heartbeat}
         if orders.sequence != self._written:
             found = self._ask()
@@ -106,6 +115,8 @@ class OpcUaControl(Controller[LineStatus, LineOrders, LineLimits]):
                 return self._status(found)
             self._write(self._set(orders))
             values['sequence'] = orders.sequence
+        if time.monotonic() > until:
+            return self.read()
         self._write(values)
         self._written = orders.sequence
         return self.read()

@@ -69,6 +69,10 @@ class HandShake:
         self._ends = self._lines = self._stood = None
         self._acknowledged = True
 
+    def await_no_more(self) -> None:
+        """Let the next set come though the newest is not acknowledged: it may not be written."""
+        self._acknowledged = True
+
     def wrote(self, status: LineStatus) -> bool:
         """Whether what stands in the variables was written here."""
         if status.sequence not in self._sequences or status.heartbeat not in self._heartbeats:

@@ -134,10 +134,16 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
 
     def observe(self, stamp: int, status: LineStatus) -> Iterator[Emission]:
         """Take what was read at `stamp` [ns]; decide what to write, yield what is to be told."""
+        before = self._time
         self._work_at(stamp)
         self._status, self._absent, self._last = status, '', status.applied
         self._look_for_others(status)
-        if not self._leads or self._theirs != status.limits.slew_max:
+        # A control that heard nobody for so long may have gone elsewhere, and not say so.
+        paused = self._time - before > nanoseconds(self._config.takeover_time)
+        gone = paused and bool(np.any(self._apart(status)))
+        if paused:
+            self._hand_shake.await_no_more()
+        if not self._leads or gone or self._theirs != status.limits.slew_max:
             self._adopt(status)
         why = self._forbidden(status)
         self._input.allow(not why or not self._leads, why)
@@ -207,7 +213,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
         idle = np.isnan(lines.at(status.position)) & (status.applied == 0.0)
         return not np.any(idle | self._away(status, lines))
 
-    def _command(self, command: Compensation) -> None:
+    def _command(self, command: Compensation) -> bool:
         """Guard a command by its values at the ends of the travel."""
         status = self._status
         assert status is not None, 'who leads has read the control'
@@ -217,7 +223,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
             command, travel.sloping
         )
         if self._unusable:
-            return
+            return False
         rows = [self._axes.index(axis) for axis in command.axis]
         full = {name: np.zeros(len(self._axes)) for name in COLUMNS}
         for name, values in columns.items():
@@ -236,6 +242,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
         if answer.accepted:
             self._clipped = np.any(np.split(cut != wanted, 2), axis=0)
             self._reference = lines.reference_position
+        return answer.accepted
 
     def _steep(self, command: Compensation, sloping: Bools) -> str:
         """Say which slope this control cannot take; empty if it can take all."""

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 from benches.bridge_bench import Compensated
-from benches.line_control import WATCHDOG
+from benches.line_control import WATCHDOG, LineControl
 from benches.line_rig import CYCLE, SCALE, SLEW, Rig, settled
 
 from fuzzycnc_ros.adapters.opcua.hand_shake import NUMBERS
@@ -87,6 +87,27 @@ def test_killed_bridge_and_the_watchdog_of_the_control():
     assert rig.at((0, 0))
 
 
+@pytest.mark.parametrize('says', [True, False])
+def test_stopped_bridge_goes_on_from_where_the_control_went_meanwhile(says):
+    """SIGSTOP: the watchdog takes the offsets away; SIGCONT must not put them back in a step.
+
+    A control that does not say that its watchdog has ended is known by where its axes are.
+    """
+    control = LineControl()
+    control.slew = 20 * SLEW
+    rig = settled((0, 40), control=control)
+    rig.says_alive = says
+    rig.silence(WATCHDOG + 6.0)
+    assert not np.any(rig.control.applied)
+    begin = len(rig.path)
+    rig.run(1.0)
+    rig.command((0, 40))
+    rig.run(6.0)
+    assert rig.at((0, 40))
+    way = np.abs(np.diff(rig.path[begin:], axis=0)).max()
+    assert way <= 2.01 * SLEW * CYCLE  # a set comes a cycle late now and then
+
+
 @pytest.mark.parametrize('slope', [0.0, 1e-4])
 def test_new_bridge_goes_on_without_a_step(slope):
     rig = settled((0, 0))
@@ -141,6 +162,24 @@ def test_adopted_offsets_do_not_stand_for_ever():
     rig.run(6.0)
     assert rig.at((0, 0))
     assert rig.last.status == AppliedStatus.EXPIRED
+
+
+def test_adopted_offsets_do_not_stand_for_ever_on_a_connection_that_comes_and_goes():
+    """Each time the bridge goes on from what stands; nobody has commanded it since."""
+    rig = settled(adopt_time=10.0)
+    for _ in range(6):
+        rig.bench.emitted += rig.bridge.lose(nanoseconds(rig.time), 'no answer within 2 s')
+        rig.silence(1.0)
+        rig.run(4.0)
+    assert rig.at((0, 0))
+    assert rig.last.status == AppliedStatus.EXPIRED
+    rig.command((10, -20))
+    rig.run(5.0)
+    assert rig.at((10, -20))
+    rig.bench.emitted += rig.bridge.lose(nanoseconds(rig.time), 'no answer within 2 s')
+    rig.silence(1.0)
+    rig.run(8.0)
+    assert rig.at((10, -20))  # there was a command again
 
 
 def test_lost_connection_is_told_and_taken_up_again_without_a_step():

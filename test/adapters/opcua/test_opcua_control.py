@@ -19,6 +19,7 @@ from equipment.field_servers import Field, Route
 from equipment.opcua_machine import FILE, ControlServer, LineControl, control_file
 from equipment.secured_server import PINNING, SECURITY, secured, user_file
 
+from fuzzycnc_ros.adapters.controller import Controller
 from fuzzycnc_ros.adapters.link import LinkError
 from fuzzycnc_ros.adapters.opcua.control import OpcUaControl
 from fuzzycnc_ros.adapters.opcua.control_file import ControlFields, check_axes, read_control
@@ -66,7 +67,7 @@ def server(field, started):
 @contextmanager
 def connected(path):
     """An adapter, closed in the end."""
-    adapter = OpcUaControl(read_control(path), 'tester', read_credentials)
+    adapter = OpcUaControl(read_control(path), 'tester', read_credentials, 1.0)
     try:
         yield adapter
     finally:
@@ -196,9 +197,49 @@ def test_any_fault_of_the_way_ends_the_connection_with_a_reason(server, field, t
     field.call(route.set(''))
 
 
+class Recorded(Controller):
+    """A controller that notes what is asked of it, and can stand still."""
+
+    def __init__(self):
+        self.asked, self.stands = [], 0.0
+
+    def read(self):
+        self.asked.append(None)
+        return len(self.asked)
+
+    def write(self, orders):
+        self.asked.append(orders)
+        if self.stands:
+            self.asked.clear()
+            time.sleep(self.stands)
+            self.stands = 0.0
+        return len(self.asked)
+
+    def limits(self):
+        return None
+
+    claim = release = close = limits
+
+
+def test_after_a_pause_it_is_read_before_anything_is_written():
+    """What was ordered before it does not know that the control let go meanwhile."""
+    fake = Recorded()
+    adapter = ThreadedController(lambda: fake, 0.001, 0.1)
+    wait(lambda: adapter.write('before') and 'before' in fake.asked)
+    fake.stands = 0.2
+    wait(lambda: not fake.stands and fake.asked)
+    assert fake.asked[0] is None
+    wait(lambda: adapter.write('amid') is not None)
+    wait(lambda: adapter.write('after') and fake.asked[-1] == 'after')
+    assert set(fake.asked) == {None, 'after'}
+    adapter.close()
+
+
 def test_in_a_thread_nothing_waits(server, field, tmp_path):
     file = read_control(control_file(tmp_path, server.port))
-    adapter = ThreadedController(lambda: OpcUaControl(file, 'tester', read_credentials), 0.02)
+    adapter = ThreadedController(
+        lambda: OpcUaControl(file, 'tester', read_credentials, 1.0), 0.02, 1.0
+    )
     assert adapter.read() is None
     with pytest.raises(LinkError, match='has not been read yet'):
         adapter.limits()
@@ -210,7 +251,9 @@ def test_in_a_thread_nothing_waits(server, field, tmp_path):
     adapter.close()
     wait(lambda: server.control.sequence == 0)
     failing = ThreadedController(
-        lambda: OpcUaControl(read_control(control_file(tmp_path, 1)), '', read_credentials), 0.02
+        lambda: OpcUaControl(read_control(control_file(tmp_path, 1)), '', read_credentials, 1.0),
+        0.02,
+        1.0,
     )
 
     def lost():

@@ -46,6 +46,8 @@ class LineControl:
         if self.heartbeat != self._heard:
             self._heard, self._silence = self.heartbeat, 0.0
         self.alive = self._silence <= self.watchdog
+        if not self.alive:
+            self._set = (*self._set[:3], 0.0)
         self._age += duration
         if self.sequence != self.acknowledged and not self.frozen:
             self._set = (

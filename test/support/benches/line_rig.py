@@ -27,6 +27,7 @@ class Rig(BridgeRig):
     """A bridge and a control; what the bridge writes arrives one cycle after it has read."""
 
     axes, close = AXES, SCALE
+    says_alive = True
 
     def __init__(self, control=None, *, active=True, **parameters):
         self.control = control or LineControl()
@@ -40,7 +41,7 @@ class Rig(BridgeRig):
         """Put a new bridge in the place of the old one."""
         self.bench = Bench(OpcuaBridge(self.config))
         self.bridge = self.bench.component
-        self._written = 0
+        self._written, self._exchanged = 0, self.time
         if active:
             assert self.bench.request('activate').success
 
@@ -64,7 +65,7 @@ class Rig(BridgeRig):
             acknowledged=control.acknowledged,
             heartbeat=control.heartbeat,
             allowed=control.allowed,
-            alive=control.alive,
+            alive=control.alive or not self.says_alive,
             limits=LineLimits(
                 offset_max=control.limit,
                 slew_max=control.slew,
@@ -90,7 +91,10 @@ class Rig(BridgeRig):
         for _ in range(round(duration / CYCLE)):
             self.time += CYCLE
             held, orders = self.bridge.holding, self.bridge.orders
-            if orders is not None:
+            # As the adapter does: after a pause it is read before anything is written.
+            paused = self.time - self._exchanged > self.config.takeover_time
+            self._exchanged = self.time
+            if orders is not None and not paused:
                 self.write(orders)
             status = self.status()
             self.bench.emitted += self.bridge.observe(nanoseconds(self.time), status)

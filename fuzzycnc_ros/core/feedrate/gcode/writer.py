@@ -40,6 +40,8 @@ def _same(feed: float, other: float | None, unit: float) -> bool:
     """Whether two feeds [m/s] are one in a program whose unit of feed is given [m/s]."""
     if other is None:
         return False
+    if feed == other:
+        return True
     if abs(feed - other) > 2.0 * 10.0**-_DECIMALS_MILLIMETRE * unit:
         return False
     return _number(feed, unit) == _number(other, unit)
