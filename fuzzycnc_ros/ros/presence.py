@@ -20,7 +20,7 @@ import time
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import closing, contextmanager
 
-from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError, in_the_way, rivals
 from fuzzycnc_ros.ros.parameters import ParameterError
 

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from fuzzycnc_ros import __version__
-from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.runtime.component import Component
 from fuzzycnc_ros.runtime.host import NodeConfiguration, NodeEvent
 

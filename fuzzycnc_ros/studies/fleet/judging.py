@@ -15,7 +15,7 @@ from fuzzycnc_ros.bags.errors import MissingLibraryError
 from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import TEMPERATURES_TYPE, read_run
-from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.model import ThermalModel, load_model
 from fuzzycnc_ros.core.thermal.run import ThermalRun
