@@ -27,7 +27,8 @@ from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.recording_loss import loss
 from fuzzycnc_ros.components.dashboard.machine_view import MachineView
 from fuzzycnc_ros.core.names import file_word
-from fuzzycnc_ros.ros.bring_up import RECORDER_STOP, GraphError
+from fuzzycnc_ros.ros.bring_up import RECORDER_STOP
+from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.probing import check_unprobed, probe_record
 from fuzzycnc_ros.ros.processes import child_set_up
 from fuzzycnc_ros.ros.recording import is_recorded, recorder_command

@@ -25,7 +25,7 @@ from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros.arguments import initialise
 from fuzzycnc_ros.ros.executor import LeanExecutor
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.ros.presence import Presence
+from fuzzycnc_ros.ros.presence import GraphError, Presence
 from fuzzycnc_ros.ros.processes import (
     REFUSED,
     Wish,
@@ -145,14 +145,14 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
             manager.pulse()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass  # the wish is carried out below
+    except (ParameterError, GraphError) as error:
+        tell_error(error)
+        failed = REFUSED
     except RuntimeError:
         # A signal that arrives while the executor builds its wait set, or a message is made of
         # what was received, ends up here.
         if not wish.number:
             raise
-    except ParameterError as error:
-        tell_error(error)
-        failed = REFUSED
     except MemoryError:
         tell_error(_no_memory())
         failed = NO_MEMORY

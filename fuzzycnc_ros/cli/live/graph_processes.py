@@ -13,7 +13,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError, NodeSpec, stop_timeout
+from fuzzycnc_ros.ros.bring_up import NodeSpec, stop_timeout
+from fuzzycnc_ros.ros.presence import TAKEOVER, GraphError
 from fuzzycnc_ros.ros.processes import child_set_up, memory_limit, prepare_environment
 
 COMPOSED = 'composed'

@@ -16,7 +16,8 @@ from fuzzycnc_ros.cli.console import JsonFile, check_ros, say, show, words, writ
 from fuzzycnc_ros.cli.options import node_parameters
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 from fuzzycnc_ros.core.names import visible
-from fuzzycnc_ros.ros.bring_up import GraphError, machine_name
+from fuzzycnc_ros.ros.bring_up import machine_name
+from fuzzycnc_ros.ros.presence import GraphError
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.live.operator_client import Operator

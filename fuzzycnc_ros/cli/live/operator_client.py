@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 
 from fuzzycnc_msgs.action import TrainThermalModel
 from fuzzycnc_msgs.srv import SelectSensors, SetThermalReference
-from fuzzycnc_ros.ros.bring_up import GraphError
+from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import prepare_environment
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, create_subscription, subscription_qos
 from fuzzycnc_ros.runtime.component import Durability
