@@ -20,7 +20,6 @@ from rclpy.signals import (
     uninstall_signal_handlers,
 )
 
-from fuzzycnc_ros.bags.uninterrupted import uninterrupted
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros.arguments import initialise
 from fuzzycnc_ros.ros.executor import LeanExecutor
@@ -36,6 +35,7 @@ from fuzzycnc_ros.ros.processes import (
     prepare_environment,
 )
 from fuzzycnc_ros.ros.service_manager import ServiceManager
+from fuzzycnc_ros.uninterrupted import uninterrupted
 
 LETTING_GO = 20
 """Wall time [s] that the middleware has for its part of the end; it takes 0.1 s, or forever."""
