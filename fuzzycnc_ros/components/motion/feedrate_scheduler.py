@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.components.motion.feedrate_run import Header, PathRun, rehearse
+from fuzzycnc_ros.components.motion.feedrate_run import PathRun, rehearse
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.motion.motion_allowed import motion_refusal
+from fuzzycnc_ros.components.motion.parts import PathHeader
 from fuzzycnc_ros.components.motion.program_request import ScheduledProgram, schedule_text
 from fuzzycnc_ros.components.motion.tool_paths import (
     PATH_AXES,
@@ -278,7 +279,7 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
             return
         if self._epoch == 0 or epoch > self._epoch:
             self._epoch = epoch + 1
-        header = Header(name, self._epoch, self.frame('workpiece'))
+        header = PathHeader(name, self._epoch, self.frame('workpiece'))
         try:
             run = PathRun(
                 header,

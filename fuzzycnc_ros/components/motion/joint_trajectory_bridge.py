@@ -15,9 +15,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fuzzycnc_ros.components.motion.joint_goal import Goal, GoalCode, GoalError
-from fuzzycnc_ros.components.motion.joint_run import JointPath, JointRun, PathHeader
+from fuzzycnc_ros.components.motion.joint_run import JointPath, JointRun
 from fuzzycnc_ros.components.motion.joint_trajectory_config import JointTrajectoryBridgeConfig
 from fuzzycnc_ros.components.motion.motion_allowed import motion_refusal
+from fuzzycnc_ros.components.motion.parts import PathHeader
 from fuzzycnc_ros.runtime.component import (
     Answer,
     Component,
@@ -441,7 +442,7 @@ class JointTrajectoryBridge(Component[JointTrajectoryBridgeConfig]):
         told = dict(zip(axes.axis, axes.reference.tolist(), strict=True))
         place = np.array([told.get(name, np.nan) for name in self._config.axes])
         if run is not None:
-            place[list(run.goal.column)] = run.end()
+            place[list(run.goal.column)] = run.rest_place()
         lost = [self._config.axes[k] for k in np.flatnonzero(~np.isfinite(place))]
         if not found and lost:
             found = f'axis_state does not tell where {", ".join(lost)} is commanded to be'
