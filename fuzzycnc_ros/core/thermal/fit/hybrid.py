@@ -147,6 +147,7 @@ GUARD_STEP = 0.8
 """What the guard multiplies the bound of the feedback by."""
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class HybridFilterNetwork(ThermalRegressor):
     """Three linear filters that feed a small tanh network [kang2007].
 
@@ -228,36 +229,19 @@ class HybridFilterNetwork(ThermalRegressor):
     (True, ())
     """
 
-    def __init__(
-        self,
-        *,
-        moving_average: str = 'sum',
-        delays: Sequence[int] = (1, 2, 3),
-        history: int = 1,
-        hidden: int = 30,
-        ridge: float | str = RIDGE,
-        solver: str = 'lm',
-        refits: int = 1,
-        guard: bool = True,
-        anchored: bool = True,
-        feedback_max: float = 0.95,
-        output_range: float = 50e-6,
-        interval: float = 60.0,
-        random_state: Seed = 0,
-    ) -> None:
-        self.moving_average = moving_average
-        self.delays = delays
-        self.history = history
-        self.hidden = hidden
-        self.ridge = ridge
-        self.solver = solver
-        self.refits = refits
-        self.guard = guard
-        self.anchored = anchored
-        self.feedback_max = feedback_max
-        self.output_range = output_range
-        self.interval = interval
-        self.random_state = random_state
+    moving_average: str = 'sum'
+    delays: Sequence[int] = (1, 2, 3)
+    history: int = 1
+    hidden: int = 30
+    ridge: float | str = RIDGE
+    solver: str = 'lm'
+    refits: int = 1
+    guard: bool = True
+    anchored: bool = True
+    feedback_max: float = 0.95
+    output_range: float = 50e-6
+    interval: float = 60.0
+    random_state: Seed = 0
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         delays = self._checked()
