@@ -10,7 +10,6 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from fuzzycnc_ros.ros.bring_up import NodeSpec, stop_timeout
@@ -107,12 +106,7 @@ class GraphProcesses:
         """Return the graph."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Take all nodes down."""
         self.stop()
         if self._temporary is not None:

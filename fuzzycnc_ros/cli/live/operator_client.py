@@ -5,7 +5,6 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import rclpy
@@ -69,12 +68,7 @@ class Operator:
         """Return the operator."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Leave the graph."""
         self._executor.shutdown()
         self.node.destroy_node()
