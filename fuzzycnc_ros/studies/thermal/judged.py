@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
 from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
 
@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.model import ThermalModel
 
     Figures = Mapping[str, NDArray[np.float64]]
-
-DEFAULT = 'default'
-"""Row of the automatic choice."""
 
 
 def remarks_on(judged: 'Evaluation') -> list[Remark]:
