@@ -21,7 +21,7 @@ class PathHeader:
     frame_id: str
 
 
-class Pace(Protocol):
+class PartTimes(Protocol):
     """What a configuration says of how much is sent how early, all in seconds."""
 
     @property
@@ -46,13 +46,13 @@ class PartsRun:
         What its parts say of it.
     axis : tuple of str
         Axes that move.
-    pace : Pace
+    pace : PartTimes
         How much is sent how early.
     start : int
         Machine time of the first sample [ns].
     """
 
-    def __init__(self, header: PathHeader, axis: Names, pace: Pace, start: int) -> None:
+    def __init__(self, header: PathHeader, axis: Names, pace: PartTimes, start: int) -> None:
         self.header, self.start = header, start
         self._axis, self._pace = axis, pace
         self._period = nanoseconds(pace.period)
