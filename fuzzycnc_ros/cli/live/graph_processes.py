@@ -229,7 +229,7 @@ class GraphProcesses:
         """Return what a node said of its run in its last line of JSON, empty if it did not."""
         if name not in self._processes:
             return {}
-        for line in reversed(self._lines(name)):
+        for line in reversed(self._written(name).splitlines()):
             if line.startswith('{'):
                 try:
                     said = json.loads(line)
@@ -258,7 +258,8 @@ class GraphProcesses:
 
     def _newest(self, name: str) -> str:
         """Return what the newest life of a node has written."""
-        return self.log(name).read_bytes()[self._begun[name] :].decode(errors='replace')
+        return self._written(name, self._begun[name])
 
-    def _lines(self, name: str) -> list[str]:
-        return self.log(name).read_text(errors='replace').strip().splitlines()
+    def _written(self, name: str, begin: int = 0) -> str:
+        """Return what a node has written from a place on."""
+        return self.log(name).read_bytes()[begin:].decode(errors='replace')
