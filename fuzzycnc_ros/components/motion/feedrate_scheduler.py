@@ -16,9 +16,8 @@ import numpy as np
 
 from fuzzycnc_ros.components.motion.feedrate_run import PathRun, rehearse
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.motion.motion_allowed import motion_refusal
 from fuzzycnc_ros.components.motion.program_request import ScheduledProgram, schedule_text
-from fuzzycnc_ros.components.motion.sender import BAD_ENDS, GRACE, MotionSender
+from fuzzycnc_ros.components.motion.sender import BAD_ENDS, GRACE, MotionSender, motion_refusal
 from fuzzycnc_ros.components.motion.tool_paths import (
     PATH_AXES,
     ToolPathSegments,
@@ -265,15 +264,9 @@ class FeedrateScheduler(MotionSender[FeedrateSchedulerConfig, PathRun]):
     def _place(self, segments: ToolPathSegments, stamp: int) -> tuple[Floats, str]:
         """Return where the axes rest, X, Y and Z [m], and what a start has to wait for."""
         place = np.zeros(3)
-        machine = self.newest(self.MACHINE, stamp)
-        if machine is None:
-            return place, 'no fresh machine_state'
-        refusal = motion_refusal(machine)
-        if refusal:
-            return place, refusal
-        state = self.last(self.FOLLOWED)
-        if state is None:
-            return place, 'no trajectory_state: what the machine follows is unknown'
+        unready, state = self._unready(stamp), self.last(self.FOLLOWED)
+        if unready or state is None:
+            return place, unready
         if state.status == TrajectoryStatus.FOLLOWING:
             return place, f'the machine still follows {state.path_id}'
         rest_since = self._moved_until

@@ -17,8 +17,7 @@ import numpy as np
 from fuzzycnc_ros.components.motion.joint_goal import Goal, GoalCode, GoalError
 from fuzzycnc_ros.components.motion.joint_run import JointPath, JointRun
 from fuzzycnc_ros.components.motion.joint_trajectory_config import JointTrajectoryBridgeConfig
-from fuzzycnc_ros.components.motion.motion_allowed import motion_refusal
-from fuzzycnc_ros.components.motion.sender import GRACE, MotionSender
+from fuzzycnc_ros.components.motion.sender import GRACE, MotionSender, motion_refusal
 from fuzzycnc_ros.runtime.component import (
     Answer,
     Emission,
@@ -417,14 +416,9 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
 
     def _obstacle(self, stamp: int, run: JointRun | None) -> str:
         """Say why nothing may be started; empty if it may."""
-        machine, state = self.newest(self.MACHINE, stamp), self.last(self.FOLLOWED)
-        if machine is None:
-            return 'no fresh machine_state'
-        refusal = motion_refusal(machine)
-        if refusal:
-            return refusal
-        if state is None:
-            return 'no trajectory_state: what the machine follows is unknown'
+        unready, state = self._unready(stamp), self.last(self.FOLLOWED)
+        if unready or state is None:
+            return unready
         if run is None and state.status == TrajectoryStatus.FOLLOWING:
             return f'another commander has the axes: the machine follows {state.path_id}'
         if run is None and stamp < self._moved_until:

@@ -8,8 +8,8 @@ from typing import ClassVar, Generic, TypeVar
 from fuzzycnc_ros.components.motion.parts import PartsRun, PathHeader
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.runtime.component import Component, Emission, Input, Level
-from fuzzycnc_ros.runtime.enums import TrajectoryStatus
-from fuzzycnc_ros.runtime.records import Record, TrajectoryState
+from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
+from fuzzycnc_ros.runtime.records import MachineState, Record, TrajectoryState
 
 ConfigT = TypeVar('ConfigT', bound=Config)
 RunT = TypeVar('RunT', bound=PartsRun)
@@ -18,11 +18,21 @@ GRACE = 2.0
 """Time after the end of a motion in which the machine should say that it has finished [s]."""
 BAD_ENDS = (TrajectoryStatus.STARVED, TrajectoryStatus.REFUSED)
 """What the machine says of motion that did not come to its own end."""
+_MOVING = (MachineMode.ON, MachineMode.RUNNING)
+
+
+def motion_refusal(state: MachineState) -> str:
+    """Say why a machine must not be moved; empty if it may."""
+    if state.state not in _MOVING:
+        modes = {int(mode): mode.name.lower() for mode in MachineMode}
+        return f'the machine is not on but {modes.get(state.state, state.state)}'
+    return '' if state.homed else 'the machine is not homed'
 
 
 class MotionSender(Component[ConfigT], Generic[ConfigT, RunT]):
     """Send one motion at a time; hear from the machine how each comes to its end."""
 
+    MACHINE: ClassVar[Input[MachineState]]
     FOLLOWED: ClassVar[Input[TrajectoryState]]
 
     def __init__(self, config: ConfigT | None = None) -> None:
@@ -68,6 +78,16 @@ class MotionSender(Component[ConfigT], Generic[ConfigT, RunT]):
     def _give_up(self, why: str) -> None:
         """Send no more of the run."""
         raise NotImplementedError
+
+    def _unready(self, stamp: int) -> str:
+        """Say why nobody may move the machine now; empty if somebody may."""
+        machine = self.newest(self.MACHINE, stamp)
+        if machine is None:
+            return 'no fresh machine_state'
+        refusal = motion_refusal(machine)
+        if not refusal and self.last(self.FOLLOWED) is None:
+            return 'no trajectory_state: what the machine follows is unknown'
+        return refusal
 
     def _header(self, name: str) -> PathHeader:
         """Return what the parts of a new run say, as the owner of the machine's motion."""
