@@ -23,8 +23,6 @@ from fuzzycnc_ros.core.feedrate.gcode.expressions import (
 )
 from fuzzycnc_ros.core.feedrate.gcode.segments import ProgramError
 
-__all__ = ['FlowWord', 'Line', 'Word', 'read_line', 'resolved', 'says']
-
 
 class Word(NamedTuple):
     """A letter with its number, at `[start, end)` of the line.
