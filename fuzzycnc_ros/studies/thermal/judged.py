@@ -120,14 +120,12 @@ def worse_than_none(channel: Sequence[str], rms: 'Figures', name: str = DEFAULT)
     return [label for label, left, bare in pairs if left > bare]
 
 
-def loss_remarks(
-    run: str, channel: Sequence[str], rms: 'Figures', name: str = DEFAULT
-) -> list[Remark]:
+def loss_remarks(run: str, channel: Sequence[str], rms: 'Figures') -> list[Remark]:
     """Return that a model is worse than none, in one sentence; nothing where it is not."""
-    lost = worse_than_none(channel, rms, name)
+    lost = worse_than_none(channel, rms)
     if not lost:
         return []
-    figures = dict(zip(channel, zip(rms[name], rms[UNCOMPENSATED], strict=True), strict=True))
+    figures = dict(zip(channel, zip(rms[DEFAULT], rms[UNCOMPENSATED], strict=True), strict=True))
     return [Remark(f'{run}: {loss_text({label: figures[label] for label in lost})}', True)]
 
 

@@ -218,11 +218,9 @@ def _solve_linear(
     return solution / scale, level - float(center @ solution)
 
 
-def _static_recursion(
-    rise: Array, target: Array, ridge: float, intercept: bool = True
-) -> LinearRecursion:
+def _static_recursion(rise: Array, target: Array, ridge: float) -> LinearRecursion:
     """Fit rises (n, p) to a target (n,) without lags."""
-    weight, offset = _solve_linear(rise, target, ridge, intercept)
+    weight, offset = _solve_linear(rise, target, ridge, True)
     return linear_recursion(weight, np.empty(0), True, offset)
 
 
