@@ -32,16 +32,13 @@ from fuzzycnc_ros.ros.bring_up import (
     BANNER,
     LAUNCH_ARGUMENTS,
     PAGE,
-    TAKEOVER,
-    TIME_SOURCES,
-    GraphError,
     Launched,
     RestartPolicy,
     again,
     launched,
     stop_timeout,
 )
-from fuzzycnc_ros.ros.presence import Presence
+from fuzzycnc_ros.ros.presence import TAKEOVER, TIME_SOURCES, GraphError, Presence
 from fuzzycnc_ros.ros.processes import REFUSED
 from fuzzycnc_ros.ros.topics import HISTORY_DEPTH, create_subscription, durable
 from fuzzycnc_ros.runtime.host import NodeConfiguration

@@ -15,9 +15,9 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from fuzzycnc_ros.adapters.controller import Readout
-from fuzzycnc_ros.components.thermal.compensator import AXES, describe
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.inputs.offset_input import OffsetInput, OffsetInputConfig
+from fuzzycnc_ros.core.inputs.offsets import AXES, describe
 from fuzzycnc_ros.runtime.component import (
     Answer,
     Component,

@@ -40,8 +40,8 @@ from fuzzycnc_ros.bags.typestore import (
     serialize,
     type_hash,
 )
-from fuzzycnc_ros.bags.uninterrupted import uninterrupted
 from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
+from fuzzycnc_ros.uninterrupted import uninterrupted
 
 CHUNK_SIZE = 16384
 """Uncompressed size at which a chunk is closed [bytes]; what is in an open chunk dies with us."""

@@ -23,7 +23,7 @@ from fuzzycnc_ros.cli.completion import join_bash_words
 from fuzzycnc_ros.cli.console import complain, flush, say
 from fuzzycnc_ros.cli.quantities import with_their_units
 from fuzzycnc_ros.core.names import visible
-from fuzzycnc_ros.ros.bring_up import GraphError
+from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import interruptible
 
 EPILOG = (

@@ -21,9 +21,9 @@ from multiprocessing.queues import Queue
 from queue import Empty
 from typing import Any, TypeVar
 
-from fuzzycnc_ros.bags.uninterrupted import uninterrupted
 from fuzzycnc_ros.cli.console import Tell
 from fuzzycnc_ros.cli.models.fit_progress import FitCounter
+from fuzzycnc_ros.uninterrupted import uninterrupted
 
 Item = TypeVar('Item')
 Result = TypeVar('Result')

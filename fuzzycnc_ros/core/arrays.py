@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Types of arrays and seeds, the check of what is given as a matrix, and many short vectors."""
+"""Types of arrays and seeds, checks of what is given as arrays, and many short vectors."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,6 +47,22 @@ def check_matrix(samples: ArrayLike, name: str = 'X') -> Array:
             f'in row {at[0]}, column {at[1]}'
         )
     return matrix
+
+
+def check_shapes(owner: object, **shapes: tuple[int, ...]) -> None:
+    """Refuse arrays of other shapes or with values that are not finite.
+
+    Raises
+    ------
+    ValueError
+        The message names the array.
+    """
+    for name, shape in shapes.items():
+        values = getattr(owner, name)
+        if values.shape != shape or not np.isfinite(values).all():
+            raise ValueError(
+                f'{name}: expected finite numbers of shape {shape}, but found shape {values.shape}'
+            )
 
 
 def dot_products(first: Array, second: Array) -> Array:

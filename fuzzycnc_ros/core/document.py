@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading of JSON documents that nothing is believed in: types, shapes, finiteness."""
 
-import hashlib
 import json
 from math import isfinite
 from typing import Any, NoReturn
@@ -10,11 +9,6 @@ from typing import Any, NoReturn
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-
-
-def text_hash(text: str) -> str:
-    """Return the SHA-256 of a text in UTF-8, 64 hexadecimal digits."""
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 class ModelFileError(ValueError):

@@ -1,7 +1,8 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Names: foreign text as terminals and pages show it, as topics and files, what comes twice."""
+"""Names: foreign text as terminals and pages show it, as topics and files; hashes, repetitions."""
 
+import hashlib
 import re
 import unicodedata
 from collections import Counter
@@ -72,6 +73,11 @@ def file_word(machine: str) -> str:
     ('shop-mill', 'shop_mill')
     """
     return machine.replace('/', '-')
+
+
+def text_hash(text: str) -> str:
+    """Return the SHA-256 of a text in UTF-8, 64 hexadecimal digits."""
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def topic_words(names: Iterable[str]) -> dict[str, str]:

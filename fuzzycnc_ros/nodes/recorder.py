@@ -23,10 +23,8 @@ from fuzzycnc_ros.bags.holes import HoleCounter, not_explained
 from fuzzycnc_ros.bags.metadata import Qos
 from fuzzycnc_ros.bags.recorder import PENDING_MAX, Progress, RecordingThread
 from fuzzycnc_ros.bags.shipping import Shipper
-from fuzzycnc_ros.bags.uninterrupted import Interrupted, uninterrupted
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.core.document import text_hash
-from fuzzycnc_ros.core.names import visible
+from fuzzycnc_ros.core.names import text_hash, visible
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.bag_node import bag_refused, check_keeping, closed_on_failure, pattern
 from fuzzycnc_ros.ros.clocks import wall_timer
@@ -51,6 +49,7 @@ from fuzzycnc_ros.runtime.records import (
     MachineState,
     Temperatures,
 )
+from fuzzycnc_ros.uninterrupted import Interrupted, uninterrupted
 
 DEPTH = 5000
 """What the subscription may hold while the process is stopped."""

@@ -26,7 +26,7 @@ from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
-from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.model import SIZE_MAX, ThermalModel
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer

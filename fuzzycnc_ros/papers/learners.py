@@ -280,6 +280,7 @@ class LayersRecursion(Recursion):
         )
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class GaussianProcess(ThermalRegressor):
     """Gaussian process with a linear, a squared-exponential and a white kernel.
 
@@ -317,9 +318,8 @@ class GaussianProcess(ThermalRegressor):
     1.0
     """
 
-    def __init__(self, *, samples_max: int = 200, interval: float = 60.0) -> None:
-        self.samples_max = samples_max
-        self.interval = interval
+    samples_max: int = 200
+    interval: float = 60.0
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         check_sample_count(target, 1)
@@ -369,6 +369,7 @@ class GaussianProcess(ThermalRegressor):
         return self.recursion_.standard_deviation(check_features(self, X, reset=False))[:, 0]
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class Mlp(ThermalRegressor):
     """Multilayer perceptron, fitted by scikit-learn's L-BFGS.
 
@@ -409,22 +410,12 @@ class Mlp(ThermalRegressor):
     1.0
     """
 
-    def __init__(
-        self,
-        *,
-        hidden: tuple[int, ...] = (30,),
-        activation: str = 'tanh',
-        ridge: float = 1e-3,
-        iterations_max: int = 2000,
-        interval: float = 60.0,
-        random_state: Seed = 0,
-    ) -> None:
-        self.hidden = hidden
-        self.activation = activation
-        self.ridge = ridge
-        self.iterations_max = iterations_max
-        self.interval = interval
-        self.random_state = random_state
+    hidden: tuple[int, ...] = (30,)
+    activation: str = 'tanh'
+    ridge: float = 1e-3
+    iterations_max: int = 2000
+    interval: float = 60.0
+    random_state: Seed = 0
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         check_sample_count(target, 1)

@@ -84,6 +84,7 @@ class MovingAverageRecursion(DelayedRecursion):
         return clipped(activation, self.limit)
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class Arma(ThermalRegressor):
     """Autoregressive model with moving averages of the rises [kang2007].
 
@@ -123,20 +124,11 @@ class Arma(ThermalRegressor):
     20.0
     """
 
-    def __init__(
-        self,
-        *,
-        delays: Sequence[int] = (1, 2, 3),
-        history: int = 3,
-        ridge: float = 1e-3,
-        output_range: float = 50e-6,
-        interval: float = 60.0,
-    ) -> None:
-        self.delays = delays
-        self.history = history
-        self.ridge = ridge
-        self.output_range = output_range
-        self.interval = interval
+    delays: Sequence[int] = (1, 2, 3)
+    history: int = 3
+    ridge: float = 1e-3
+    output_range: float = 50e-6
+    interval: float = 60.0
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         delays = check_delays(self.delays, 0)
@@ -217,6 +209,7 @@ class _PlainNetwork(ThermalRegressor):
         self.problems_: tuple[str, ...] = ()
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class LinearNetwork(_PlainNetwork):
     """Linear regression whose output feeds a small network (LR/NN) [kang2007].
 
@@ -242,22 +235,12 @@ class LinearNetwork(_PlainNetwork):
         The regression [m/K].
     """
 
-    def __init__(
-        self,
-        *,
-        hidden: int = 30,
-        ridge: float = 1e-3,
-        solver: str = 'lm',
-        output_range: float = 50e-6,
-        interval: float = 60.0,
-        random_state: Seed = 0,
-    ) -> None:
-        self.hidden = hidden
-        self.ridge = ridge
-        self.solver = solver
-        self.output_range = output_range
-        self.interval = interval
-        self.random_state = random_state
+    hidden: int = 30
+    ridge: float = 1e-3
+    solver: str = 'lm'
+    output_range: float = 50e-6
+    interval: float = 60.0
+    random_state: Seed = 0
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         data = network_training(rise, target, rows, self.output_range, samples_min(0, _PRESENT))
@@ -268,6 +251,7 @@ class LinearNetwork(_PlainNetwork):
         self._train(data, _PRESENT, weight, np.array([self.linear_.offset / data.scale]))
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class StaticNetwork(_PlainNetwork):
     """Network on the present rises (FNN) [kang2007].
 
@@ -291,26 +275,18 @@ class StaticNetwork(_PlainNetwork):
     that hardly warm.
     """
 
-    def __init__(
-        self,
-        *,
-        hidden: int = 30,
-        solver: str = 'lbfgs',
-        output_range: float = 50e-6,
-        interval: float = 60.0,
-        random_state: Seed = 0,
-    ) -> None:
-        self.hidden = hidden
-        self.solver = solver
-        self.output_range = output_range
-        self.interval = interval
-        self.random_state = random_state
+    hidden: int = 30
+    solver: str = 'lbfgs'
+    output_range: float = 50e-6
+    interval: float = 60.0
+    random_state: Seed = 0
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         data = network_training(rise, target, rows, self.output_range, samples_min(0, _PRESENT))
         self._train(data, _PRESENT, *_common_scale(data, 1))
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class DynamicNetwork(_PlainNetwork):
     """Network on the rises of the last samples [kang2007].
 
@@ -336,22 +312,12 @@ class DynamicNetwork(_PlainNetwork):
     run; it is here to be compared.
     """
 
-    def __init__(
-        self,
-        *,
-        delays: Sequence[int] = (0, 1, 2, 3),
-        hidden: int = 30,
-        solver: str = 'lbfgs',
-        output_range: float = 50e-6,
-        interval: float = 60.0,
-        random_state: Seed = 0,
-    ) -> None:
-        self.delays = delays
-        self.hidden = hidden
-        self.solver = solver
-        self.output_range = output_range
-        self.interval = interval
-        self.random_state = random_state
+    delays: Sequence[int] = (0, 1, 2, 3)
+    hidden: int = 30
+    solver: str = 'lbfgs'
+    output_range: float = 50e-6
+    interval: float = 60.0
+    random_state: Seed = 0
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         delays = check_delays(self.delays, 0)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fuzzycnc_ros.core.names import file_word
+from fuzzycnc_ros.ros.presence import BODY, MACHINE, RIVALS, TIME_SOURCES, GraphError
 
 BANNER = (
     'fuzzycnc is not a safety function (ISO 13849): emergency stop, limit switches and drive '
@@ -21,30 +22,14 @@ MOVERS = frozenset({'feedrate_scheduler', 'joint_trajectory_bridge'})
 """Nodes that publish `trajectory`; in lock-step a topic has one writer."""
 THERMAL = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator')
 """Nodes of thermal compensation."""
-MACHINE = 'simulated_machine'
-BODY = 'simulated_body'
-"""Makes the time of a real controller without hardware; it starts last, too."""
-TIME_SOURCES = (MACHINE, BODY, 'player')
-"""Nodes that make machine time: a run is over when its one ends, and cannot be resumed."""
 PAGE = 'dashboard'
 """Serves the live page of all machines; nobody waits for it, and it may fail alone."""
-RIVALS = (
-    frozenset(TIME_SOURCES),
-    frozenset({MACHINE, 'linuxcnc_bridge', 'opcua_bridge'}),
-)
-"""Nodes of which a machine has one: what makes its time, and what stands for it."""
-TAKEOVER = 'FUZZYCNC_TAKEOVER'
-"""Environment variable: a node starts whoever else stands for its machine or makes its time."""
 ACTIVE_TIMEOUT = 20.0
 """Wall time [s] until a managed node must be active."""
 NODE_STOP = 10.0
 """Wall time [s] that a node gets to end by itself before it is killed."""
 RECORDER_STOP = 30.0
 """The same for a recorder, which writes what waits, and for a page, which waits for recorders."""
-
-
-class GraphError(RuntimeError):
-    """The graph could not be brought up or broke down; the text says which node and why."""
 
 
 @dataclass(frozen=True)
@@ -193,16 +178,6 @@ def parameter_files(folder: Path | None, named: str = '') -> list[Path]:
     if not files:
         raise GraphError(f'{named}{folder}: expected files <node>.yaml but found none')
     return files
-
-
-def rivals(name: str) -> frozenset[str]:
-    """Return the nodes of which a machine has one, if this is among them; it is one of them."""
-    return frozenset[str]().union(*(group for group in RIVALS if name in group))
-
-
-def in_the_way(names: set[str]) -> set[str]:
-    """Return the nodes that cannot run beside some others; recorders disturb nobody."""
-    return names.union(*map(rivals, names)) - {'recorder'}
 
 
 @dataclass(frozen=True)

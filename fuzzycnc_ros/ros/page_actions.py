@@ -7,7 +7,6 @@ ROS is done in the thread of the node, and nobody waits for it there.
 """
 
 import asyncio
-import json
 import os
 import re
 import subprocess
@@ -27,7 +26,8 @@ from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.recording_loss import loss
 from fuzzycnc_ros.components.dashboard.machine_view import MachineView
 from fuzzycnc_ros.core.names import file_word
-from fuzzycnc_ros.ros.bring_up import RECORDER_STOP, GraphError
+from fuzzycnc_ros.ros.bring_up import RECORDER_STOP
+from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.probing import check_unprobed, probe_record
 from fuzzycnc_ros.ros.processes import child_set_up
 from fuzzycnc_ros.ros.recording import is_recorded, recorder_command
@@ -35,6 +35,7 @@ from fuzzycnc_ros.ros.topics import RCLPY, create_publisher
 from fuzzycnc_ros.runtime.component import HISTORY, STREAM
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.host import NodeEvent
+from fuzzycnc_ros.runtime.provenance import machine_event
 
 T = TypeVar('T')
 
@@ -179,13 +180,8 @@ class Actions:
 
     def _write_down(self, view: MachineView, action: str, request: Mapping[str, Any]) -> None:
         """Publish what was done, by whom: so it is in the bag."""
-        event = NodeEvent(
-            stamp=view.stamp or 0,
-            frame_id=f'{view.machine}/machine',
-            node=self._node.get_name(),
-            name=action,
-            request=json.dumps(dict(request), sort_keys=True),
-        )
+        node = self._node.get_name()
+        event = machine_event(view.machine, node, view.stamp or 0, action, request)
         self._events[view.machine].publish(encode(event, RCLPY))
 
     async def _reference(self, view: MachineView, body: Mapping[str, Any], by: str) -> str:

@@ -20,9 +20,20 @@ import time
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import closing, contextmanager
 
-from fuzzycnc_ros.core.document import text_hash
-from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError, in_the_way, rivals
-from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.core.names import text_hash
+
+MACHINE = 'simulated_machine'
+BODY = 'simulated_body'
+"""Makes the time of a real controller without hardware; it starts last, too."""
+TIME_SOURCES = (MACHINE, BODY, 'player')
+"""Nodes that make machine time: a run is over when its one ends, and cannot be resumed."""
+RIVALS = (
+    frozenset(TIME_SOURCES),
+    frozenset({MACHINE, 'linuxcnc_bridge', 'opcua_bridge'}),
+)
+"""Nodes of which a machine has one: what makes its time, and what stands for it."""
+TAKEOVER = 'FUZZYCNC_TAKEOVER'
+"""Environment variable: a node starts whoever else stands for its machine or makes its time."""
 
 Key = tuple[str, str]
 """Machine and node."""
@@ -32,6 +43,10 @@ HOLDERS = 16
 DOOR_TIMEOUT = 5.0
 """Wall time [s] to wait for who looks and claims; that takes moments."""
 _AJAR = 0.01  # s between two tries
+
+
+class GraphError(RuntimeError):
+    """The graph could not be brought up or broke down; the text says which node and why."""
 
 
 class Presence:
@@ -99,6 +114,16 @@ class Presence:
             )
 
 
+def rivals(name: str) -> frozenset[str]:
+    """Return the nodes of which a machine has one, if this is among them; it is one of them."""
+    return frozenset[str]().union(*(group for group in RIVALS if name in group))
+
+
+def in_the_way(names: set[str]) -> set[str]:
+    """Return the nodes that cannot run beside some others; recorders disturb nobody."""
+    return names.union(*map(rivals, names)) - {'recorder'}
+
+
 def check_alone(machine: str, node: str) -> None:
     """Refuse to start what a machine has one of beside another that lives on this computer.
 
@@ -109,14 +134,14 @@ def check_alone(machine: str, node: str) -> None:
 
     Raises
     ------
-    ParameterError
+    GraphError
         If there is another; the text names it and the remedy.
     """
     if os.environ.get(TAKEOVER):
         return
     found = sorted(name for name in rivals(node) if lives(machine, name))
     if found:
-        raise ParameterError(
+        raise GraphError(
             f'{node}: expected nobody who stands for {machine.strip("/")} or makes its time but '
             f'found {at_work((machine, name) for name in found)}: end it, choose another '
             f'namespace or ROS_DOMAIN_ID, or set {TAKEOVER}=1 to run beside it'

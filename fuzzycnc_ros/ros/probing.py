@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from fuzzycnc_ros.ros.bring_up import GraphError
+from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.runtime.records import Displacement
 
 _OTHERS = (

@@ -20,12 +20,11 @@ from rclpy.signals import (
     uninstall_signal_handlers,
 )
 
-from fuzzycnc_ros.bags.uninterrupted import uninterrupted
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros.arguments import initialise
 from fuzzycnc_ros.ros.executor import LeanExecutor
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.ros.presence import Presence
+from fuzzycnc_ros.ros.presence import GraphError, Presence
 from fuzzycnc_ros.ros.processes import (
     REFUSED,
     Wish,
@@ -36,6 +35,7 @@ from fuzzycnc_ros.ros.processes import (
     prepare_environment,
 )
 from fuzzycnc_ros.ros.service_manager import ServiceManager
+from fuzzycnc_ros.uninterrupted import uninterrupted
 
 LETTING_GO = 20
 """Wall time [s] that the middleware has for its part of the end; it takes 0.1 s, or forever."""
@@ -145,14 +145,14 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
             manager.pulse()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass  # the wish is carried out below
+    except (ParameterError, GraphError) as error:
+        tell_error(error)
+        failed = REFUSED
     except RuntimeError:
         # A signal that arrives while the executor builds its wait set, or a message is made of
         # what was received, ends up here.
         if not wish.number:
             raise
-    except ParameterError as error:
-        tell_error(error)
-        failed = REFUSED
     except MemoryError:
         tell_error(_no_memory())
         failed = NO_MEMORY

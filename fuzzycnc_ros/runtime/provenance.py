@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from fuzzycnc_ros import __version__
-from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.runtime.component import Component
 from fuzzycnc_ros.runtime.host import NodeConfiguration, NodeEvent
 
@@ -45,10 +45,17 @@ def event_record(
     component: Component[Any], stamp: int, name: str, arguments: Mapping[str, Any]
 ) -> NodeEvent:
     """Return a request that changed a component at machine time `stamp` [ns]."""
+    return machine_event(component.machine, component.NAME, stamp, name, arguments)
+
+
+def machine_event(
+    machine: str, node: str, stamp: int, name: str, arguments: Mapping[str, Any]
+) -> NodeEvent:
+    """Return what a node has done at a machine, or been told, at machine time `stamp` [ns]."""
     return NodeEvent(
         stamp=stamp,
-        frame_id=component.frame('machine'),
-        node=component.NAME,
+        frame_id=f'{machine}/machine',
+        node=node,
         name=name,
         request=json.dumps(dict(arguments), sort_keys=True),
     )

@@ -3,7 +3,6 @@
 """Everything that an in-process graph publishes, in a bag like that of a live recorder."""
 
 import os
-from types import TracebackType
 
 from fuzzycnc_ros.bags.metadata import LATCHED as LATCHED_QOS
 from fuzzycnc_ros.bags.metadata import STREAM as STREAM_QOS
@@ -58,12 +57,7 @@ class PublishedBag:
         """Return the sink."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the bag; what was written before an error stays readable."""
         self.close()
 

@@ -52,15 +52,13 @@ class ActionRefusedError(Exception):
     ----------
     says : str
         Cause and remedy.
-    status : int
-        Status of HTTP.
     more : mapping
         What else the answer holds.
     """
 
-    def __init__(self, says: str, status: int = 409, **more: Any) -> None:
+    def __init__(self, says: str, **more: Any) -> None:
         super().__init__(says)
-        self.status, self.more = status, more
+        self.more = more
 
 
 class Machines(Protocol):
@@ -235,7 +233,7 @@ async def _act(page: Page, request: Request) -> Response:
     try:
         says = await page.machines.act(machine, action, body)
     except ActionRefusedError as error:
-        return refused(error.status, visible(str(error)), **error.more)
+        return refused(409, visible(str(error)), **error.more)
     return JSONResponse({'done': True, 'says': visible(says)})
 
 

@@ -23,8 +23,8 @@ RINGS = {
     'runtime': {'core'},
     'components': {'runtime', 'simulation', 'core'},
     'machine_file': {'bags', 'core'},
-    'bags': {'registry', 'components', 'runtime', 'core'},
-    'ros': {'machine_file', 'bags', 'registry', 'components', 'runtime', 'core'},
+    'bags': {'uninterrupted', 'registry', 'components', 'runtime', 'core'},
+    'ros': {'uninterrupted', 'machine_file', 'bags', 'registry', 'components', 'runtime', 'core'},
     'adapters': {'ros', 'bags', 'components', 'runtime', 'core'},
     'registry': {'adapters', 'components', 'runtime'},
     'web': {'bags', 'components', 'runtime', 'core'},
@@ -40,6 +40,7 @@ RINGS = {
         'core',
     },
     'nodes': {
+        'uninterrupted',
         'web',
         'adapters',
         'ros',
@@ -51,6 +52,7 @@ RINGS = {
         'core',
     },
     'cli': {
+        'uninterrupted',
         'nodes',
         'adapters',
         'ros',
@@ -67,6 +69,7 @@ RINGS = {
     'api': {'studies', 'machine_file', 'bags', 'simulation', 'papers', 'core'},
     '': {'api'},  # the package itself, which loads its doors on use
     'start': set(),
+    'uninterrupted': set(),
 }
 ROS = {
     'action_msgs',

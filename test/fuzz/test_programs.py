@@ -13,8 +13,8 @@ from hypothesis import given
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.motion.program_request import schedule_text
 from fuzzycnc_ros.core.feedrate.gcode import reader
-from fuzzycnc_ros.core.feedrate.gcode.lexer import ProgramError
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.segments import ProgramError
 
 
 @pytest.fixture(autouse=True)

@@ -19,7 +19,7 @@ from fuzzycnc_ros.components.soft.stitch_patterns import stitch_pattern
 from fuzzycnc_ros.core.deformation.model import write_model
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive
-from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import LATCHED
 from fuzzycnc_ros.runtime.convert import encode

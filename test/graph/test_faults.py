@@ -7,7 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components.machine.simulated_machine import DAY_START, SimulatedMachineConfig
+from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
+from fuzzycnc_ros.components.machine.simulated_machine_config import DAY_START
 from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
 from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
 from fuzzycnc_ros.runtime.records import (

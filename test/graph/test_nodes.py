@@ -16,7 +16,7 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.ros.bring_up import TAKEOVER
+from fuzzycnc_ros.ros.presence import TAKEOVER
 from fuzzycnc_ros.runtime.host import (
     HostConfig,
     MqttPublisherConfig,

@@ -14,7 +14,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 
 from fuzzycnc_msgs.action import TrainThermalModel
-from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.runtime.component import LATCHED
 from fuzzycnc_ros.runtime.host import NodeConfiguration

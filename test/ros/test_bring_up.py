@@ -10,15 +10,14 @@ from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.bring_up import (
     ADDED,
     LAUNCH_ARGUMENTS,
-    MACHINE,
     THERMAL,
-    GraphError,
     NodeSpec,
     RestartPolicy,
     again,
     launched,
     node_specs,
 )
+from fuzzycnc_ros.ros.presence import MACHINE, GraphError
 
 ROOT = Path(__file__).parents[2]
 PARAMS = ROOT / 'params'

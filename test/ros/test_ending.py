@@ -10,8 +10,8 @@ import threading
 import pytest
 from processes import start, wait_for
 
-from fuzzycnc_ros.bags.uninterrupted import Interrupted
 from fuzzycnc_ros.ros.processes import interruptible
+from fuzzycnc_ros.uninterrupted import Interrupted
 
 
 class Finalised:

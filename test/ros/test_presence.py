@@ -12,9 +12,7 @@ from contextlib import nullcontext
 
 import pytest
 
-from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError
-from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.ros.presence import HOLDERS, Presence, check_alone, lives
+from fuzzycnc_ros.ros.presence import HOLDERS, TAKEOVER, GraphError, Presence, check_alone, lives
 
 NOBODY = 65534
 """User that owns nothing."""
@@ -84,7 +82,7 @@ def test_a_machine_has_one_that_stands_for_it(monkeypatch, machine, node, refuse
     with Presence() as presence:
         presence.hold('/mill', 'linuxcnc_bridge')
         presence.hold('/mill', 'compensator')
-        said = pytest.raises(ParameterError, match='found /mill/linuxcnc_bridge at work in ROS')
+        said = pytest.raises(GraphError, match='found /mill/linuxcnc_bridge at work in ROS')
         with said if refused else nullcontext():
             check_alone(machine, node)
         monkeypatch.setenv(TAKEOVER, '1')

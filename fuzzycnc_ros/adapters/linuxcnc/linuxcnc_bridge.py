@@ -20,8 +20,8 @@ from fuzzycnc_ros.adapters.linuxcnc.status import (
     OffsetRegisters,
     RegisterPhase,
 )
-from fuzzycnc_ros.components.thermal.compensator import describe
 from fuzzycnc_ros.core.config import param
+from fuzzycnc_ros.core.inputs.offsets import describe
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.records import Bools, nanoseconds
 

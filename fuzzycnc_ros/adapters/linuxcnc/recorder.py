@@ -64,18 +64,18 @@ class Recorder:
                 ):
                     self.halcmd('setp', f'ini.{name}.{quantity}', f'{value:.9f}')
 
-    def origin(self, timeout: float = 60.0) -> None:
+    def origin(self) -> None:
         """Move the axes to where they stood when homed.
 
         Raises
         ------
         LinuxcncError
-            If that takes longer [s].
+            If that takes more than a minute.
         """
         path = self._folder / 'origin.ngc'
         path.write_text('G92.1\nG54 G90 G21\nG53 G0 X0 Y0 Z0\nG4 P0.5\nM2\n')
         self._machine.run(str(path))
-        self._wait(timeout)
+        self._wait(60.0)
 
     def _wait(self, timeout: float) -> None:
         end = time.monotonic() + timeout

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from fuzzycnc_ros.adapters.controller import Controller
-from fuzzycnc_ros.adapters.link import LinkError
+from fuzzycnc_ros.adapters.link import LinkError, trouble_in_words
 from fuzzycnc_ros.adapters.loops import ConnectionLoop
 from fuzzycnc_ros.adapters.opcua.offset_lines import (
     LineLimits,
@@ -171,14 +171,8 @@ class OpcUaControl(Controller[LineStatus, LineOrders, LineLimits]):
             return self._loop.run_until_complete(asyncio.wait_for(work, timeout))
         except LinkError:
             raise
-        except (asyncio.TimeoutError, TimeoutError):
-            text = f'no answer within {self._timeout:g} s'
-        except ConnectionRefusedError:
-            text = 'connection refused; is the server running, is the port right?'
-        except OSError as error:
-            text = f'connection lost ({error})'
-        except Exception as error:  # whatever a server made the library stumble over
-            text = f'answer not understood: {type(error).__name__}: {error}'
+        except Exception as error:
+            text = trouble_in_words(error, self._timeout)
         if self._session is not None:
             self._session.well = False
         raise LinkError(f'{self._file.server.url}: {text}')

@@ -28,7 +28,7 @@ from fuzzycnc_ros.adapters.yaml_model import (
     read_file,
     wrong,
 )
-from fuzzycnc_ros.components.thermal.compensator import AXES
+from fuzzycnc_ros.core.inputs.offsets import AXES
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 LENGTHS = {'um': 1e-6, 'mm': 1e-3, 'm': 1.0, 'inch': 25.4e-3}

@@ -16,9 +16,9 @@ from fuzzycnc_ros.adapters.controller_bridge import (
 )
 from fuzzycnc_ros.adapters.opcua.hand_shake import HandShake, WriterWatch
 from fuzzycnc_ros.adapters.opcua.offset_lines import LineOrders, Lines, LineStatus
-from fuzzycnc_ros.components.thermal.compensator import describe
 from fuzzycnc_ros.core.config import param
 from fuzzycnc_ros.core.inputs.offset_input import content_refusal
+from fuzzycnc_ros.core.inputs.offsets import describe
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import Bools, Compensation, Floats, Names, nanoseconds

@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from queue import SimpleQueue
 
+from fuzzycnc_ros.adapters.link import trouble_in_words
 from fuzzycnc_ros.adapters.loops import ConnectionLoop
 from fuzzycnc_ros.adapters.readings.devices import Device
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
@@ -119,14 +120,8 @@ class Poller:
                     pause = BACK_OFF_FIRST
             except LinkError as error:
                 trouble, least = str(error), error.pause
-            except (asyncio.TimeoutError, TimeoutError):
-                trouble = f'no answer within {device.timeout:g} s'
-            except ConnectionRefusedError:
-                trouble = 'connection refused; is the server running, is the port right?'
-            except OSError as error:
-                trouble = f'connection lost ({error})'
-            except Exception as error:  # whatever a device made a library stumble over
-                trouble = f'answer not understood: {type(error).__name__}: {error}'
+            except Exception as error:
+                trouble = trouble_in_words(error, device.timeout)
             finally:
                 with contextlib.suppress(Exception):  # it is gone either way
                     await asyncio.wait_for(link.close(), CLOSE_TIMEOUT)

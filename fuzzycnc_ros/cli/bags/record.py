@@ -31,7 +31,8 @@ from fuzzycnc_ros.cli.console import (
 )
 from fuzzycnc_ros.cli.options import OptionalNumber, given
 from fuzzycnc_ros.cli.quantities import TIMES, number_in
-from fuzzycnc_ros.ros.bring_up import RECORDER_STOP, GraphError, machine_name
+from fuzzycnc_ros.ros.bring_up import RECORDER_STOP, machine_name
+from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
 from fuzzycnc_ros.ros.recording import recorder_command
 

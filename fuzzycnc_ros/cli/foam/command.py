@@ -170,7 +170,7 @@ def _train(
     """Judge and train, and write what came of it."""
     from fuzzycnc_ros.core.deformation.model import write_model
     from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
-    from fuzzycnc_ros.core.document import text_hash
+    from fuzzycnc_ros.core.names import text_hash
     from fuzzycnc_ros.studies.soft import foam_page as shown
     from fuzzycnc_ros.studies.soft import foam_training as judged
 
@@ -234,7 +234,7 @@ def _gate_line(network: 'TSFuzzyNetwork') -> str:
 def _adapt(samples: 'Samples', source: Path, out: Path, json_file: Path | None) -> None:
     """Fit the gains of a model to samples, and write it."""
     from fuzzycnc_ros.core.deformation.model import write_model
-    from fuzzycnc_ros.core.document import text_hash
+    from fuzzycnc_ros.core.names import text_hash
     from fuzzycnc_ros.studies.soft.foam_learning import fit_gains
 
     model = read_model_file(source)

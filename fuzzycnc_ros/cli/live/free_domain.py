@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
 
-from fuzzycnc_ros.ros.bring_up import GraphError
+from fuzzycnc_ros.ros.presence import GraphError
 
 DOMAINS = 100
 """ROS domains 1 to 100: above 101 the ports lie among those that the system hands out."""

@@ -10,10 +10,10 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
-from fuzzycnc_ros.ros.bring_up import TAKEOVER, GraphError, NodeSpec, stop_timeout
+from fuzzycnc_ros.ros.bring_up import NodeSpec, stop_timeout
+from fuzzycnc_ros.ros.presence import TAKEOVER, GraphError
 from fuzzycnc_ros.ros.processes import child_set_up, memory_limit, prepare_environment
 
 COMPOSED = 'composed'
@@ -106,12 +106,7 @@ class GraphProcesses:
         """Return the graph."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Take all nodes down."""
         self.stop()
         if self._temporary is not None:
@@ -234,7 +229,7 @@ class GraphProcesses:
         """Return what a node said of its run in its last line of JSON, empty if it did not."""
         if name not in self._processes:
             return {}
-        for line in reversed(self._lines(name)):
+        for line in reversed(self._written(name).splitlines()):
             if line.startswith('{'):
                 try:
                     said = json.loads(line)
@@ -263,7 +258,8 @@ class GraphProcesses:
 
     def _newest(self, name: str) -> str:
         """Return what the newest life of a node has written."""
-        return self.log(name).read_bytes()[self._begun[name] :].decode(errors='replace')
+        return self._written(name, self._begun[name])
 
-    def _lines(self, name: str) -> list[str]:
-        return self.log(name).read_text(errors='replace').strip().splitlines()
+    def _written(self, name: str, begin: int = 0) -> str:
+        """Return what a node has written from a place on."""
+        return self.log(name).read_bytes()[begin:].decode(errors='replace')

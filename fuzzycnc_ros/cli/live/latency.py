@@ -16,7 +16,8 @@ from rosgraph_msgs.msg import Clock
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.operator_client import DISCOVERY_TIMEOUT, Operator
 from fuzzycnc_ros.core.thermal.model import ThermalModel
-from fuzzycnc_ros.ros.bring_up import GraphError, NodeSpec
+from fuzzycnc_ros.ros.bring_up import NodeSpec
+from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, subscription_qos
 from fuzzycnc_ros.runtime.component import LATCHED, STREAM, Durability
 from fuzzycnc_ros.runtime.convert import encode, stamp_of

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc operate`: what a person does at a running machine."""
 
-import json
 import os
 import time
 from collections.abc import Callable
@@ -16,7 +15,8 @@ from fuzzycnc_ros.cli.console import JsonFile, check_ros, say, show, words, writ
 from fuzzycnc_ros.cli.options import node_parameters
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 from fuzzycnc_ros.core.names import visible
-from fuzzycnc_ros.ros.bring_up import GraphError, machine_name
+from fuzzycnc_ros.ros.bring_up import machine_name
+from fuzzycnc_ros.ros.presence import GraphError
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.live.operator_client import Operator
@@ -290,19 +290,15 @@ def mark(
     from fuzzycnc_ros.cli.live.operator_client import Operator
     from fuzzycnc_ros.ros.recording import is_recorded
     from fuzzycnc_ros.runtime.component import HISTORY
-    from fuzzycnc_ros.runtime.host import NodeEvent
+    from fuzzycnc_ros.runtime.provenance import machine_event
     from fuzzycnc_ros.studies.thermal_test.recording import MARK
 
     machine = machine_name(machine)
     with Operator(machine, patience=PATIENCE) as operator:
         operator.pause(FOUND)
-        event = NodeEvent(
-            stamp=_now(operator),
-            frame_id=f'{machine}/machine',
-            node=operator.node.get_name(),
-            name=MARK,
-            request=json.dumps({'phase': phase, 'by': visible(by)}, sort_keys=True),
-        )
+        said = {'phase': phase, 'by': visible(by)}
+        node = operator.node.get_name()
+        event = machine_event(machine, node, _now(operator), MARK, said)
         try:
             operator.publish(
                 event, 'node_event', HISTORY, lambda: is_recorded(operator.node, machine)

@@ -5,7 +5,6 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import rclpy
@@ -18,7 +17,7 @@ from rclpy.parameter import Parameter
 
 from fuzzycnc_msgs.action import TrainThermalModel
 from fuzzycnc_msgs.srv import SelectSensors, SetThermalReference
-from fuzzycnc_ros.ros.bring_up import GraphError
+from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import prepare_environment
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, create_subscription, subscription_qos
 from fuzzycnc_ros.runtime.component import Durability
@@ -69,12 +68,7 @@ class Operator:
         """Return the operator."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Leave the graph."""
         self._executor.shutdown()
         self.node.destroy_node()

@@ -12,7 +12,8 @@ import typer
 from rich.console import Console
 
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
-from fuzzycnc_ros.ros.bring_up import PAGE, GraphError, NodeSpec, page_spec
+from fuzzycnc_ros.ros.bring_up import PAGE, NodeSpec, page_spec
+from fuzzycnc_ros.ros.presence import GraphError
 
 LOOPBACK = '127.0.0.1'
 Page = Annotated[

@@ -19,8 +19,9 @@ from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.arguments import understood
 from fuzzycnc_ros.ros.bag_node import check_keeping
-from fuzzycnc_ros.ros.bring_up import GraphError, NodeSpec
+from fuzzycnc_ros.ros.bring_up import NodeSpec
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
+from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import RANGE, prepare_environment
 from fuzzycnc_ros.ros.state_file import StateDirectory, StateFileError
 from fuzzycnc_ros.runtime.host import HostConfig, RecorderConfig

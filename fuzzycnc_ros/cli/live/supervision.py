@@ -9,7 +9,8 @@ from enum import Enum
 from typing import Protocol
 
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, node_title, process_name
-from fuzzycnc_ros.ros.bring_up import TIME_SOURCES, GraphError, NodeSpec, RestartPolicy, again
+from fuzzycnc_ros.ros.bring_up import NodeSpec, RestartPolicy, again
+from fuzzycnc_ros.ros.presence import TIME_SOURCES, GraphError
 from fuzzycnc_ros.ros.processes import REFUSED
 
 Tell = Callable[[str], None]

@@ -14,19 +14,12 @@ from fuzzycnc_ros.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, process_name
 from fuzzycnc_ros.cli.live.supervision import State, Supervised, Supervisor
 from fuzzycnc_ros.cli.live.supervision_view import View
-from fuzzycnc_ros.ros.bring_up import (
-    ACTIVE_TIMEOUT,
-    RECORDER_STOP,
-    TIME_SOURCES,
-    GraphError,
-    NodeSpec,
-    in_the_way,
-)
+from fuzzycnc_ros.ros.bring_up import ACTIVE_TIMEOUT, RECORDER_STOP, NodeSpec
+from fuzzycnc_ros.ros.presence import TIME_SOURCES, GraphError, Presence, at_work, in_the_way
+from fuzzycnc_ros.ros.service_manager import ServiceManager
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
-    from fuzzycnc_ros.ros.presence import Presence
-    from fuzzycnc_ros.ros.service_manager import ServiceManager
 
 GIVEN_UP = 1
 """Exit code where a node was given up."""
@@ -44,7 +37,7 @@ Plan = Sequence[tuple[NodeSpec, ...]]
 """Processes of one machine, each with one node or several composed ones."""
 
 
-def check_free(monitor: 'Monitor', presence: 'Presence', plans: Mapping[str, Plan]) -> None:
+def check_free(monitor: 'Monitor', presence: Presence, plans: Mapping[str, Plan]) -> None:
     """Refuse to start nodes beside others of the same name, or beside another machine.
 
     On this computer those count whose processes live; this command is one of them from here on.
@@ -67,7 +60,6 @@ def check_free(monitor: 'Monitor', presence: 'Presence', plans: Mapping[str, Pla
     """
     # Here, so that `fuzzycnc --help` works where ROS is not installed.
     from fuzzycnc_ros.cli.live.operator_client import SETTLED
-    from fuzzycnc_ros.ros.presence import at_work
 
     wanted = {
         machine: {spec.name for group in plan for spec in group} for machine, plan in plans.items()
@@ -96,7 +88,7 @@ def supervise(
     monitor: 'Monitor',
     graphs: Sequence[GraphProcesses],
     plans: Sequence[Plan],
-    manager: 'ServiceManager',
+    manager: ServiceManager,
     page: tuple[GraphProcesses, NodeSpec] | None,
 ) -> dict[str, Any]:
     """Run the processes of some graphs until they are over or interrupted; return how it went.
@@ -164,7 +156,7 @@ def silent_nodes(processes: Sequence[Supervised], monitor: 'Monitor', now: float
     return found
 
 
-def _tell(manager: 'ServiceManager', silent: Sequence[str]) -> None:
+def _tell(manager: ServiceManager, silent: Sequence[str]) -> None:
     """Tell the service manager how the graph is; of one that hangs there is no sign of life."""
     if silent:
         manager.status(f'nothing heard of {", ".join(silent)}')

@@ -27,16 +27,16 @@ from fuzzycnc_ros.cli.options import DUTIES
 from fuzzycnc_ros.cli.terminal import Terminal
 from fuzzycnc_ros.ros.bring_up import (
     BANNER,
-    MACHINE,
     THERMAL,
-    GraphError,
     bag_of,
     clock_remapping,
     machine_name,
     node_specs,
     parameter_files,
 )
+from fuzzycnc_ros.ros.presence import MACHINE, GraphError, Presence
 from fuzzycnc_ros.ros.processes import open_to_network
+from fuzzycnc_ros.ros.service_manager import ServiceManager
 
 
 def up(
@@ -186,8 +186,6 @@ def up(
     # Here, so that `fuzzycnc --help` works where ROS is not installed.
     from fuzzycnc_ros.cli.live.parameter_check import check_files, check_parameters
     from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
-    from fuzzycnc_ros.ros.presence import Presence
-    from fuzzycnc_ros.ros.service_manager import ServiceManager
 
     # After ROS was imported: that may begin this process anew, with its environment.
     manager = ServiceManager()

@@ -215,7 +215,7 @@ def _document(
     found: Sorted[Judged], file: Path, model: 'ThermalModel', text: str
 ) -> dict[str, Any]:
     """Return all figures."""
-    from fuzzycnc_ros.core.document import text_hash
+    from fuzzycnc_ros.core.names import text_hash
     from fuzzycnc_ros.core.thermal.fit.evaluation import pooled_rms
     from fuzzycnc_ros.studies.thermal.comparison import judged_document, residual_document
     from fuzzycnc_ros.studies.thermal.judged import worse_than_none

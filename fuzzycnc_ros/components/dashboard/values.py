@@ -29,7 +29,7 @@ def number(text: str) -> float:
         return float('nan')
 
 
-def word(kind: type[IntEnum], code: int) -> str:
-    """Return a code in words; a newer sender may know more of them."""
+def word(kind: type[IntEnum], code: int, what: str = 'state') -> str:
+    """Return a code in words; a newer sender may know more of them, so `what` names the code."""
     known: dict[int, str] = {item.value: item.name.lower() for item in kind}
-    return known.get(code, f'state {code}')
+    return known.get(int(code), f'{what} {int(code)}')

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuzzycnc_ros.components.machine.mill_instruments import MillInstruments
-from fuzzycnc_ros.components.machine.simulated_machine import DAY_START
 from fuzzycnc_ros.components.machine.simulated_machine_config import (
+    DAY_START,
     MACHINE_DUTIES,
     SimulatedMachineConfig,
     same_param,

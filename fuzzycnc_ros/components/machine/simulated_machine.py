@@ -19,6 +19,7 @@ from fuzzycnc_ros.components.machine.machine_operator import (
 from fuzzycnc_ros.components.machine.mill_instruments import Warmth
 from fuzzycnc_ros.components.machine.servo_motion import ServoMotion
 from fuzzycnc_ros.components.machine.simulated_machine_config import (
+    DAY_START,
     MACHINE_DUTIES,
     SimulatedMachineConfig,
     contouring_config,
@@ -57,10 +58,8 @@ from fuzzycnc_ros.runtime.records import (
 )
 from fuzzycnc_ros.simulation.thermal.duties import Duty, DutyBlock
 
-__all__ = ['DAY', 'DAY_START', 'WAIT', 'SimulatedMachine', 'SimulatedMachineConfig']
+__all__ = ['DAY', 'WAIT', 'SimulatedMachine', 'SimulatedMachineConfig']
 
-DAY_START = 6 * 3600.0
-"""Machine time at which the first duty starts [s]: six in the morning of day one."""
 DAY = 24 * 3600.0
 """Time between the starts of two duties [s]: every duty starts from a cold machine."""
 TOLD_AGAIN = 30.0

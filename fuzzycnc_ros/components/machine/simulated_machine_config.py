@@ -36,6 +36,9 @@ WHOLE_SHIFT = Duty(
 MACHINE_DUTIES: Mapping[str, Duty] = MappingProxyType({**DUTIES, WHOLE_SHIFT.name: WHOLE_SHIFT})
 """All duties by name."""
 
+DAY_START = 6 * 3600.0
+"""Machine time at which the first duty starts [s]: six in the morning of day one."""
+
 
 _PREFIX = 'axis_'
 

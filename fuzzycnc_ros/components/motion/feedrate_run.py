@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One tool path on its way to the machine: planned as far as needed, sent part by part."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
@@ -12,6 +10,7 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
     make_limits,
     make_scheduler,
 )
+from fuzzycnc_ros.components.motion.parts import PartsRun, PathHeader
 from fuzzycnc_ros.components.motion.tool_paths import (
     ToolPathSegments,
     curve_tool_path,
@@ -19,6 +18,7 @@ from fuzzycnc_ros.components.motion.tool_paths import (
 )
 from fuzzycnc_ros.core.feedrate.gcode.segments import LineSegment
 from fuzzycnc_ros.core.feedrate.motion.trajectory import MotionSamples
+from fuzzycnc_ros.core.feedrate.motion.waypoints import Sampled
 from fuzzycnc_ros.core.feedrate.path.curves import trident
 from fuzzycnc_ros.core.feedrate.path.nodes import NodePlan, with_nodes
 from fuzzycnc_ros.core.feedrate.path.reference_path import PathBuilder, ReferencePath
@@ -28,23 +28,12 @@ from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.records import (
     FeedSchedule,
     Floats,
-    Trajectory,
-    nanoseconds,
 )
 
 GROUP = 1024
 """Segments that are planned at a time."""
 SAME_PLACE = 1e-9
 """Distance up to which the axes stand where a path starts [m]."""
-
-
-@dataclass(frozen=True)
-class Header:
-    """What all parts of a path have in common."""
-
-    path_id: str
-    epoch: int
-    frame_id: str
 
 
 def streamable(scheduler: Scheduler) -> Scheduler:
@@ -96,17 +85,17 @@ def rehearse(config: FeedrateSchedulerConfig) -> None:
         trident(0.01), path_id='rehearsal', feed=config.feed_max, stamp=0, frame_id=''
     )
     run = PathRun(
-        Header('rehearsal', 0, ''), tool_path_segments(path), np.zeros(3), config, start=0
+        PathHeader('rehearsal', 0, ''), tool_path_segments(path), np.zeros(3), config, start=0
     )
     run.send(0)
 
 
-class PathRun:
+class PathRun(PartsRun):
     """A tool path that is being sent.
 
     Parameters
     ----------
-    header : Header
+    header : PathHeader
         What its parts say of it.
     segments : ToolPathSegments
         The path.
@@ -125,29 +114,21 @@ class PathRun:
 
     def __init__(
         self,
-        header: Header,
+        header: PathHeader,
         segments: ToolPathSegments,
         place: Floats,
         config: FeedrateSchedulerConfig,
         start: int,
     ) -> None:
-        self.header = header
+        super().__init__(header, segments.axis, config, start)
         self._segments, self._config = segments, config
         self._columns = list(segments.columns)
         self._planner = Planner(planner_settings(config), 3)
         self._builder = PathBuilder(blend=config.blend)
         self._nodes = NodePlan.of(self._planner.settings.scheduler)
-        self._start = start
-        self._period = nanoseconds(config.period)
         self._fed = 0  # segments that the builder has
         self._complete = False
-        self._part = 0
-        self._taken = 0
         self._place = 0.0  # arc length of the last sample taken
-        self.complete = False
-        """Whether the last part has been sent."""
-        self.at_rest = start
-        """Machine time at which the axes rest if nothing more is sent [ns]."""
         self._lead_in = 0.0
         self._blocks = segments.block
         if np.linalg.norm(np.subtract(segments.start, place)) > SAME_PLACE:
@@ -156,21 +137,6 @@ class PathRun:
             self._lead_in = line.length
             self._blocks = np.append(-1, segments.block)
             self._push(self._builder.push([line], [True]))
-
-    @property
-    def end(self) -> int:
-        """Machine time of the first sample that has not been sent [ns]."""
-        return self._start + self._taken * self._period
-
-    @property
-    def next_send(self) -> int:
-        """Machine time at which the next part is to be sent [ns]."""
-        return self.end - nanoseconds(self._config.lead)
-
-    @property
-    def part(self) -> int:
-        """Number of parts sent so far."""
-        return self._part
 
     @property
     def progress(self) -> float:
@@ -186,7 +152,7 @@ class PathRun:
             If they do not fit each other; nothing has changed then.
         """
         self._planner.change(planner_settings(config))
-        self._config = config
+        self._config = self._pace = config
 
     def send(self, stamp: int) -> list[Emission]:
         """Return the next part and the feeds along it.
@@ -196,24 +162,16 @@ class PathRun:
         ValueError
             If the path cannot be moved along.
         """
-        count = nanoseconds(self._config.chunk) // self._period
-        self._plan(self._taken + count)
-        low = self._place
-        samples = self._planner.take(count)
+        self._plan(self._taken + self._chunk)
+        samples = self._planner.take(self._chunk)
         self.complete = self._planner.exhausted
         tail = None if self.complete else self._planner.tail()
-        emission = self._trajectory(stamp, samples, tail)
-        schedule = self._schedule(stamp, low)
-        self._part += 1
-        return [emission, schedule]
+        return self._told(stamp, samples, tail)
 
     def stop(self, stamp: int) -> list[Emission]:
         """Return a part that brings the axes to rest on the path, as its last one."""
-        low = self._place
         self.complete = True
-        found = [self._trajectory(stamp, self._planner.tail(), None), self._schedule(stamp, low)]
-        self._part += 1
-        return found
+        return self._told(stamp, self._planner.tail(), None)
 
     def _plan(self, samples: int) -> None:
         """Feed the planner until so many samples can be taken."""
@@ -229,37 +187,22 @@ class PathRun:
                 self._planner.finish()
                 self._complete = True
 
-    def _trajectory(
+    def _told(
         self, stamp: int, samples: MotionSamples, tail: MotionSamples | None
-    ) -> Emission:
-        """Return a part of the trajectory, and note where its committed samples end."""
-        start, committed = self.end, len(samples.arc_length)
-        self._taken += committed
-        self._place = float(samples.arc_length[-1])
-        parts = [samples] if tail is None else [samples, tail]
-        self.at_rest = self.end + (0 if tail is None else len(tail.arc_length) * self._period)
-        position, velocity = (
-            np.concatenate([getattr(part, name)[:, self._columns] for part in parts]).ravel()
-            for name in ('position', 'velocity')
+    ) -> list[Emission]:
+        """Return a part of the trajectory and the feeds along it; note where it ends."""
+        low, self._place = self._place, float(samples.arc_length[-1])
+        part = self._emit(
+            stamp, self._of_axes(samples), None if tail is None else self._of_axes(tail)
         )
-        place = np.concatenate([part.arc_length for part in parts]) - self._lead_in
-        return Emission(
-            'trajectory',
-            Trajectory(
-                stamp=stamp,
-                frame_id=self.header.frame_id,
-                path_id=self.header.path_id,
-                epoch=self.header.epoch,
-                part=self._part,
-                last=tail is None,
-                start=start,
-                period=self._config.period,
-                committed=committed,
-                axis=self._segments.axis,
-                position=position,
-                velocity=velocity,
-                arc_length=place,
-            ),
+        return [part, self._schedule(stamp, low)]
+
+    def _of_axes(self, samples: MotionSamples) -> Sampled:
+        """Return samples in the columns of the path's axes, along the path itself."""
+        return Sampled(
+            samples.position[:, self._columns],
+            samples.velocity[:, self._columns],
+            samples.arc_length - self._lead_in,
         )
 
     def _schedule(self, stamp: int, low: float) -> Emission:
@@ -273,7 +216,7 @@ class PathRun:
                 stamp=stamp,
                 frame_id=self.header.frame_id,
                 path_id=self.header.path_id,
-                part=self._part,
+                part=self.part - 1,
                 last=self.complete,
                 method=config.method,
                 tolerance=tolerance,

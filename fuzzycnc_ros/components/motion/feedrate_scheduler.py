@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.components.motion.feedrate_run import Header, PathRun, rehearse
+from fuzzycnc_ros.components.motion.feedrate_run import PathRun, rehearse
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.motion.motion_allowed import motion_refusal
 from fuzzycnc_ros.components.motion.program_request import ScheduledProgram, schedule_text
+from fuzzycnc_ros.components.motion.sender import BAD_ENDS, GRACE, MotionSender, motion_refusal
 from fuzzycnc_ros.components.motion.tool_paths import (
     PATH_AXES,
     ToolPathSegments,
@@ -26,7 +26,6 @@ from fuzzycnc_ros.components.motion.tool_paths import (
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,
-    Component,
     Emission,
     Health,
     Input,
@@ -39,20 +38,16 @@ from fuzzycnc_ros.runtime.records import (
     FeedSchedule,
     Floats,
     MachineState,
-    Record,
     ToolPath,
     Trajectory,
     TrajectoryState,
     nanoseconds,
 )
 
-GRACE = 2.0
-"""Time after the end of a path in which the machine should say that it has finished [s]."""
 SETTLED = 1.0
 """Time after which axes whose trajectory was given up are at rest [s]."""
 LINES_WHILE_RUNNING = 300
 """Longest program that is scheduled while a path is run: its parts must leave in time."""
-_BAD_ENDS = (TrajectoryStatus.STARVED, TrajectoryStatus.REFUSED)
 
 
 @dataclass(frozen=True)
@@ -65,7 +60,7 @@ class Waiting:
     """Whether it was made just now, so that nobody can have run it."""
 
 
-class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
+class FeedrateScheduler(MotionSender[FeedrateSchedulerConfig, PathRun]):
     """Run the tool paths that arrive, one at a time."""
 
     NAME = 'feedrate_scheduler'
@@ -82,20 +77,10 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
         super().__init__(config)
         self.scheduled: ScheduledProgram | None = None
         """What became of the newest program that was scheduled."""
-        self._active = False
-        self._epoch = 0
-        self._time = 0  # newest stamp of anything
         self._kept: tuple[ToolPath, bool] | None = None  # newest that came while inactive
         self._waiting: Waiting | None = None
         self._wake_at: int | None = None
-        self._run: PathRun | None = None
-        self._sent_at = 0  # when the first part of the run was sent
-        self._moved_until = 0  # end of all motion that was sent
-        self._told: tuple[object, ...] = ()  # by the newest trajectory_state
-        self._told_since = 0
-        self._told_before: tuple[object, ...] | None = None  # the run, until something else is
         self._handled = (-1, '')  # stamp and name of the newest path that was taken
-        self._level, self._text = Level.OK, 'inactive'
         self._lost: str = ''
 
     @property
@@ -105,11 +90,6 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
         if run is None:
             return self._wake_at
         return run.end + nanoseconds(GRACE) if run.complete else run.next_send
-
-    def receive(self, name: str, record: Record) -> Iterator[Emission]:
-        """Take one record of input `name`; yield what it causes."""
-        self._time = max(self._time, record.stamp)
-        yield from super().receive(name, record)
 
     def reconfigure(self, config: FeedrateSchedulerConfig) -> None:
         """Take new live parameters; they act from the next part on that is sent."""
@@ -129,31 +109,11 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
         elif self._take(path, fresh=fresh) and fresh:
             yield from self._start(self._time)
 
-    def on_trajectory_state(self, state: TrajectoryState) -> None:
-        """Note how the machine's motion came to its end."""
-        told = (state.epoch, state.path_id, state.part, state.status, state.reason)
-        if told != self._told:
-            self._told, self._told_since = told, state.stamp
-        run = self._run
-        if run is None or state.stamp <= self._sent_at or told == self._told_before:
-            return  # it may tell again what became of an earlier path
-        self._told_before = None
-        if state.epoch > self._epoch:
-            self._drop(f'another owner, epoch {state.epoch}, moves the machine')
-        elif state.status == TrajectoryStatus.FINISHED:
-            if (state.epoch, state.path_id) == (self._epoch, run.header.path_id) and run.complete:
-                self._run = None
-                self._moved_until = state.stamp
-                self._say(Level.OK, f'{run.header.path_id} finished')
-        elif state.status in _BAD_ENDS:
-            what = TrajectoryStatus(state.status).name.lower()
-            self._drop(f'{what} by the machine: {state.reason or "no part in time"}')
-
     def on_machine_state(self, state: MachineState) -> None:
         """Give up when the machine must not move; start a path that waits when it may again."""
         refusal = motion_refusal(state)
         if refusal and self._run is not None:
-            self._drop(refusal)
+            self._give_up(refusal)
         elif self._waiting is not None:
             self._wake_at = state.stamp
 
@@ -170,7 +130,7 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
             heard = 'silent'
             if state is not None:
                 heard = known.get(state.status, f'status {state.status}')
-            self._drop(f'the machine did not say that it has finished: {heard}')
+            self._give_up(f'the machine did not say that it has finished: {heard}')
         else:
             yield from self._send(run, stamp)
 
@@ -272,13 +232,10 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
             return
         self._waiting = None
         state = self.last(self.FOLLOWED)
-        epoch = 0 if state is None else state.epoch
         if not waiting.fresh and state is not None and state.path_id == name:
             self._say(Level.WARN, f'{name} was begun before; send it anew to run it again')
             return
-        if self._epoch == 0 or epoch > self._epoch:
-            self._epoch = epoch + 1
-        header = Header(name, self._epoch, self.frame('workpiece'))
+        header = self._header(name)
         try:
             run = PathRun(
                 header,
@@ -290,7 +247,7 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
         except ValueError as error:
             self._say(Level.ERROR, f'{name} refused: {error}')
             return
-        self._run, self._sent_at, self._told_before = run, stamp, self._told
+        self._begin_run(run, stamp)
         self._say(Level.OK, f'running {name}')
         yield from self._send(run, stamp)
 
@@ -300,26 +257,20 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
             emissions = run.send(stamp)
         except ValueError as error:
             emissions = run.stop(stamp) if run.part else []
-            self._drop(str(error))
+            self._give_up(str(error))
         self._moved_until = max(self._moved_until, run.at_rest)
         yield from emissions
 
     def _place(self, segments: ToolPathSegments, stamp: int) -> tuple[Floats, str]:
         """Return where the axes rest, X, Y and Z [m], and what a start has to wait for."""
         place = np.zeros(3)
-        machine = self.newest(self.MACHINE, stamp)
-        if machine is None:
-            return place, 'no fresh machine_state'
-        refusal = motion_refusal(machine)
-        if refusal:
-            return place, refusal
-        state = self.last(self.FOLLOWED)
-        if state is None:
-            return place, 'no trajectory_state: what the machine follows is unknown'
+        unready, state = self._unready(stamp), self.last(self.FOLLOWED)
+        if unready or state is None:
+            return place, unready
         if state.status == TrajectoryStatus.FOLLOWING:
             return place, f'the machine still follows {state.path_id}'
         rest_since = self._moved_until
-        if state.status in _BAD_ENDS and state.epoch:
+        if state.status in BAD_ENDS and state.epoch:
             rest_since = max(rest_since, self._told_since + nanoseconds(SETTLED))
         axes = self.newest(self.AXES, stamp)
         if axes is None:
@@ -334,14 +285,16 @@ class FeedrateScheduler(Component[FeedrateSchedulerConfig]):
             return place, f'axis_state does not tell where {lost} is commanded to be'
         return place, ''
 
-    def _drop(self, why: str) -> None:
+    def _finish(self, run: PathRun, stamp: int) -> None:
+        self._run = None
+        self._moved_until = stamp
+        self._say(Level.OK, f'{run.header.path_id} finished')
+
+    def _give_up(self, why: str) -> None:
         """Send no more of the path."""
         run, self._run = self._run, None
         if run is not None:
             self._say(Level.ERROR, f'{run.header.path_id} given up: {why}; send it anew')
-
-    def _say(self, level: Level, text: str) -> None:
-        self._level, self._text = level, text
 
     def _schedule_program(self, arguments: Mapping[str, Any]) -> Answer:
         """Choose the feeds of a program, and run it if that is asked for."""

@@ -8,19 +8,11 @@ import numpy as np
 
 from fuzzycnc_ros.components.motion.joint_goal import STANDING, Goal, GoalCode, GoalError
 from fuzzycnc_ros.components.motion.joint_trajectory_config import JointTrajectoryBridgeConfig
+from fuzzycnc_ros.components.motion.parts import PartsRun, PathHeader
 from fuzzycnc_ros.core.feedrate.motion.waypoints import Sampled, SampledCurve, WaypointCurve
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInput, TrajectoryPart
 from fuzzycnc_ros.runtime.component import Emission
-from fuzzycnc_ros.runtime.records import SECOND, Floats, Trajectory, nanoseconds
-
-
-@dataclass(frozen=True)
-class PathHeader:
-    """What all parts of a trajectory have in common."""
-
-    path_id: str
-    epoch: int
-    frame_id: str
+from fuzzycnc_ros.runtime.records import SECOND, Floats, nanoseconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +112,7 @@ def _curve(goal: Goal, origin: Floats, axes: tuple[str, ...], most: float) -> Wa
     return WaypointCurve(time, position, velocity, acceleration)
 
 
-class JointRun:
+class JointRun(PartsRun):
     """A goal that is being sent.
 
     Parameters
@@ -138,33 +130,17 @@ class JointRun:
     def __init__(
         self, path: JointPath, header: PathHeader, config: JointTrajectoryBridgeConfig, start: int
     ) -> None:
-        self.path, self.header, self.start = path, header, start
-        self._config = config
-        self._period = nanoseconds(config.period)
-        self._chunk = nanoseconds(config.chunk) // self._period
-        self._part = self._taken = 0
+        super().__init__(header, path.axes, config, start)
+        self.path = path
+        self._acceleration_max = config.acceleration_max
         self._tail: Sampled | None = None
-        self.complete = False
-        """Whether the last part has been sent."""
         self.stopped = False
-        """Whether that part ends the way before its end."""
-        self.at_rest = start
-        """Machine time at which the axes rest if nothing more is sent [ns]."""
+        """Whether the last part ends the way before its end."""
 
     @property
     def goal(self) -> Goal:
         """The goal."""
         return self.path.goal
-
-    @property
-    def next_send(self) -> int:
-        """Machine time at which the next part is to be sent [ns]."""
-        return self.start + self._taken * self._period - nanoseconds(self._config.lead)
-
-    @property
-    def begun(self) -> bool:
-        """Whether a part has been sent."""
-        return self._part > 0
 
     def wanted(self, stamp: int) -> Wanted | None:
         """Return what the goal wants at machine time `stamp` [ns]; None if it is not followed."""
@@ -179,7 +155,7 @@ class JointRun:
         self.complete = high == len(sampled)
         tail = None
         if not self.complete:
-            tail = self._tail = sampled.rest_after(high - 1, self._config.acceleration_max)
+            tail = self._tail = sampled.rest_after(high - 1, self._acceleration_max)
         return self._emit(stamp, sampled.part(low, high), tail)
 
     def stop(self, stamp: int) -> list[Emission]:
@@ -189,38 +165,11 @@ class JointRun:
         self.complete = self.stopped = True
         return [self._emit(stamp, self._tail, None)] if self._tail is not None else []
 
-    def end(self) -> Floats:
+    def rest_place(self) -> Floats:
         """Return where the axes of the goal come to rest if it is stopped now [m]."""
         if self.complete or self._tail is None:
-            return np.asarray(self.path.sampled.samples.position[-1 if self.begun else 0])
+            return np.asarray(self.path.sampled.samples.position[-1 if self.part else 0])
         return np.asarray(self._tail.position[-1])
-
-    def _emit(self, stamp: int, samples: Sampled, tail: Sampled | None) -> Emission:
-        start = self.start + self._taken * self._period
-        committed = len(samples.arc_length)
-        parts = [samples] if tail is None else [samples, tail]
-        count = sum(len(part.arc_length) for part in parts)
-        self._taken += committed
-        self.at_rest = start + count * self._period
-        self._part += 1
-        return Emission(
-            'trajectory',
-            Trajectory(
-                stamp=stamp,
-                frame_id=self.header.frame_id,
-                path_id=self.header.path_id,
-                epoch=self.header.epoch,
-                part=self._part - 1,
-                last=tail is None,
-                start=start,
-                period=self._config.period,
-                committed=committed,
-                axis=self.path.axes,
-                position=np.concatenate([part.position for part in parts]).ravel(),
-                velocity=np.concatenate([part.velocity for part in parts]).ravel(),
-                arc_length=np.concatenate([part.arc_length for part in parts]),
-            ),
-        )
 
     @property
     def progress(self) -> float:

@@ -15,12 +15,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fuzzycnc_ros.components.motion.joint_goal import Goal, GoalCode, GoalError
-from fuzzycnc_ros.components.motion.joint_run import JointPath, JointRun, PathHeader
+from fuzzycnc_ros.components.motion.joint_run import JointPath, JointRun
 from fuzzycnc_ros.components.motion.joint_trajectory_config import JointTrajectoryBridgeConfig
-from fuzzycnc_ros.components.motion.motion_allowed import motion_refusal
+from fuzzycnc_ros.components.motion.sender import GRACE, MotionSender, motion_refusal
 from fuzzycnc_ros.runtime.component import (
     Answer,
-    Component,
     Emission,
     Health,
     Input,
@@ -40,15 +39,12 @@ from fuzzycnc_ros.runtime.records import (
     nanoseconds,
 )
 
-GRACE = 2.0
-"""Time after the end of a trajectory in which the machine should say that it has finished [s]."""
 SETTLED = 1.0
 """Time after the end of a motion in which axes may still swing [s]."""
 WATCH = 0.1
 """Time between two looks at what the machine says, while there is a goal [s]."""
 SWAYING = 1e-3
 """Velocity below which axes that nobody moves count as resting [m/s]."""
-_BAD_ENDS = (TrajectoryStatus.STARVED, TrajectoryStatus.REFUSED)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,7 +82,7 @@ class Progress:
     point: int
 
 
-class JointTrajectoryBridge(Component[JointTrajectoryBridgeConfig]):
+class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun]):
     """Follow goals, one at a time, and tell where the joints are."""
 
     NAME = 'joint_trajectory_bridge'
@@ -101,22 +97,13 @@ class JointTrajectoryBridge(Component[JointTrajectoryBridgeConfig]):
 
     def __init__(self, config: JointTrajectoryBridgeConfig | None = None) -> None:
         super().__init__(config)
-        self._active = False
-        self._epoch = 0
         self._goals = 0
-        self._time = 0  # newest stamp of anything
-        self._run: JointRun | None = None
         self._ending: Outcome | None = None  # of the run, once its axes rest
         self._finished: int | None = None  # when the machine said that the run is over
         self._waiting: Goal | None = None
         self._outcomes: list[Outcome] = []
-        self._sent_at = 0  # when the first part of the run was sent
-        self._moved_until = 0  # end of all motion that was sent
-        self._told: tuple[object, ...] = ()  # by the newest trajectory_state
-        self._told_before: tuple[object, ...] | None = None  # the run, until something else is
         self._looked_at = 0
         self._joints_at: int | None = None  # newest joint states
-        self._level, self._text = Level.OK, 'inactive'
 
     @property
     def next_deadline(self) -> int | None:
@@ -176,11 +163,6 @@ class JointTrajectoryBridge(Component[JointTrajectoryBridgeConfig]):
         fresh._outcomes, fresh._goals = self._outcomes, self._goals
         return fresh, emissions
 
-    def receive(self, name: str, record: Record) -> Iterator[Emission]:
-        """Take one record of input `name`; yield what it causes."""
-        self._time = max(self._time, record.stamp)
-        yield from super().receive(name, record)
-
     def on_axis_state(self, state: AxisState) -> Iterator[Emission]:
         """Tell where the joints are, and judge how the goal is followed."""
         due = self._joints_at is None or (
@@ -192,24 +174,6 @@ class JointTrajectoryBridge(Component[JointTrajectoryBridgeConfig]):
         if run is not None:
             yield from self._judge(run, state)
         yield from self._begin(state.stamp)
-
-    def on_trajectory_state(self, state: TrajectoryState) -> None:
-        """Note how the machine's motion came to its end."""
-        told = (state.epoch, state.path_id, state.part, state.status, state.reason)
-        self._told = told
-        run = self._run
-        if run is None or state.stamp <= self._sent_at or told == self._told_before:
-            return  # it may tell again what became of an earlier path
-        self._told_before = None
-        if state.epoch > self._epoch:
-            self._give_up(f'another owner, epoch {state.epoch}, moves the machine')
-        elif state.status == TrajectoryStatus.FINISHED:
-            ours = (state.epoch, state.path_id) == (self._epoch, run.header.path_id)
-            if ours and run.complete and self._finished is None:
-                self._finished = state.stamp
-        elif state.status in _BAD_ENDS:
-            what = TrajectoryStatus(state.status).name.lower()
-            self._give_up(f'{what} by the machine: {state.reason or "no part in time"}')
 
     def on_machine_state(self, state: MachineState) -> None:
         """Give up when the machine must not move."""
@@ -330,18 +294,12 @@ class JointTrajectoryBridge(Component[JointTrajectoryBridgeConfig]):
         except GoalError as error:
             self._end(goal.name, error.code, str(error))
             return
-        state = self.last(self.FOLLOWED)
-        epoch = 0 if state is None else state.epoch
-        if self._epoch == 0 or epoch > self._epoch:
-            self._epoch = epoch + 1
         self._goals += 1
-        header = PathHeader(
-            f'joint_trajectory_{self._goals}', self._epoch, self.frame('workpiece')
-        )
+        header = self._header(f'joint_trajectory_{self._goals}')
         run = JointRun(path, header, self._config, max(goal.start, stamp + lead))
-        self._run, self._ending, self._finished = run, None, None
-        self._sent_at = self._looked_at = stamp
-        self._told_before = self._told
+        self._begin_run(run, stamp)
+        self._ending = self._finished = None
+        self._looked_at = stamp
         self._say(Level.OK, f'following {goal.name}')
         yield run.send(stamp)
         self._moved_until = max(self._moved_until, run.at_rest)
@@ -404,6 +362,10 @@ class JointTrajectoryBridge(Component[JointTrajectoryBridgeConfig]):
         self._say(Level.OK if cancelled else Level.WARN, f'{run.goal.name}: {text}')
         return emissions
 
+    def _finish(self, run: JointRun, stamp: int) -> None:
+        if self._finished is None:
+            self._finished = stamp
+
     def _give_up(self, why: str) -> None:
         """Send no more of the run: the machine moves by somebody else's word, or not at all."""
         run = self._run
@@ -441,7 +403,7 @@ class JointTrajectoryBridge(Component[JointTrajectoryBridgeConfig]):
         told = dict(zip(axes.axis, axes.reference.tolist(), strict=True))
         place = np.array([told.get(name, np.nan) for name in self._config.axes])
         if run is not None:
-            place[list(run.goal.column)] = run.end()
+            place[list(run.goal.column)] = run.rest_place()
         lost = [self._config.axes[k] for k in np.flatnonzero(~np.isfinite(place))]
         if not found and lost:
             found = f'axis_state does not tell where {", ".join(lost)} is commanded to be'
@@ -454,14 +416,9 @@ class JointTrajectoryBridge(Component[JointTrajectoryBridgeConfig]):
 
     def _obstacle(self, stamp: int, run: JointRun | None) -> str:
         """Say why nothing may be started; empty if it may."""
-        machine, state = self.newest(self.MACHINE, stamp), self.last(self.FOLLOWED)
-        if machine is None:
-            return 'no fresh machine_state'
-        refusal = motion_refusal(machine)
-        if refusal:
-            return refusal
-        if state is None:
-            return 'no trajectory_state: what the machine follows is unknown'
+        unready, state = self._unready(stamp), self.last(self.FOLLOWED)
+        if unready or state is None:
+            return unready
         if run is None and state.status == TrajectoryStatus.FOLLOWING:
             return f'another commander has the axes: the machine follows {state.path_id}'
         if run is None and stamp < self._moved_until:
@@ -500,6 +457,3 @@ class JointTrajectoryBridge(Component[JointTrajectoryBridgeConfig]):
                 effort=np.zeros(0),
             ),
         )
-
-    def _say(self, level: Level, text: str) -> None:
-        self._level, self._text = level, text

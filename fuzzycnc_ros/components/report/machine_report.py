@@ -8,9 +8,10 @@ out.  Lengths are in micrometres and speeds in rpm, as people read them; what is
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from enum import IntEnum
 from typing import Any
 
+from fuzzycnc_ros.components.dashboard.node_report import NODE_SILENT
+from fuzzycnc_ros.components.dashboard.values import word
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.enums import AppliedStatus, SpeedStatus, Status
@@ -30,8 +31,6 @@ SOURCES: Mapping[str, type[Record]] = {
     'spindle_speed': SpindleSpeed,
 }
 """Topics that a report is made of, and their records."""
-NODE_SILENT = 5.0
-"""Time [s] without its health after which a node is said to be silent; it comes once a second."""
 MICROMETRES = 1e6
 RPM = 60.0 / (2.0 * math.pi)
 
@@ -120,16 +119,10 @@ def _values(names: Iterable[str], values: Any, factor: float = 1.0) -> dict[str,
     return {visible(name): _known(value, factor) for name, value in pairs}
 
 
-def _word(kind: type[IntEnum], code: int) -> str:
-    """Return a code in words; a newer sender may know more of them."""
-    known: dict[int, str] = {int(item): item.name.lower() for item in kind}
-    return known.get(int(code), f'status {int(code)}')
-
-
 def _offsets(record: CompensationApplied) -> dict[str, Any]:
     return {
         'offset_um': _values(record.axis, record.offset, MICROMETRES),
-        'status': _word(AppliedStatus, record.status),
+        'status': word(AppliedStatus, record.status, 'status'),
     }
 
 
@@ -146,12 +139,12 @@ def _temperatures(record: Temperatures) -> dict[str, Any]:
     pairs = zip(record.sensor, record.status, strict=False)
     return {
         'temperature_degC': _values(record.sensor, record.temperature),
-        'status': {visible(name): _word(Status, code) for name, code in pairs},
+        'status': {visible(name): word(Status, code, 'status') for name, code in pairs},
     }
 
 
 def _spindle(record: SpindleSpeed) -> dict[str, Any]:
     return {
         'speed_rpm': _known(record.speed, RPM, 2),
-        'status': _word(SpeedStatus, record.status),
+        'status': word(SpeedStatus, record.status, 'status'),
     }

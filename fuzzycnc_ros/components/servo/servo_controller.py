@@ -107,10 +107,6 @@ class ServoController(Component[ServoControllerConfig]):
             return None
         return self._at + self._period + self._tolerance
 
-    def reconfigure(self, config: ServoControllerConfig) -> None:
-        """Take new live parameters; they act on the next motion that is commanded."""
-        super().reconfigure(config)
-
     def on_machine_state(self, state: MachineState) -> None:
         """Note whether the machine may move; if not, its drives are at zero anyway.
 

@@ -30,7 +30,7 @@ from fuzzycnc_ros.core.deformation.compensation import (
 from fuzzycnc_ros.core.deformation.model import GAIN_MAX, GAIN_MIN, DeformationModel, read_model
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, read_offsets
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
-from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.runtime import records
 from fuzzycnc_ros.runtime.component import (
     LATCHED,

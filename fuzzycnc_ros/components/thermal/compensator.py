@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.core.config import Config, param
-from fuzzycnc_ros.core.inputs.offset_input import EPOCH_STEP
+from fuzzycnc_ros.core.inputs.offsets import AXES, EPOCH_STEP, NEGLIGIBLE, describe
 from fuzzycnc_ros.runtime.component import (
     REQUEST,
     Answer,
@@ -32,19 +32,14 @@ from fuzzycnc_ros.runtime.enums import (
 )
 from fuzzycnc_ros.runtime.records import (
     SECOND,
-    Bools,
     Compensation,
     CompensationApplied,
     Floats,
     MachineState,
-    Names,
     Record,
     ThermalError,
     nanoseconds,
 )
-
-AXES = ('X', 'Y', 'Z', 'A', 'B', 'C', 'U', 'V', 'W')
-"""Axis names of ISO 841."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,20 +79,6 @@ class CompensatorConfig(Config):
     )
     validity: float = param(
         180.0, 's', 'How long the machine side may trust one message', low=0.01, high=7200.0
-    )
-
-
-NEGLIGIBLE = 1e-8
-"""Offset in a read-back that is what a controller rounds [m]."""
-
-
-def describe(axes: Names, values: Floats, chosen: Bools | None = None) -> str:
-    """Return offsets [m] as text in micrometres, those that are chosen or not zero."""
-    picked = np.abs(values) > 0.0 if chosen is None else np.asarray(chosen, bool)
-    return ', '.join(
-        f'{axis} {1e6 * value:.2f} um'
-        for axis, value, take in zip(axes, values, picked, strict=True)
-        if take
     )
 
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.components.thermal.compensator import NEGLIGIBLE, describe
 from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.inputs.offsets import NEGLIGIBLE, describe
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.runtime.component import (
     LATCHED,

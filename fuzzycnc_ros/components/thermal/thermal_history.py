@@ -15,7 +15,7 @@ from fuzzycnc_ros.components.thermal.predictor_stream import Heard, PredictorStr
 from fuzzycnc_ros.components.thermal.probe_correction import ProbeCorrection
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
-from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.fade import Fade
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatch

@@ -8,7 +8,7 @@ References
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -321,6 +321,7 @@ def samples_needed(rules: int, folds: int = 1) -> int:
         count += 1
 
 
+@dataclass(eq=False, repr=False)
 class TSFuzzyNetwork(RegressionEstimator):
     """T-S fuzzy neural network of feed compensation, [deng2014].
 
@@ -377,38 +378,21 @@ class TSFuzzyNetwork(RegressionEstimator):
     network does; docs/explanation/methods/deformation.md says by how much.
     """
 
-    def __init__(
-        self,
-        consequent: Literal['nts', 'sts'] = 'nts',
-        *,
-        features: str = 'load',
-        training: Method = 'hybrid',
-        ridge: float | Literal['cv'] = 'cv',
-        n_rules: int = 10,
-        hidden: int = 11,
-        members: int = 1,
-        variance_max: float | None = None,
-        width_floor: float = 1.0,
-        decay: float = 2.0,
-        membership_power: Literal[1, 2] = 1,
-        regularisation: float = 0.02,
-        support_quantile: float = SUPPORT_QUANTILE,
-        random_state: Seed = 0,
-    ) -> None:
-        self.consequent = consequent
-        self.features = features
-        self.training = training
-        self.ridge = ridge
-        self.n_rules = n_rules
-        self.hidden = hidden
-        self.members = members
-        self.variance_max = variance_max
-        self.width_floor = width_floor
-        self.decay = decay
-        self.membership_power = membership_power
-        self.regularisation = regularisation
-        self.support_quantile = support_quantile
-        self.random_state = random_state
+    consequent: Literal['nts', 'sts'] = 'nts'
+    _: KW_ONLY
+    features: str = 'load'
+    training: Method = 'hybrid'
+    ridge: float | Literal['cv'] = 'cv'
+    n_rules: int = 10
+    hidden: int = 11
+    members: int = 1
+    variance_max: float | None = None
+    width_floor: float = 1.0
+    decay: float = 2.0
+    membership_power: Literal[1, 2] = 1
+    regularisation: float = 0.02
+    support_quantile: float = SUPPORT_QUANTILE
+    random_state: Seed = 0
 
     @single_threaded
     def fit(self, x: ArrayLike, s: ArrayLike, groups: ArrayLike | None = None) -> 'TSFuzzyNetwork':

@@ -14,10 +14,10 @@ import numpy as np
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, LINE, StitchPath
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Role
-from fuzzycnc_ros.core.feedrate.gcode.lexer import ProgramError, read_line
+from fuzzycnc_ros.core.feedrate.gcode.lexer import read_line
 from fuzzycnc_ros.core.feedrate.gcode.modal import CUTTER, INCH, LENGTH_UNIT, MILLIMETRE
 from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
-from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, LineSegment
+from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, LineSegment, ProgramError
 
 SAME_PLACE = 1e-9
 """Distance below which nothing moves, and below which an offset is none [m]."""

@@ -8,6 +8,7 @@ References
 """
 
 from abc import ABC, abstractmethod
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -104,6 +105,7 @@ def _memberships_by_distance(distance: Array, m: float) -> Array:
     return np.asarray(nearness / nearness.sum(axis=-2, keepdims=True))
 
 
+@dataclass(eq=False, repr=False)
 class FuzzyCMeans(FuzzyPartition):
     """Fuzzy c-means, [bezdek1981].
 
@@ -154,24 +156,15 @@ class FuzzyCMeans(FuzzyPartition):
     [0.05, 5.05]
     """
 
-    _DISTINCT: ClassVar = False
+    n_clusters: int = 5
+    _: KW_ONLY
+    m: float = 2.0
+    n_init: int = 5
+    max_iter: int = 300
+    tol: float = 1e-6
+    random_state: Seed = None
 
-    def __init__(
-        self,
-        n_clusters: int = 5,
-        *,
-        m: float = 2.0,
-        n_init: int = 5,
-        max_iter: int = 300,
-        tol: float = 1e-6,
-        random_state: Seed = None,
-    ) -> None:
-        self.n_clusters = n_clusters
-        self.m = m
-        self.n_init = n_init
-        self.max_iter = max_iter
-        self.tol = tol
-        self.random_state = random_state
+    _DISTINCT: ClassVar = False
 
     def fit(self, X: ArrayLike, y: Any = None) -> 'FuzzyCMeans':  # noqa: N803
         """Cluster the samples.
@@ -276,6 +269,7 @@ DISTANCE_MIN = 1e-12
 """Floor of the squared distances: a sample may lie on a centre."""
 
 
+@dataclass(eq=False, repr=False)
 class GustafsonKessel(FuzzyPartition):
     """Regularised Gustafson-Kessel clustering, [gustafson1978] with [babuska2002].
 
@@ -329,26 +323,16 @@ class GustafsonKessel(FuzzyPartition):
     [[2.0, 0.0], [2.0, 12.0]]
     """
 
-    _DISTINCT: ClassVar = True
+    n_clusters: int = 10
+    _: KW_ONLY
+    m: float = 2.0
+    regularisation: float = 0.02
+    n_init: int = 4
+    max_iter: int = 400
+    tol: float = 1e-5
+    random_state: Seed = None
 
-    def __init__(
-        self,
-        n_clusters: int = 10,
-        *,
-        m: float = 2.0,
-        regularisation: float = 0.02,
-        n_init: int = 4,
-        max_iter: int = 400,
-        tol: float = 1e-5,
-        random_state: Seed = None,
-    ) -> None:
-        self.n_clusters = n_clusters
-        self.m = m
-        self.regularisation = regularisation
-        self.n_init = n_init
-        self.max_iter = max_iter
-        self.tol = tol
-        self.random_state = random_state
+    _DISTINCT: ClassVar = True
 
     def fit(self, X: ArrayLike, y: Any = None) -> 'GustafsonKessel':  # noqa: N803
         """Cluster the samples.

@@ -14,14 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.inputs.offsets import EPOCH_STEP
 
 _PLAUSIBLE = {'offset': 1.0, 'slope': 1.0, 'reference_position': 1000.0}
 """Sizes beyond which a number is a mix-up of units or worse [m, -, m]; keeps sums finite."""
-
-
-EPOCH_STEP = 1000
-"""How far above the epoch in force that of a new owner may be: an honest one takes the next, and
-one that was restarted meanwhile a few more.  What is beyond would lock all others out."""
 
 
 class OffsetStatus(IntEnum):

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 UNCOMPENSATED = 'uncompensated'
 """The machine as it is: the candidate that predicts nothing, which every model must beat."""
 
+DEFAULT = 'default'
+"""Row of the automatic choice, beside those of the candidates."""
+
 BASELINES = ('least_squares', 'static_ridge', 'lag_ridge')
 """Plain models that every table shows beside the others."""
 

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.document import ModelFileError, Node, parse_document, text_hash
+from fuzzycnc_ros.core.document import ModelFileError, Node, parse_document
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.band import Band
 from fuzzycnc_ros.core.thermal.candidate import (
     CANDIDATES,

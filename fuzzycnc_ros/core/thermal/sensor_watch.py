@@ -23,9 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import Array, check_shapes
 from fuzzycnc_ros.core.document import Node
-from fuzzycnc_ros.core.thermal.recursions.base import check_shapes
 
 
 @dataclass(frozen=True)

@@ -307,7 +307,34 @@ class PositionSensors:
         return np.column_stack([source.block() for source in self._sources])
 
 
-class LatheAxis(AxisPlant):
+class _Slide(AxisPlant):
+    """A screw that moves a slide through backlash, driven late and measured as its sensor does."""
+
+    def __init__(
+        self, config: LatheAxisConfig | BallscrewAxisConfig, position: float, velocity: float
+    ) -> None:
+        self.period, self.duty_max = config.period, config.duty_max
+        self._backlash = config.backlash
+        self._sensor = PositionSensor(config, self.period)
+        self._delay = DutyDelay(config.delay, self.period)
+        self._screw = self._slide = position
+        self._velocity = velocity
+        self._step = 0
+        self._load_step = round(config.load_time / self.period)
+
+    @property
+    def position(self) -> float:
+        """True position of the slide [m]."""
+        return self._slide
+
+    @property
+    def velocity(self) -> float:
+        """True velocity of the slide [m/s]; 0 while the screw turns through backlash."""
+        free = abs(self._screw - self._slide) < 0.5 * self._backlash
+        return 0.0 if free else self._velocity
+
+
+class LatheAxis(_Slide):
     """The lathe axis, simulated in exact first-order substeps.
 
     Parameters
@@ -333,26 +360,10 @@ class LatheAxis(AxisPlant):
 
     def __init__(self, config: LatheAxisConfig | None = None, *, position: float = 0.0) -> None:
         self._config = config = config or LatheAxisConfig()
-        self.period = config.period
-        self.duty_max = config.duty_max
-        self._sensor = PositionSensor(config, self.period)
+        super().__init__(config, position, 0.0)
         self._shares = substep_shares(config)
-        self._amplifier = self._torque = self._velocity = 0.0
-        self._screw = self._slide = self._sensed = position
-        self._delay = DutyDelay(config.delay, self.period)
-        self._step = 0
-        self._load_step = round(config.load_time / self.period)
-
-    @property
-    def position(self) -> float:
-        """True position of the slide [m]."""
-        return self._slide
-
-    @property
-    def velocity(self) -> float:
-        """True velocity of the slide [m/s]; 0 while the screw turns through backlash."""
-        free = abs(self._screw - self._slide) < 0.5 * self._config.backlash
-        return 0.0 if free else self._velocity
+        self._amplifier = self._torque = 0.0
+        self._sensed = position
 
     def measure(self) -> float:
         """Return the position as the sensor gives it now [m]; NaN while it gives none."""
@@ -418,7 +429,7 @@ def substep_shares(config: LatheAxisConfig) -> tuple[float, float, float, float]
     )
 
 
-class BallscrewAxis(AxisPlant):
+class BallscrewAxis(_Slide):
     """The EMPS axis; a duty of 1 is 10 V.
 
     Between two stops the motion is an exponential, which is followed exactly up to the moment of
@@ -452,14 +463,7 @@ class BallscrewAxis(AxisPlant):
         velocity: float = 0.0,
     ) -> None:
         self._config = config = config or BallscrewAxisConfig()
-        self.period = config.period
-        self.duty_max = config.duty_max
-        self._sensor = PositionSensor(config, self.period)
-        self._velocity = velocity
-        self._screw = self._slide = position
-        self._step = 0
-        self._load_step = round(config.load_time / self.period)
-        self._delay = DutyDelay(config.delay, self.period)
+        super().__init__(config, position, velocity)
         self._drive = 0.0
         self._mass = config.mass * config.mass_factor
         factor = config.friction_factor
@@ -471,17 +475,6 @@ class BallscrewAxis(AxisPlant):
                 (-1.0, config.viscous_backward, config.coulomb_backward),
             )
         )
-
-    @property
-    def position(self) -> float:
-        """True position of the slide [m]."""
-        return self._slide
-
-    @property
-    def velocity(self) -> float:
-        """True velocity of the slide [m/s]; 0 while the screw turns through backlash."""
-        free = abs(self._screw - self._slide) < 0.5 * self._config.backlash
-        return 0.0 if free else self._velocity
 
     def measure(self) -> float:
         """Return the position as the sensor gives it now [m]; NaN while it gives none."""

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 from fuzzycnc_ros.bags.os_errors import about
 from fuzzycnc_ros.studies.fleet.content import FileState
@@ -93,12 +92,7 @@ class Cache:
         """Return the cache."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the file; what was put in is there, also after an error or a kill."""
         self._base.close()
 

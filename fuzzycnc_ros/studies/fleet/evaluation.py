@@ -9,7 +9,7 @@ from typing import NamedTuple
 from urllib.parse import quote, unquote
 
 from fuzzycnc_ros.bags.finding import NamedBag
-from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.model import load_model
 from fuzzycnc_ros.studies.fleet.cache import Cache, Known
 from fuzzycnc_ros.studies.fleet.content import files_of, result_version

@@ -438,8 +438,6 @@ CUT_LEAST = 1.5
 BENT = float(np.radians(3.0))
 """Turn between two blocks near which they may be cut [rad]."""
 
-Told = Callable[[int, int], None]
-
 
 @dataclass(frozen=True, eq=False)
 class Refined:
@@ -464,7 +462,6 @@ def refine(
     tolerance: float,
     limits: ControllerLimits,
     machine: ContouringConfig,
-    progress: Told = lambda done, total: None,
 ) -> Refined:
     """Lower the feed of each block until the contour error keeps a tolerance, and not further.
 
@@ -481,8 +478,6 @@ def refine(
         Largest contour error wanted [m].
     limits, machine
         The controller and the lags of the axes.
-    progress : callable
-        Told the round and how many there are.
 
     Returns
     -------
@@ -494,7 +489,6 @@ def refine(
     feed = plain.feed.copy()
     best: Refined | None = None
     for number in range(ROUNDS):
-        progress(number, ROUNDS)
         tried = replace(moves, moves=replace(plain, feed=feed))
         found = path.errors(simulate(tried, limits), machine)
         judged = found.judged

@@ -126,7 +126,6 @@ def compare_methods(
     settings: ProgramSettings,
     machine: ContouringConfig,
     *,
-    methods: Sequence[str] = METHODS,
     progress: Progress = lambda text, done, total: None,
 ) -> dict[str, MethodDrive]:
     """Schedule a program by several methods and drive each schedule on the simulated machine.
@@ -141,20 +140,18 @@ def compare_methods(
         How the program is scheduled, but for the method.
     machine : ContouringConfig
         The simulated machine.
-    methods : sequence of str
-        Some of `METHODS`.
     progress : callable
         Told before each method.
 
     Returns
     -------
     dict
-        By name: the methods, the feeds of the program, and one feed for all that keeps the
+        By name: `METHODS`, the feeds of the program, and one feed for all that keeps the
         tolerance.
     """
     found: dict[str, MethodDrive] = {}
-    total = len(methods) + 2
-    for name in methods:
+    total = len(METHODS) + 2
+    for name in METHODS:
         progress(f'driving: {name}', len(found), total)
         chosen = replace(config, method=name)
         paths = _paths(program, replace(settings, scheduler=make_scheduler(chosen)))

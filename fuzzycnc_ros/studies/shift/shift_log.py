@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.components.thermal.predictor_stream import TOPICS as SPEED_TOPICS
 from fuzzycnc_ros.components.thermal.predictor_stream import speed_told, speeds_at
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
-from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 from fuzzycnc_ros.runtime.enums import Status
@@ -33,9 +33,6 @@ from fuzzycnc_ros.studies.record_log import RecordLog
 from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
 
 Floats = NDArray[np.float64]
-
-DEFAULT = 'default'
-"""Name of the prediction that the component published."""
 
 
 class ShiftLog(RecordLog):

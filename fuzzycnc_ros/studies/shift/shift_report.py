@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fuzzycnc_ros.core.document import text_hash
-from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.names import text_hash
+from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fingerprint import recognised_in
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.studies.page.html import Remark, Section
 from fuzzycnc_ros.studies.thermal.comparison import by_channel
-from fuzzycnc_ros.studies.thermal.judged import DEFAULT, loss_remarks, span_text, training_remark
+from fuzzycnc_ros.studies.thermal.judged import loss_remarks, span_text, training_remark
 from fuzzycnc_ros.studies.thermal.report_data import (
     CompensationRun,
     Latency,

@@ -213,7 +213,6 @@ def compare_foam(
     seed: int = 0,
     *,
     runs: int = RUNS,
-    tracks: Sequence[TrackCase] = TRACKS,
     progress: Tell = lambda text, done, total: None,
 ) -> FoamComparison:
     """Stitch tracks without and with compensation, and learn them.
@@ -224,8 +223,6 @@ def compare_foam(
         Seed of the training samples, and of sheets and stitches of the runs.
     runs : int
         Runs of each track and method, each on a sheet that scatters; at least 1.
-    tracks : sequence of TrackCase
-        The tracks.
     progress : callable
         Told what is going on, steps done and in all.
 
@@ -235,14 +232,14 @@ def compare_foam(
         Means and first runs.
     """
     samples = foam_samples(seed)
-    total = len(_NETWORKS) + len(tracks)
+    total = len(_NETWORKS) + len(TRACKS)
     models = {}
     for done, (name, network) in enumerate(_NETWORKS.items()):
         progress('training', done, total)
         models[name] = network().fit(*samples).model_
     seeds = range(FIRST_RUN + 100 * seed, FIRST_RUN + 100 * seed + runs)
     found = []
-    for done, case in enumerate(tracks):
+    for done, case in enumerate(TRACKS):
         progress(case.name, len(_NETWORKS) + done, total)
         paths = {NONE: CompensatedPath.unchanged(case.track.points)}
         for name, model in models.items():

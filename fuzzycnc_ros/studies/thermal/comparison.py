@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
 from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.page.table import Column, Table, tied
 from fuzzycnc_ros.studies.thermal.judged import (
-    DEFAULT,
     loss_remarks,
     remarks_on,
     training_remark,

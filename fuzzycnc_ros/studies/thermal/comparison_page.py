@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
 from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series, View
 from fuzzycnc_ros.studies.page.drawing import (
     AFTER,
@@ -41,7 +41,7 @@ HOW_TO_READ = (
     'bars: the axis is logarithmic. An arrow: diverged.'
 )
 
-TRACED = (UNCOMPENSATED, 'static_ridge', shown.DEFAULT)
+TRACED = (UNCOMPENSATED, 'static_ridge', DEFAULT)
 """Rows that are drawn over time: the machine as it is, a plain model, the automatic choice."""
 
 
@@ -117,7 +117,7 @@ def _bars(
     return Figure(
         f'{name}: what each model leaves',
         HOW_TO_READ,
-        residuals_picture(channel, rows, labels, refused, shown.DEFAULT),
+        residuals_picture(channel, rows, labels, refused, DEFAULT),
     )
 
 
@@ -125,7 +125,7 @@ def _traces(item: 'HeldOut') -> Figure:
     judged = item.evaluation
     rows = [name for name in TRACED if name in judged.predicted]
     labels = {name: candidate_label(name) for name in rows}
-    labels[shown.DEFAULT] = f'{labels[shown.DEFAULT]}: {shown.choice_text(item)}'
+    labels[DEFAULT] = f'{labels[DEFAULT]}: {shown.choice_text(item)}'
     return Figure(
         f'{judged.run}: error that is left over time',
         'Measured minus predicted; without compensation that is the measured error itself. What '
@@ -242,7 +242,7 @@ def traces_chart(
         Name of each model for people.
     """
     x, unit = time_axis(time)
-    colours = {UNCOMPENSATED: BEFORE, shown.DEFAULT: AFTER}
+    colours = {UNCOMPENSATED: BEFORE, DEFAULT: AFTER}
     panels = [
         Panel(
             x,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
 from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
 
@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.model import ThermalModel
 
     Figures = Mapping[str, NDArray[np.float64]]
-
-DEFAULT = 'default'
-"""Row of the automatic choice."""
 
 
 def remarks_on(judged: 'Evaluation') -> list[Remark]:
@@ -123,14 +120,12 @@ def worse_than_none(channel: Sequence[str], rms: 'Figures', name: str = DEFAULT)
     return [label for label, left, bare in pairs if left > bare]
 
 
-def loss_remarks(
-    run: str, channel: Sequence[str], rms: 'Figures', name: str = DEFAULT
-) -> list[Remark]:
+def loss_remarks(run: str, channel: Sequence[str], rms: 'Figures') -> list[Remark]:
     """Return that a model is worse than none, in one sentence; nothing where it is not."""
-    lost = worse_than_none(channel, rms, name)
+    lost = worse_than_none(channel, rms)
     if not lost:
         return []
-    figures = dict(zip(channel, zip(rms[name], rms[UNCOMPENSATED], strict=True), strict=True))
+    figures = dict(zip(channel, zip(rms[DEFAULT], rms[UNCOMPENSATED], strict=True), strict=True))
     return [Remark(f'{run}: {loss_text({label: figures[label] for label in lost})}', True)]
 
 

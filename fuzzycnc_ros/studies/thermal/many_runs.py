@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.thermal.comparison import marked_label, row_order
-from fuzzycnc_ros.studies.thermal.judged import DEFAULT, worse_than_none
+from fuzzycnc_ros.studies.thermal.judged import worse_than_none
 from fuzzycnc_ros.studies.thermal.summary import micrometres
 
 if TYPE_CHECKING:

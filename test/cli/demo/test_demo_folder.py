@@ -9,7 +9,7 @@ import pytest
 from processes import start
 
 from fuzzycnc_ros.cli.demo.steps import renewed
-from fuzzycnc_ros.ros.bring_up import GraphError
+from fuzzycnc_ros.ros.presence import GraphError
 
 HOLDER = """
 import sys, time

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 import pytest
 
 from fuzzycnc_ros.cli.live import free_domain
-from fuzzycnc_ros.ros.bring_up import GraphError
+from fuzzycnc_ros.ros.presence import GraphError
 
 
 @pytest.fixture(autouse=True)

@@ -18,7 +18,8 @@ from fuzzycnc_ros.cli.live.supervision import State, Supervisor
 from fuzzycnc_ros.cli.live.supervision_view import View, row, table
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros import bring_up, processes
-from fuzzycnc_ros.ros.bring_up import THERMAL, GraphError, NodeSpec, RestartPolicy, node_specs
+from fuzzycnc_ros.ros.bring_up import THERMAL, NodeSpec, RestartPolicy, node_specs
+from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.runtime.component import Level
 
 POLICY = RestartPolicy(delay=0.5, delay_max=4.0, restarts_max=5, window=100.0)

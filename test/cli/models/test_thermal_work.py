@@ -19,7 +19,7 @@ from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.cli.models.simulate import median_figures
 from fuzzycnc_ros.cli.models.train import candidate_table, problem_lines
-from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, STANDARD
 from fuzzycnc_ros.core.thermal.fit import evaluate
 from fuzzycnc_ros.core.thermal.model import load_model

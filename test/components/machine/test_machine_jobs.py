@@ -8,11 +8,10 @@ from benches.component_bench import Bench
 
 from fuzzycnc_ros.components.machine.machine_operator import ENGAGE, timed_jobs
 from fuzzycnc_ros.components.machine.simulated_machine import (
-    DAY_START,
     SimulatedMachine,
     SimulatedMachineConfig,
 )
-from fuzzycnc_ros.components.machine.simulated_machine_config import WHOLE_SHIFT
+from fuzzycnc_ros.components.machine.simulated_machine_config import DAY_START, WHOLE_SHIFT
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.runtime.enums import MachineMode

@@ -12,11 +12,10 @@ from benches.trajectory_bench import PERIOD, line, parts, record, trapezoid
 from fuzzycnc_ros.components.machine.machine_axes import MOTION_AXES
 from fuzzycnc_ros.components.machine.simulated_machine import (
     DAY,
-    DAY_START,
     SimulatedMachine,
     SimulatedMachineConfig,
 )
-from fuzzycnc_ros.components.machine.simulated_machine_config import contouring_config
+from fuzzycnc_ros.components.machine.simulated_machine_config import DAY_START, contouring_config
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import SHEET_SCALES, butterfly
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath

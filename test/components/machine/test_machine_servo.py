@@ -8,10 +8,10 @@ from benches.component_bench import Bench
 from benches.trajectory_bench import line, parts, record
 
 from fuzzycnc_ros.components.machine.simulated_machine import (
-    DAY_START,
     SimulatedMachine,
     SimulatedMachineConfig,
 )
+from fuzzycnc_ros.components.machine.simulated_machine_config import DAY_START
 from fuzzycnc_ros.components.servo.servo_controller_config import (
     ServoControllerConfig,
     make_controllers,

@@ -8,7 +8,7 @@ from benches.bridge_bench import MICRON
 from benches.linuxcnc_rig import CYCLE, SCALE, SLEW, Rig, settled
 
 from fuzzycnc_ros.adapters.controller_bridge import STEPS_MAX
-from fuzzycnc_ros.core.inputs.offset_input import EPOCH_STEP
+from fuzzycnc_ros.core.inputs.offsets import EPOCH_STEP
 from fuzzycnc_ros.runtime.component import REQUEST
 from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import SECOND, Compensation, nanoseconds

@@ -10,10 +10,10 @@ from benches.component_bench import Bench, applied, machine_state
 
 from fuzzycnc_ros.components.machine.simulated_body import SimulatedBody, SimulatedBodyConfig
 from fuzzycnc_ros.components.machine.simulated_machine import (
-    DAY_START,
     SimulatedMachine,
     SimulatedMachineConfig,
 )
+from fuzzycnc_ros.components.machine.simulated_machine_config import DAY_START
 from fuzzycnc_ros.simulation.thermal.duties import DUTIES
 from fuzzycnc_ros.simulation.thermal.mill import MILL_AXES
 

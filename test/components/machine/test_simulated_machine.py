@@ -7,10 +7,10 @@ import pytest
 from benches.component_bench import Bench
 
 from fuzzycnc_ros.components.machine.simulated_machine import (
-    DAY_START,
     SimulatedMachine,
     SimulatedMachineConfig,
 )
+from fuzzycnc_ros.components.machine.simulated_machine_config import DAY_START
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.records import (

@@ -7,7 +7,8 @@ import math
 
 import numpy as np
 
-from fuzzycnc_ros.components.report.machine_report import NODE_SILENT, MachineReport
+from fuzzycnc_ros.components.dashboard.node_report import NODE_SILENT
+from fuzzycnc_ros.components.report.machine_report import MachineReport
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.enums import AppliedStatus, SpeedStatus, Status
 from fuzzycnc_ros.runtime.records import (

@@ -30,7 +30,7 @@ from fuzzycnc_ros.core.deformation.model import read_model, write_model
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, write_offsets
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive, SheetMaterial, StitchPath
-from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.runtime.enums import Junction, PrimitiveKind, SegmentKind
 from fuzzycnc_ros.runtime.records import nanoseconds
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples

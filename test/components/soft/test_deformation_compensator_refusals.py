@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benches.pattern_bench import CORNERS, Compensator, material, model_text, pattern
 
-from fuzzycnc_ros.core.document import text_hash
+from fuzzycnc_ros.core.names import text_hash
 
 
 @pytest.fixture(scope='module')

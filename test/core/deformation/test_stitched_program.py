@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.deformation.stitched_program import StitchedProgram
-from fuzzycnc_ros.core.feedrate.gcode.lexer import ProgramError
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.segments import ProgramError
 
 QUILT = """%
 N10 G21 G90 G17

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.components.motion import feedrate_run
-from fuzzycnc_ros.components.motion.feedrate_run import Header, PathRun
+from fuzzycnc_ros.components.motion.feedrate_run import PathRun
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
     FeedrateSchedulerConfig,
     make_scheduler,
 )
+from fuzzycnc_ros.components.motion.parts import PathHeader
 from fuzzycnc_ros.components.motion.tool_paths import program_tool_path, tool_path_segments
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
@@ -34,7 +35,7 @@ PROGRAMS = {
 def planned(program: str, config: FeedrateSchedulerConfig) -> np.ndarray:
     """Return the commanded positions of a program, (k, axes)."""
     segments = tool_path_segments(program_tool_path(read_program(program), path_id='test'))
-    run = PathRun(Header('test', 1, ''), segments, np.array(segments.start), config, start=0)
+    run = PathRun(PathHeader('test', 1, ''), segments, np.array(segments.start), config, start=0)
     parts = []
     while not run.complete:
         part = run.send(0)[0].record

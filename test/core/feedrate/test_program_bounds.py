@@ -4,8 +4,8 @@
 
 import pytest
 
-from fuzzycnc_ros.core.feedrate.gcode.lexer import ProgramError
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.segments import ProgramError
 
 CURVE = 'G21 G90\nG0 X0 Y0 Z0\nG5.2 X3 Y4 P{weight} L{order} F300\nX5 Y6\nX7 Y{y}\nX9 Y4\nG5.3\n'
 

@@ -4,8 +4,8 @@
 
 import pytest
 
-from fuzzycnc_ros.core.feedrate.gcode.lexer import ProgramError
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.segments import ProgramError
 from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
 
 

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.document import ModelFileError, text_hash
+from fuzzycnc_ros.core.document import ModelFileError
+from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel, load_model
 from fuzzycnc_ros.core.thermal.run import ThermalRun

@@ -4,7 +4,7 @@
 
 import math
 
-from fuzzycnc_ros.core.feedrate.gcode.lexer import ProgramError
+from fuzzycnc_ros.core.feedrate.gcode.segments import ProgramError
 
 PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
 """First and second axis of a plane, and the axis across, by the number of its G word."""

@@ -10,7 +10,7 @@ from dataclasses import replace
 from fuzzycnc_ros.core.feedrate.gcode import modal
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Note, Role
 from fuzzycnc_ros.core.feedrate.gcode.expressions import Expression, ExpressionError
-from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, ProgramError, Word, resolved
+from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, Word, resolved
 from fuzzycnc_ros.core.feedrate.gcode.modal import State
 from fuzzycnc_ros.core.feedrate.gcode.motion import (
     CurveBlock,
@@ -25,7 +25,7 @@ from fuzzycnc_ros.core.feedrate.gcode.motion import (
     runs_cycle,
 )
 from fuzzycnc_ros.core.feedrate.gcode.parameters import Parameters
-from fuzzycnc_ros.core.feedrate.gcode.segments import NurbsSegment, Segment
+from fuzzycnc_ros.core.feedrate.gcode.segments import NurbsSegment, ProgramError, Segment
 
 _LETTERS = '@^'
 

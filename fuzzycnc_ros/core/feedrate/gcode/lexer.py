@@ -21,24 +21,7 @@ from fuzzycnc_ros.core.feedrate.gcode.expressions import (
     read_target,
     read_value,
 )
-
-__all__ = ['FlowWord', 'Line', 'ProgramError', 'Word', 'read_line', 'resolved', 'says']
-
-
-class ProgramError(ValueError):
-    """A part program that says something impossible; names its line.
-
-    Parameters
-    ----------
-    line : int
-        Number of the line, the first one is 1.
-    message : str
-        What was expected, what was found, and the remedy.
-    """
-
-    def __init__(self, line: int, message: str) -> None:
-        super().__init__(f'line {line}: {message}')
-        self.line = line
+from fuzzycnc_ros.core.feedrate.gcode.segments import ProgramError
 
 
 class Word(NamedTuple):

@@ -15,13 +15,14 @@ from math import isfinite, nan
 import numpy as np
 
 from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT, PLANES, by_radius, centred
-from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, ProgramError, Word
+from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, Word
 from fuzzycnc_ros.core.feedrate.gcode.modal import Cycle, State
 from fuzzycnc_ros.core.feedrate.gcode.segments import (
     ArcSegment,
     DwellSegment,
     LineSegment,
     Point,
+    ProgramError,
     Segment,
 )
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve, check_machinable

@@ -11,9 +11,10 @@ from itertools import chain, islice
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Note, Program, Role
 from fuzzycnc_ros.core.feedrate.gcode.expressions import Expression
 from fuzzycnc_ros.core.feedrate.gcode.interpreter import Interpreter
-from fuzzycnc_ros.core.feedrate.gcode.lexer import FlowWord, Line, ProgramError, read_line, says
+from fuzzycnc_ros.core.feedrate.gcode.lexer import FlowWord, Line, read_line, says
 from fuzzycnc_ros.core.feedrate.gcode.modal import INCH, MILLIMETRE
 from fuzzycnc_ros.core.feedrate.gcode.parameters import ARGUMENTS
+from fuzzycnc_ros.core.feedrate.gcode.segments import ProgramError
 
 _O_WORD = re.compile(r'[ \t/]*(?:N[ \t]*\d+[ \t]*)?O[ \t]*[\d<#\[]', re.IGNORECASE | re.ASCII)
 _OPENERS = {

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Geometry of part programs in metres: lines, arcs, NURBS curves, dwells, points along them."""
+"""What part programs say, in metres: lines, arcs, NURBS curves, dwells; or nothing possible."""
 
 import math
 from abc import ABC, abstractmethod
@@ -15,6 +15,22 @@ from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 
 Point = tuple[float, float, float]
 """X, Y and Z [m]."""
+
+
+class ProgramError(ValueError):
+    """A part program that says something impossible; names its line.
+
+    Parameters
+    ----------
+    line : int
+        Number of the line, the first one is 1.
+    message : str
+        What was expected, what was found, and the remedy.
+    """
+
+    def __init__(self, line: int, message: str) -> None:
+        super().__init__(f'line {line}: {message}')
+        self.line = line
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """ANFIS, the adaptive neuro-fuzzy system, as a model of the thermal error and as a corrector."""
 
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -35,6 +36,7 @@ FADE = 1.5
 """Distance at which the corrector is off, in units of the edge of its training domain [-]."""
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class Anfis(ThermalRegressor):
     """Adaptive neuro-fuzzy inference system on the rises.
 
@@ -82,22 +84,12 @@ class Anfis(ThermalRegressor):
     True
     """
 
-    def __init__(
-        self,
-        *,
-        rules: str = 'fcm',
-        n_rules: int = 3,
-        ridge: float = 1e-3,
-        epochs: int = 50,
-        interval: float = 60.0,
-        random_state: Seed = 0,
-    ) -> None:
-        self.rules = rules
-        self.n_rules = n_rules
-        self.ridge = ridge
-        self.epochs = epochs
-        self.interval = interval
-        self.random_state = random_state
+    rules: str = 'fcm'
+    n_rules: int = 3
+    ridge: float = 1e-3
+    epochs: int = 50
+    interval: float = 60.0
+    random_state: Seed = 0
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         self._check_parameters(rise.shape[1])
@@ -146,6 +138,7 @@ class Anfis(ThermalRegressor):
             )
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class GreyAnfis(ThermalRegressor):
     """Stable grey model whose residual an ANFIS corrects, inside the domain of its training.
 
@@ -183,24 +176,13 @@ class GreyAnfis(ThermalRegressor):
     (docs/explanation/methods/thermal-fuzzy-and-grey.md).
     """
 
-    def __init__(
-        self,
-        *,
-        n_rules: int = 3,
-        ridge: float = 1e-3,
-        corrector_ridge: float = 1e-3,
-        epochs: int = 50,
-        fade: float = FADE,
-        interval: float = 60.0,
-        random_state: Seed = 0,
-    ) -> None:
-        self.n_rules = n_rules
-        self.ridge = ridge
-        self.corrector_ridge = corrector_ridge
-        self.epochs = epochs
-        self.fade = fade
-        self.interval = interval
-        self.random_state = random_state
+    n_rules: int = 3
+    ridge: float = 1e-3
+    corrector_ridge: float = 1e-3
+    epochs: int = 50
+    fade: float = FADE
+    interval: float = 60.0
+    random_state: Seed = 0
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         if not (np.isfinite(self.fade) and self.fade > 1.0):

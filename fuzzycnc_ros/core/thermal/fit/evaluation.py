@@ -9,6 +9,7 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.band import WIDTH, coverage, largest_of, mean_of_square
+from fuzzycnc_ros.core.thermal.candidate import DEFAULT
 from fuzzycnc_ros.core.thermal.fingerprint import recognised_in
 from fuzzycnc_ros.core.thermal.fit.training import at_interval
 from fuzzycnc_ros.core.thermal.model import ThermalModel
@@ -129,7 +130,7 @@ def evaluate(
         for name in model.candidates_on(even)
         if candidates is None or name in candidates
     }
-    predictions['default'] = model.recursion().run(rise)
+    predictions[DEFAULT] = model.recursion().run(rise)
     rms, largest = {}, {}
     for name, predicted in predictions.items():
         # A diverged prediction counts as infinitely wrong, a sample never probed not at all.
@@ -154,7 +155,7 @@ def evaluate(
         in_domain=0.0 if warm else float(model.in_domain(rise[inside]).mean()),
         warm=warm,
         trained_on=trained_on,
-        covered=coverage(predictions['default'][inside] - measured, band / WIDTH),
+        covered=coverage(predictions[DEFAULT][inside] - measured, band / WIDTH),
         half_width=np.sqrt(mean_of_square(np.where(judged, band, np.nan))),
         time=even.time[inside],
         measured=measured,

@@ -7,6 +7,7 @@ Its variants with constants are in `fuzzycnc_ros.papers.grey`.
 
 import copy
 from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -40,6 +41,7 @@ _CONDITION_MAX = 1e6
 """Condition number of the scaled regression matrix above which a classical fit is refused."""
 
 
+@dataclass(eq=False, repr=False)
 class GreyModel(ThermalRegressor):
     """Grey model GM(1,N), [ding_zeng] eqs. (10)-(16).
 
@@ -90,21 +92,14 @@ class GreyModel(ThermalRegressor):
     [2.874, 3.232, 3.355, 3.482, 3.614]
     """
 
+    kind: str = 'stable'
+    _: KW_ONLY
+    interval: float = 60.0
+    ridge: float = 1e-3
+    poles: Sequence[float] | None = None
+
     CONSTANTS: ClassVar[dict[str, int]] = {'classical': 0, 'derived': 0}
     """Kinds that accumulate their target, and how many constants each has beside a and b."""
-
-    def __init__(
-        self,
-        kind: str = 'stable',
-        *,
-        interval: float = 60.0,
-        ridge: float = 1e-3,
-        poles: Sequence[float] | None = None,
-    ) -> None:
-        self.kind = kind
-        self.interval = interval
-        self.ridge = ridge
-        self.poles = poles
 
     @classmethod
     def kinds(cls) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 """The hybrid filter network: LR, MA and AR filters that feed a small network."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ class Front:
     """LR and MA, with their outputs (n, N - 1) [m] on the training samples."""
 
     delays: NDArray[np.int64]
-    filters: tuple[LinearFilter, ...]
+    filters: tuple[LinearFilter, LinearFilter]
     weight: Array
     offset: Array
     values: Array
@@ -45,7 +45,6 @@ class Front:
     def fitted(
         data: NetworkTraining,
         delays: NDArray[np.int64],
-        moving_average: str,
         ridge: float,
         anchored: bool,
     ) -> 'Front':
@@ -53,12 +52,11 @@ class Front:
         inputs = data.rise.shape[1]
         columns = delayed_rises(data.rise, data.rows, np.append(0, delays))
         cuts = [slice(0, inputs), slice(inputs, None)]
-        if moving_average == 'per_lag':
-            cuts = [slice(k * inputs, (k + 1) * inputs) for k in range(len(delays) + 1)]
         known = data.measured
-        filters = tuple(
+        linear, moving = (
             fit_filter(columns[known, cut], data.target[known], ridge, anchored) for cut in cuts
         )
+        filters = linear, moving
         weight = np.zeros((len(cuts), columns.shape[1]))
         for row, cut, item in zip(weight, cuts, filters, strict=True):
             row[cut] = item.weight
@@ -128,14 +126,8 @@ def _hybrid_recursion(
     )
 
 
-MOVING_AVERAGES = ('sum', 'first', 'per_lag')
+MOVING_AVERAGES = ('sum', 'first')
 """Readings of the MA filter [kang2007]."""
-
-RIDGES = (1e-4, 1e-3, 1e-2)
-"""Penalties that 'auto' tries."""
-
-RIDGE = 1e-3
-"""Penalty of linear stages; of 'auto' too, when there is one run only."""
 
 _GAIN_MAX = 0.97
 """Loop gain that the guard keeps the recursion below [-]."""
@@ -147,6 +139,7 @@ GUARD_STEP = 0.8
 """What the guard multiplies the bound of the feedback by."""
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class HybridFilterNetwork(ThermalRegressor):
     """Three linear filters that feed a small tanh network [kang2007].
 
@@ -155,8 +148,8 @@ class HybridFilterNetwork(ThermalRegressor):
 
     Parameters
     ----------
-    moving_average : {'sum', 'first', 'per_lag'}
-        One MA filter over all delays, over the first one only, or one filter for each delay.
+    moving_average : {'sum', 'first'}
+        One MA filter over all delays, or over the first one only.
     delays : sequence of int
         Delays of the MA filter [samples], ascending, from 1 up; (10, 20, 30) reaches further
         back and is better only where training covers what it will meet.
@@ -164,9 +157,8 @@ class HybridFilterNetwork(ThermalRegressor):
         Number K of own past outputs in the AR filter, 1 or more.
     hidden : int
         Number of hidden nodes.
-    ridge : float or 'auto'
-        Penalty of the filters per sample [-]; 'auto' takes of 1e-4, 1e-3 and 1e-2 the one that
-        is best on runs left out of the training, 1e-3 if there is one run only.
+    ridge : float
+        Penalty of the filters per sample [-].
     solver : {'lm', 'lbfgs'}
         Levenberg-Marquardt, or L-BFGS; both end at the same figures, the first in less time.
     refits : int
@@ -191,8 +183,8 @@ class HybridFilterNetwork(ThermalRegressor):
     ----------
     linear_ : LinearFilter
         The LR filter [m/K].
-    moving_ : tuple of LinearFilter
-        The MA filter, or one for each delay [m/K].
+    moving_ : LinearFilter
+        The MA filter [m/K].
     feedback_ : ndarray, shape (K,)
         AR weights c of the own past outputs [-].
     network_ : TanhNetwork
@@ -201,8 +193,6 @@ class HybridFilterNetwork(ThermalRegressor):
         Largest gain from an own past output to the next one over the training samples [-].
     scale_ : float
         Output range 1 / C_Y in use [m].
-    ridge_ : float
-        Penalty in use [-].
     recursion_off_ : bool
         Whether the guard took the feedback out, since none kept the loop gain below 0.97; what
         is left is safe, a network without a memory of its own output.
@@ -228,50 +218,29 @@ class HybridFilterNetwork(ThermalRegressor):
     (True, ())
     """
 
-    def __init__(
-        self,
-        *,
-        moving_average: str = 'sum',
-        delays: Sequence[int] = (1, 2, 3),
-        history: int = 1,
-        hidden: int = 30,
-        ridge: float | str = RIDGE,
-        solver: str = 'lm',
-        refits: int = 1,
-        guard: bool = True,
-        anchored: bool = True,
-        feedback_max: float = 0.95,
-        output_range: float = 50e-6,
-        interval: float = 60.0,
-        random_state: Seed = 0,
-    ) -> None:
-        self.moving_average = moving_average
-        self.delays = delays
-        self.history = history
-        self.hidden = hidden
-        self.ridge = ridge
-        self.solver = solver
-        self.refits = refits
-        self.guard = guard
-        self.anchored = anchored
-        self.feedback_max = feedback_max
-        self.output_range = output_range
-        self.interval = interval
-        self.random_state = random_state
+    moving_average: str = 'sum'
+    delays: Sequence[int] = (1, 2, 3)
+    history: int = 1
+    hidden: int = 30
+    ridge: float = 1e-3
+    solver: str = 'lm'
+    refits: int = 1
+    guard: bool = True
+    anchored: bool = True
+    feedback_max: float = 0.95
+    output_range: float = 50e-6
+    interval: float = 60.0
+    random_state: Seed = 0
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         delays = self._checked()
         least = samples_min(self.history, delays)
         data = network_training(rise, target, rows, self.output_range, least)
-        front_size = 1 + (len(delays) if self.moving_average == 'per_lag' else 1)
-        rng = np.random.default_rng(self.random_state)
-        start = TanhNetwork.drawn(front_size + 1, self.hidden, rng)
-        self.ridge_ = self._best_ridge(data, delays, start)
+        start = TanhNetwork.drawn(3, self.hidden, np.random.default_rng(self.random_state))
         columns = len(delays) * data.rise.shape[1]
-        check_filter_ridge(self.ridge_, columns, int(data.measured.sum()))
-        fit, problems = self._fitted(data, delays, self.ridge_, start)
-        self.linear_, *moving = fit.front.filters
-        self.moving_: tuple[LinearFilter, ...] = tuple(moving)
+        check_filter_ridge(self.ridge, columns, int(data.measured.sum()))
+        fit, problems = self._fitted(data, delays, start)
+        self.linear_, self.moving_ = fit.front.filters
         self.feedback_, self.network_ = fit.feedback, fit.network
         self.loop_gain_, self.scale_, self.idle_ = fit.loop_gain, data.scale, data.idle
         self.recursion_ = fit.recursion
@@ -296,34 +265,13 @@ class HybridFilterNetwork(ThermalRegressor):
         delays = check_delays(self.delays, 1)
         return delays[:1] if self.moving_average == 'first' else delays
 
-    def _best_ridge(
-        self, data: NetworkTraining, delays: NDArray[np.int64], start: TanhNetwork
-    ) -> float:
-        """Return the penalty asked for, or the one that is best on runs left out."""
-        if self.ridge != 'auto':
-            if isinstance(self.ridge, str):
-                raise ValueError(f"ridge: expected a number or 'auto', but found {self.ridge!r}")
-            return self.ridge
-        least = samples_min(self.history, delays)
-        squares = np.zeros(len(RIDGES))
-        for run in data.rows:
-            kept = data.target.copy()
-            kept[run] = np.nan
-            if np.isfinite(kept).sum() < least:
-                continue
-            for number, ridge in enumerate(RIDGES):
-                fit, _ = self._fitted(replace(data, target=kept), delays, ridge, start)
-                apart = fit.recursion.run(data.rise[run])[:, 0] - data.target[run]
-                squares[number] += np.nansum(apart**2)
-        return RIDGES[int(np.argmin(squares))] if squares.any() else RIDGE
-
     def _fitted(
-        self, data: NetworkTraining, delays: NDArray[np.int64], ridge: float, start: TanhNetwork
+        self, data: NetworkTraining, delays: NDArray[np.int64], start: TanhNetwork
     ) -> tuple[_Fit, tuple[str, ...]]:
-        """Return the fit for one penalty, with its problems."""
-        front = Front.fitted(data, delays, self.moving_average, ridge, self.anchored)
+        """Return the fit, with its problems."""
+        front = Front.fitted(data, delays, self.ridge, self.anchored)
         bound = self.feedback_max if self.guard else None
-        fit = self._trained(data, front, ridge, bound, start)
+        fit = self._trained(data, front, bound, start)
         problems = []
         if bound is not None:
             for _ in range(GUARD_ROUNDS):
@@ -331,9 +279,9 @@ class HybridFilterNetwork(ThermalRegressor):
                     break
                 # A bound above what was fitted would change nothing.
                 bound = GUARD_STEP * min(bound, float(fit.feedback.sum()))
-                fit = self._trained(data, front, ridge, bound, start)
+                fit = self._trained(data, front, bound, start)
             if fit.loop_gain >= _GAIN_MAX:
-                fit = self._trained(data, front, ridge, 0.0, start)
+                fit = self._trained(data, front, 0.0, start)
         elif fit.loop_gain >= _GAIN_MAX or fit.feedback.sum() >= 1.0:
             problems.append(
                 f'the loop gain {fit.loop_gain:.3g} and the sum {fit.feedback.sum():.3g} of the '
@@ -351,7 +299,6 @@ class HybridFilterNetwork(ThermalRegressor):
         self,
         data: NetworkTraining,
         front: Front,
-        ridge: float,
         bound: float | None,
         network: TanhNetwork,
     ) -> _Fit:
@@ -367,7 +314,7 @@ class HybridFilterNetwork(ThermalRegressor):
                 history[known],
                 front.values[known],
                 data.target[known],
-                ridge,
+                self.ridge,
                 self.anchored,
                 bound,
             )

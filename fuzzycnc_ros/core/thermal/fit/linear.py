@@ -3,6 +3,7 @@
 """Linear models of the thermal error: plain least squares, ridge, and ridge on lagged rises."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -19,6 +20,7 @@ from fuzzycnc_ros.core.thermal.recursions.base import (
 )
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class LeastSquares(ThermalRegressor):
     """Static linear regression with intercept, the plain baseline.
 
@@ -37,8 +39,7 @@ class LeastSquares(ThermalRegressor):
     9.0
     """
 
-    def __init__(self, *, interval: float = 60.0) -> None:
-        self.interval = interval
+    interval: float = 60.0
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         check_sample_count(target, rise.shape[1] + 1)
@@ -47,6 +48,7 @@ class LeastSquares(ThermalRegressor):
         self.intercept_ = float(self.recursion_.offset[0])
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class StaticRidge(ThermalRegressor):
     """Static linear ridge regression with intercept, the strong plain baseline.
 
@@ -63,9 +65,8 @@ class StaticRidge(ThermalRegressor):
         Constant [m].
     """
 
-    def __init__(self, *, ridge: float = 1e-3, interval: float = 60.0) -> None:
-        self.ridge = ridge
-        self.interval = interval
+    ridge: float = 1e-3
+    interval: float = 60.0
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         check_ridge(self.ridge)
@@ -74,6 +75,7 @@ class StaticRidge(ThermalRegressor):
         self.intercept_ = float(self.recursion_.offset[0])
 
 
+@dataclass(kw_only=True, eq=False, repr=False)
 class LagRidge(ThermalRegressor):
     """Ridge regression on the rises and their first-order lags.
 
@@ -108,22 +110,12 @@ class LagRidge(ThermalRegressor):
     0.0 2e-05
     """
 
-    def __init__(
-        self,
-        *,
-        lags: Sequence[float] = (1200.0, 3600.0),
-        ridge: float = 1e-3,
-        interval: float = 60.0,
-        fit_intercept: bool = False,
-        drivers: int = 0,
-        driver_lags: Sequence[float] = (1200.0, 3600.0, 14400.0),
-    ) -> None:
-        self.lags = lags
-        self.ridge = ridge
-        self.interval = interval
-        self.fit_intercept = fit_intercept
-        self.drivers = drivers
-        self.driver_lags = driver_lags
+    lags: Sequence[float] = (1200.0, 3600.0)
+    ridge: float = 1e-3
+    interval: float = 60.0
+    fit_intercept: bool = False
+    drivers: int = 0
+    driver_lags: Sequence[float] = (1200.0, 3600.0, 14400.0)
 
     def _fit(self, rise: Array, target: Array, rows: list[slice]) -> None:
         check_ridge(self.ridge)
@@ -226,11 +218,9 @@ def _solve_linear(
     return solution / scale, level - float(center @ solution)
 
 
-def _static_recursion(
-    rise: Array, target: Array, ridge: float, intercept: bool = True
-) -> LinearRecursion:
+def _static_recursion(rise: Array, target: Array, ridge: float) -> LinearRecursion:
     """Fit rises (n, p) to a target (n,) without lags."""
-    weight, offset = _solve_linear(rise, target, ridge, intercept)
+    weight, offset = _solve_linear(rise, target, ridge, True)
     return linear_recursion(weight, np.empty(0), True, offset)
 
 

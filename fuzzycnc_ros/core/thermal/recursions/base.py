@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import Array, check_shapes
 from fuzzycnc_ros.core.document import Node
 
 _Self = TypeVar('_Self', bound='Recursion')
@@ -347,22 +347,6 @@ def run_slices(runs: ArrayLike | None, samples: int) -> list[slice]:
     if len(cuts) - 1 != len(np.unique(labels)):
         raise ValueError('runs: expected the samples of each run together, but found them split')
     return [slice(first, last) for first, last in pairwise(cuts)]
-
-
-def check_shapes(owner: object, **shapes: tuple[int, ...]) -> None:
-    """Refuse arrays of other shapes or with values that are not finite.
-
-    Raises
-    ------
-    ValueError
-        The message names the array.
-    """
-    for name, shape in shapes.items():
-        values = getattr(owner, name)
-        if values.shape != shape or not np.isfinite(values).all():
-            raise ValueError(
-                f'{name}: expected finite numbers of shape {shape}, but found shape {values.shape}'
-            )
 
 
 def check_interval(interval: float) -> None:
