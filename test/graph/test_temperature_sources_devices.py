@@ -335,7 +335,7 @@ devices:
     timeout: 0.5
     sensors: {{T1: t1}}
     positions: {{X: Xact, B: b1}}
-    spindle_speed: s1
+    spindle_speed: {{item: s1}}
 """
 
 
@@ -366,13 +366,13 @@ def test_positions_of_an_agent_are_published_and_recorded(graph, observer, tmp_p
         observer.until(lambda: newest() == [True, True, 12500], 'positions')
         assert told[-1].position[1] == pytest.approx(np.pi / 2.0)
         assert told[-1].header.frame_id == 'mill/machine'
-        observer.until(lambda: statuses(samples) == [OK], 'a sample')
+        observer.until(lambda: statuses(samples) == [OK] and speeds, 'a sample')
         assert speeds[-1].speed == pytest.approx(100.0 * np.pi)
         field.call(agent.observe(x1=-3, b1='UNAVAILABLE'))
         observer.until(lambda: newest() == [True, False, -3000], 'the axis alone is missing')
         field.call(agent.stop())
         observer.until(lambda: newest() == [False, False, None], 'no position of a lost agent')
-        assert speeds[-1].status == SpeedStatus.MISSING
+        observer.until(lambda: speeds[-1].status == SpeedStatus.MISSING, 'no speed either')
         assert 'Traceback' not in node.output
         graph.stop()
     finally:
