@@ -21,6 +21,7 @@ from sensor_msgs.msg import JointState
 
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.runtime.enums import SpeedStatus, Status
+from fuzzycnc_ros.runtime.host import RecorderProgress
 from fuzzycnc_ros.runtime.records import MachineState, SpindleSpeed, Temperatures
 
 pytestmark = pytest.mark.ros
@@ -360,7 +361,9 @@ def test_positions_of_an_agent_are_published_and_recorded(graph, observer, tmp_p
         agent.observations = [('t1', '21.5'), ('s1', '3000'), ('x1', '12.5'), ('b1', '90')]
         field.add(agent)
         path.write_text(AGENT_FILE.format(host=LOCAL, port=agent.port))
+        recorded = observer.records('recorder/progress', RecorderProgress)
         graph.start('recorder', {'output': str(bag)})
+        observer.until(lambda: recorded, 'a recorder')
         parameters = {'source': 'devices', 'device_file': str(path), 'interval': 0.5}
         node = graph.start('temperature_acquisition', {**parameters, 'stuck_time': 0.0})
         observer.until(lambda: newest() == [True, True, 12500], 'positions')
