@@ -150,6 +150,14 @@ EXTRAS = (
         'every sample of `temperatures`',
     ),
     Extra(
+        'axis_positions',
+        'sensor_msgs/msg/JointState',
+        STREAM,
+        'temperature_acquisition, with `positions` in the device file',
+        'people and plots; recorder',
+        'every reading of the device',
+    ),
+    Extra(
         '/clock',
         'rosgraph_msgs/msg/Clock',
         STREAM,

@@ -34,7 +34,7 @@ except ImportError as error:
         "'fuzzycnc_ros[modbus,opcua]'"
     ) from error
 
-ENTRIES = {'devices': 'device', 'sensors': 'sensor', 'axes': 'axis'}
+ENTRIES = {'devices': 'device', 'sensors': 'sensor', 'axes': 'axis', 'positions': 'axis'}
 """What an entry of a list or mapping is called in messages."""
 
 VARIABLES = ('hand_shake', 'state', 'axes')

@@ -28,6 +28,9 @@ FIRST_DELAY, LAST_DELAY = 1.0, 300.0
 PATIENCE = 5.0
 """Time [s] that the end of a recording waits for what is on its way."""
 
+STORES = frozenset({'s3', 's3a', 'gs', 'gcs', 'az', 'abfs', 'abfss', 'oss'})
+"""Places with buckets and without folders: what would be made there for a slip is a bucket."""
+
 _BLOCK = 1024 * 1024
 _SECRET_NAME = re.compile(r'key|secret|token|password|passwd|credential', re.IGNORECASE)
 _SECRET_MIN = 4  # letters; shorter values would blacken words
@@ -61,6 +64,7 @@ class Shipper:
 
     def __init__(self, url: str, bag: Path, *, delay: float = FIRST_DELAY) -> None:
         self._system, self._root = file_system(url)
+        self._has_folders = urlsplit(url).scheme not in STORES
         self._bag = bag
         self._delay = delay
         self._queue: deque[Path] = deque()
@@ -112,7 +116,10 @@ class Shipper:
             left = [path.name for path in self._queue]
         if not left:
             return []
-        cause = self._trouble or f'the last {patience:g} s were too short for it'
+        cause = self._trouble or (
+            f'the place has not taken them within the last {patience:g} s; check it, its access '
+            'rights and the network'
+        )
         return [
             f'{len(left)} parts of {self._bag} are not shipped ({", ".join(left)}): {cause}; '
             f'copy them yourself, {LEDGER} has the SHA-256 of those that arrived'
@@ -158,7 +165,8 @@ class Shipper:
             return None
         folder = f'{self._root.rstrip("/")}/{self._bag.absolute().name}'
         target = f'{folder}/{path.name}'
-        self._system.makedirs(folder, exist_ok=True)
+        if self._has_folders:
+            self._system.makedirs(folder, exist_ok=True)
         self._system.invalidate_cache()
         there = self._system.exists(target)
         if there and path.name not in self._attempted and self._arrived(target) != (digest, size):

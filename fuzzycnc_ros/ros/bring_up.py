@@ -26,6 +26,8 @@ PAGE = 'dashboard'
 """Serves the live page of all machines; nobody waits for it, and it may fail alone."""
 ACTIVE_TIMEOUT = 20.0
 """Wall time [s] until a managed node must be active."""
+AGAIN = '_again'
+"""What the bag of a recorder that was started again has behind its name, with a number."""
 NODE_STOP = 10.0
 """Wall time [s] that a node gets to end by itself before it is killed."""
 RECORDER_STOP = 30.0
@@ -233,9 +235,9 @@ def again(spec: NodeSpec, restarts: int, *, resume: bool) -> NodeSpec:
     if spec.name == 'recorder':
         first = str(parameters['output'])
         if restarts > 1:
-            first = first.rpartition('_again')[0]
+            first = first.rpartition(AGAIN)[0]
         # A torn bag is left to `fuzzycnc info`, which repairs it.
-        parameters['output'] = f'{first}_again{restarts}'
+        parameters['output'] = f'{first}{AGAIN}{restarts}'
     return replace(spec, parameters=parameters)
 
 
@@ -245,9 +247,22 @@ def clock_remapping(machines: Sequence[str]) -> tuple[str, ...]:
 
 
 def bag_of(machine: str, machines: Sequence[str], bag: Path | None) -> Path | None:
-    """Return the bag of a machine: with several, its name follows that of the bag."""
+    """Return the bag of a machine: with several, its name follows that of the bag.
+
+    Raises
+    ------
+    GraphError
+        If another machine's bag has the name that this one gets after a restart of its recorder.
+    """
     if bag is None or len(machines) < 2:
         return bag
+    first, mark, number = machine.rpartition(AGAIN)
+    if mark and number.isdecimal() and first in machines:
+        raise GraphError(
+            f'machine {machine}: expected a name without {mark}{number} beside {first}, since a '
+            f'recorder of {first} that is started again records into the bag of that name; rename '
+            'one, or run them apart'
+        )
     return bag.with_name(f'{bag.name}_{file_word(machine)}')
 
 

@@ -4,21 +4,21 @@
 
 import faulthandler
 import resource
+import signal
+import socket
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.rcutils_logger import RcutilsLogger, _internal_callers
 from rclpy.node import Node
-from rclpy.signals import (
-    SignalHandlerOptions,
-    install_signal_handlers,
-    uninstall_signal_handlers,
-)
 
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.ros.arguments import initialise
@@ -35,8 +35,10 @@ from fuzzycnc_ros.ros.processes import (
     prepare_environment,
 )
 from fuzzycnc_ros.ros.service_manager import ServiceManager
-from fuzzycnc_ros.uninterrupted import uninterrupted
+from fuzzycnc_ros.uninterrupted import Interrupted, uninterrupted
 
+DELIVERING = 0.5
+"""Wall time [s] in all that readers have to acknowledge what the nodes published last."""
 LETTING_GO = 20
 """Wall time [s] that the middleware has for its part of the end; it takes 0.1 s, or forever."""
 NO_MEMORY = 1
@@ -120,6 +122,7 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
     """Run nodes until a wish to end is heard or one is done; return the exit code."""
     hosts: list[Served] = []
     executor: SingleThreadedExecutor | None = None
+    waking = ExitStack()
     failed = 0
     presence = Presence()
     manager = ServiceManager()
@@ -136,8 +139,7 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
             for host in hosts:
                 executor.add_node(host.node)
                 host.start()
-            # They wake an executor that waits, and end the context.
-            install_signal_handlers(SignalHandlerOptions.ALL)
+            waking.enter_context(_woken_by_signals(executor))
         while rclpy.ok() and not any(host.done for host in hosts):
             executor.spin_once()
             # Every node has work to do each second, if only to say how it is.
@@ -160,13 +162,15 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
         manager.stopping()
         for host in reversed(hosts):
             host.stop()
+        with suppress(Interrupted), uninterrupted():
+            _deliver([host.node for host in hosts])
         # What a node holds may fail to be written to its end: the code is known only now.
         code = max([failed, *(host.exit_code for host in hosts)])
         sys.stdout.flush()
         with ending_within(LETTING_GO, code):
             # Ends the thread that wakes the executor: late on a busy computer, it would touch what
             # is destroyed here.
-            uninstall_signal_handlers()
+            waking.close()
             if executor is not None:
                 executor.shutdown()
             for host in reversed(hosts):
@@ -174,6 +178,38 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
             rclpy.try_shutdown()
             presence.leave()
     return code
+
+
+@contextmanager
+def _woken_by_signals(executor: SingleThreadedExecutor) -> Iterator[None]:
+    """Have signals end the wait of an executor, so that their handlers in Python are called.
+
+    The handlers of rclpy would end the context, too, and nothing could be delivered any more.
+    """
+    there, here = socket.socketpair()
+    here.setblocking(False)
+
+    def wake() -> None:
+        while there.recv(64):
+            executor.wake()
+
+    thread = threading.Thread(target=wake, name='signals', daemon=True)
+    thread.start()
+    before = signal.set_wakeup_fd(here.fileno(), warn_on_full_buffer=False)
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(before)
+        here.close()
+        thread.join()
+        there.close()
+
+
+def _deliver(nodes: Sequence[Node]) -> None:
+    """Wait for what was published last to arrive, but not for long: it ends with the process."""
+    end = time.monotonic() + DELIVERING
+    for publisher in [item for node in nodes for item in node.publishers if rclpy.ok()]:
+        publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
 
 
 def _no_memory() -> str:

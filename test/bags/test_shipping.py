@@ -124,6 +124,28 @@ def test_a_place_that_fails_is_tried_again(tmp_path, failing):
     assert thread.progress().waiting == ''
 
 
+def test_no_bucket_is_made_for_a_slip_in_its_name(tmp_path, failing, monkeypatch):
+    made = []
+    monkeypatch.setitem(sys.modules['fsspec.registry']._registry, 's3', failing)
+    monkeypatch.setattr(failing, 'makedirs', lambda self, path, exist_ok: made.append(path))
+    monkeypatch.setattr(failing, 'mkdirs', lambda self, path, exist_ok: None)  # of an upload
+    record(tmp_path / 'bag', 's3://shop/mill').close()
+    assert len(ledger(tmp_path / 'bag')) == 10
+    assert not made
+    record(tmp_path / 'other', 'failing://shop/mill').close()
+    assert {*made} == {'failing://shop/mill/other'}
+
+
+def test_a_place_that_does_not_answer_is_named_at_the_end(tmp_path, failing):
+    failing.gate.clear()
+    shipper = Shipper('failing://shop', tmp_path)
+    (tmp_path / 'bag_0.mcap').write_bytes(b'x')
+    shipper.submit(tmp_path / 'bag_0.mcap')
+    (said,) = shipper.close(0.1)
+    failing.gate.set()
+    assert 'the place has not taken them within the last 0.1 s; check it' in said
+
+
 def test_what_arrived_as_something_else_is_sent_again(tmp_path, failing):
     failing.plan += [b'half of it']
     record(tmp_path / 'bag', 'failing://shop').close()

@@ -15,9 +15,13 @@ pytest.importorskip('serial')
 
 from asyncua import ua
 from equipment.field_servers import LOCAL, Field, ModbusServer, OpcUaServer, Route
+from equipment.mtconnect_agent import Agent
 from equipment.serial_cable import Cable
+from sensor_msgs.msg import JointState
 
+from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.runtime.enums import SpeedStatus, Status
+from fuzzycnc_ros.runtime.host import RecorderProgress
 from fuzzycnc_ros.runtime.records import MachineState, SpindleSpeed, Temperatures
 
 pytestmark = pytest.mark.ros
@@ -321,3 +325,61 @@ def test_a_serial_line_that_is_unplugged_comes_back(graph, observer, tmp_path):
         assert 'Traceback' not in node.output
     finally:
         field.close()
+
+
+AGENT_FILE = """
+devices:
+  - name: control
+    protocol: mtconnect
+    url: http://{host}:{port}
+    period: 0.1
+    timeout: 0.5
+    sensors: {{T1: t1}}
+    positions: {{X: Xact, B: b1}}
+    spindle_speed: {{item: s1}}
+"""
+
+
+def test_positions_of_an_agent_are_published_and_recorded(graph, observer, tmp_path):
+    field = Field()
+    path, bag = tmp_path / 'devices.yaml', tmp_path / 'bag'
+    told = []
+    observer.node.create_subscription(JointState, 'axis_positions', told.append, 100)
+    speeds = observer.records('spindle_speed', SpindleSpeed)
+    samples = observer.records('temperatures', Temperatures)
+
+    def newest():
+        """Return whether each position is known, and that of X in micrometres."""
+        if not told:
+            return None
+        assert list(told[-1].name) == ['X', 'B']
+        known = [not np.isnan(place) for place in told[-1].position]
+        return [*known, round(1e6 * told[-1].position[0]) if known[0] else None]
+
+    try:
+        agent = Agent()
+        agent.observations = [('t1', '21.5'), ('s1', '3000'), ('x1', '12.5'), ('b1', '90')]
+        field.add(agent)
+        path.write_text(AGENT_FILE.format(host=LOCAL, port=agent.port))
+        recorded = observer.records('recorder/progress', RecorderProgress)
+        graph.start('recorder', {'output': str(bag)})
+        observer.until(lambda: recorded, 'a recorder')
+        parameters = {'source': 'devices', 'device_file': str(path), 'interval': 0.5}
+        node = graph.start('temperature_acquisition', {**parameters, 'stuck_time': 0.0})
+        observer.until(lambda: newest() == [True, True, 12500], 'positions')
+        assert told[-1].position[1] == pytest.approx(np.pi / 2.0)
+        assert told[-1].header.frame_id == 'mill/machine'
+        observer.until(lambda: statuses(samples) == [OK] and speeds, 'a sample')
+        assert speeds[-1].speed == pytest.approx(100.0 * np.pi)
+        field.call(agent.observe(x1=-3, b1='UNAVAILABLE'))
+        observer.until(lambda: newest() == [True, False, -3000], 'the axis alone is missing')
+        field.call(agent.stop())
+        observer.until(lambda: newest() == [False, False, None], 'no position of a lost agent')
+        observer.until(lambda: speeds[-1].status == SpeedStatus.MISSING, 'no speed either')
+        assert 'Traceback' not in node.output
+        graph.stop()
+    finally:
+        field.close()
+    with BagReader(bag) as reader:
+        kept = list(reader.messages(['/mill/axis_positions']))
+    assert len(kept) > 2

@@ -137,3 +137,15 @@ def test_what_is_started_anew_goes_on_where_it_was():
         recorder = again(recorder, count, resume=False)
         names.append(recorder.parameters['output'])
     assert names == ['bag_again1', 'bag_again2', 'bag_again3']
+
+
+@pytest.mark.parametrize('machines', ['mill,mill_again1', 'shop/mill_again12,saw,shop/mill'])
+def test_no_restart_records_into_the_bag_of_another_machine(tmp_path, machines):
+    with pytest.raises(GraphError, match=r'name without _again\d+ beside (shop/)?mill, since a'):
+        launch(tmp_path, machine=machines, record='bag')
+    assert launch(tmp_path, machine=machines)  # nothing is recorded
+    # Without the other one the name is as good as any.
+    for names in ('mill_again1,lathe', 'mill,mill_again', 'mill/again1,mill'):
+        started = launch(tmp_path, machine=names, record='bag')
+        outputs = [item.spec.parameters.get('output') for item in started]
+        assert len({*outputs} - {None}) == 2

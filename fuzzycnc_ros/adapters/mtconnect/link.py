@@ -8,16 +8,18 @@ import http.client
 import math
 import re
 import socket
+import ssl
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime, timezone
 from functools import partial
+from urllib.parse import quote
 
 from fuzzycnc_ros.adapters.modbus.registers import scaled
 from fuzzycnc_ros.adapters.mtconnect.documents import DataItem, Document, parse
-from fuzzycnc_ros.adapters.readings.devices import Item, MtconnectDevice
+from fuzzycnc_ros.adapters.readings.devices import Item, MtconnectDevice, Quantity
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
 
 HEARTBEAT = 1.0
@@ -32,7 +34,6 @@ NAMED_MAX = 5
 """Most data items that a message names."""
 UNAVAILABLE = 'UNAVAILABLE'
 OUT_OF_RANGE = 'OUT_OF_RANGE'
-STREAM = 'multipart/x-mixed-replace'
 TEMPERATURES = {
     'CELSIUS': (1.0, 0.0),
     'FAHRENHEIT': (5.0 / 9.0, -160.0 / 9.0),
@@ -46,6 +47,22 @@ SPEEDS = {
     'RADIAN/SECOND': (1.0, 0.0),
 }
 """Factor and offset to rad/s."""
+POSITIONS = {
+    'MILLIMETER': (1e-3, 0.0),
+    'INCH': (25.4e-3, 0.0),
+    'METER': (1.0, 0.0),
+    'DEGREE': (math.pi / 180.0, 0.0),
+    'RADIAN': (1.0, 0.0),
+}
+"""Factor and offset to m, of axes that turn to rad."""
+UNITS = {
+    Quantity.TEMPERATURE: TEMPERATURES,
+    Quantity.SPEED: SPEEDS,
+    Quantity.POSITION: POSITIONS,
+}
+FILTER_MAX = 4000
+"""Longest XPath in a request, as it is sent: the C++ agent takes a head of 8 KiB in all."""
+_PLAIN_ID = re.compile(r'[\w.-]+', re.ASCII)  # agents rewrite a path at slashes and colons
 _NUMBER = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?', re.ASCII)
 
 
@@ -67,6 +84,7 @@ class MtconnectLink(Link):
         self._pause = min(device.period, HEARTBEAT)
         self._lock = threading.Lock()
         self._closed = threading.Event()
+        self._trust: ssl.SSLContext | None = None
         self._socket: socket.socket | None = None
         self._found: list[DataItem | str] = []
         self._values: dict[str, str] = {}
@@ -158,29 +176,47 @@ class MtconnectLink(Link):
 
     def _follow(self, tell: Callable[[], None]) -> None:
         """Take the present state, then what changes; begin anew after a restart or a gap."""
+        if self._device.encrypted:
+            self._trust = ssl.create_default_context(cafile=self._device.ca_file)
         while True:
             probe = self._document('probe', 'MTConnectDevices')
-            current = self._document('current', 'MTConnectStreams')
+            found = [find(channel, probe.items) for channel in self._device.channels]
+            current, chosen = self._present(
+                {i.identifier for i in found if isinstance(i, DataItem)}
+            )
             if current.following is None:
                 raise LinkError('expected nextSequence in the header but it is missing')
-            found = [find(channel, probe.items) for channel in self._device.channels]
             with self._lock:
                 self._found = found
                 self._values.clear()
             self._take(current)
             tell()
-            event = self._listen(current.instance, current.following, current.buffer_size)
+            event = self._listen(current, current.following, chosen)
             with self._lock:
                 self._events[event] += 1
             self._rest()
 
-    def _listen(self, instance: str, following: int, buffer_size: int) -> str:
+    def _present(self, wanted: set[str]) -> tuple[Document, str]:
+        """Return the present state, and the path by which the agent sends no more than is wanted.
+
+        An agent that refuses the path, or leaves out what it has, is asked for everything.
+        """
+        if chosen := path_of(wanted):
+            with contextlib.suppress(LinkError):
+                current = self._document(f'current?path={chosen}', 'MTConnectStreams')
+                if wanted <= current.observations.keys():
+                    return current, f'&path={chosen}'
+        return self._document('current', 'MTConnectStreams'), ''
+
+    def _listen(self, current: Document, following: int, chosen: str) -> str:
         """Take what changes; return what ended that: `restarts` or `sequence_gaps`."""
-        count = min(COUNT, buffer_size or COUNT)
+        count = min(COUNT, current.buffer_size or COUNT)
         times = f'interval={self._pause * 1e3:.0f}&heartbeat={HEARTBEAT * 1e3:.0f}'
         while True:
-            for document in self._documents(f'sample?from={following}&count={count}&{times}'):
-                if document.instance != instance:
+            for document in self._documents(
+                f'sample?from={following}&count={count}&{times}{chosen}'
+            ):
+                if document.instance != current.instance:
                     return 'restarts'
                 lost = document.first is not None and document.first > following
                 if lost or OUT_OF_RANGE in document.errors:
@@ -212,7 +248,7 @@ class MtconnectLink(Link):
         """Yield the documents that answer a request."""
         with self._ask(request) as response:
             kind = response.headers.get_content_type()
-            if kind == STREAM:
+            if kind.startswith('multipart/'):  # which one differs from agent to agent
                 yield from _parts(response)
                 return
             data = response.read(DOCUMENT_MAX + 1)
@@ -226,10 +262,24 @@ class MtconnectLink(Link):
 
     def _ask(self, request: str) -> http.client.HTTPResponse:
         device = self._device
-        connection = http.client.HTTPConnection(
-            device.host, device.port, timeout=HEARTBEAT + device.timeout
-        )
-        connection.connect()
+        timeout = HEARTBEAT + device.timeout
+        connection = http.client.HTTPConnection(device.host, device.port, timeout=timeout)
+        if self._trust is not None:
+            connection = http.client.HTTPSConnection(
+                device.host, device.port, timeout=timeout, context=self._trust
+            )
+        try:
+            connection.connect()
+        except ssl.SSLCertVerificationError as error:
+            raise LinkError(
+                f'the certificate of the agent is not trusted ({error.verify_message}); compare '
+                'the host in url with the names in it, or name the certificate of who vouches for '
+                'it as ca_file'
+            ) from error
+        except ssl.SSLError as error:
+            raise LinkError(
+                f'expected TLS but the agent speaks none ({error.reason}); does it serve https?'
+            ) from error
         with self._lock:
             self._drop()
             if self._closed.is_set():
@@ -240,13 +290,22 @@ class MtconnectLink(Link):
         return connection.getresponse()
 
 
+def path_of(identifiers: set[str]) -> str:
+    """Return the XPath of data items as it is sent; empty where an agent might not take it."""
+    if not identifiers or not all(_PLAIN_ID.fullmatch(name) for name in identifiers):
+        return ''
+    tests = ' or '.join(f'@id="{name}"' for name in sorted(identifiers))
+    made = quote(f'//DataItem[{tests}]', safe='')
+    return made if len(made) <= FILTER_MAX else ''
+
+
 def find(channel: Item, items: Sequence[DataItem]) -> DataItem | str:
     """Return the data item of a channel, by id or else by name; or why there is none."""
     wanted = channel.item
     found = [item for item in items if item.identifier == wanted]
     found = found or [item for item in items if item.name == wanted]
     if not found:
-        units = SPEEDS if channel.is_speed else TEMPERATURES
+        units = UNITS[channel.quantity]
         fit = [item.identifier for item in items if item.units in units]
         more = ', '.join(fit[:NAMED_MAX]) + (', ...' if len(fit) > NAMED_MAX else '')
         remedy = f'; of this kind it has {more}' if fit else ''
@@ -268,10 +327,11 @@ def reading_of(channel: Item, item: DataItem, text: str) -> Reading:
     raw = float(text)
     if raw in channel.open_circuit:
         return f'open circuit (raw value {text})'
-    if item.units:
-        units = SPEEDS if channel.is_speed else TEMPERATURES
+    if item.units or channel.quantity is Quantity.POSITION:
+        units = UNITS[channel.quantity]
         if item.units not in units:
-            return f'{place}: expected one of {", ".join(units)} but found {item.units[:40]}'
+            found = item.units[:40] or 'no unit'
+            return f'{place}: expected one of {", ".join(units)} but found {found}'
         factor, offset = units[item.units]
         raw = (factor * raw + offset) / channel.unit
     return scaled(channel.scale, channel.offset, raw)

@@ -7,20 +7,23 @@ docs/how-to/temperature-drivers.md describes it with examples.
 
 import math
 import re
+import ssl
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 from urllib.parse import urlsplit
 
-from fuzzycnc_ros.adapters.opcua.file_fields import PlaceFields, ServerFields, pin_folder
+from fuzzycnc_ros.adapters.opcua.file_fields import File, PlaceFields, ServerFields, pin_folder
 from fuzzycnc_ros.adapters.readings.devices import (
     FORMATS,
     SPINDLE,
     AnyDevice,
+    Channel,
     Item,
     ModbusRtuDevice,
     ModbusTcpDevice,
     MtconnectDevice,
     OpcUaDevice,
+    Quantity,
     Register,
     SerialLine,
     Variable,
@@ -148,7 +151,7 @@ class _Item(_Scaling):
             largest=largest,
             item=self.item,
             unit=unit,
-            is_speed=isinstance(self, _Speed),
+            quantity=Quantity.SPEED if isinstance(self, _Speed) else Quantity.TEMPERATURE,
         )
 
 
@@ -208,6 +211,8 @@ class _Device(Fields):
         """Return what all devices have, the spindle speed as the last channel."""
         sensors, spindle = getattr(self, 'sensors'), getattr(self, SPINDLE)  # noqa: B009
         channels = [entry.channel(name, 1.0) for name, entry in sensors.items()]
+        axes = self.axes()
+        channels += axes.values()
         if spindle is not None:
             unit = SPEED_UNITS[spindle.unit]
             channels.append(spindle.channel(SPINDLE, unit, spindle.max * unit))
@@ -216,7 +221,12 @@ class _Device(Fields):
             'period': self.period,
             'channels': tuple(channels),
             'has_spindle': spindle is not None,
+            'axes': tuple(axes),
         }
+
+    def axes(self) -> dict[str, Channel]:
+        """Return the channels of axes by the names of these; most protocols have none."""
+        return {}
 
     @model_validator(mode='after')
     def _check_channels(self) -> '_Device':
@@ -320,8 +330,11 @@ def _agent(text: str) -> str:
         port = parts.port
     except ValueError:
         parts, port = urlsplit(''), None
-    if parts.scheme != 'http' or not parts.hostname or port is None:
-        raise wrong(f'expected http://HOST:PORT/MACHINE, usual port 5000, but found {text!r}')
+    if parts.scheme not in ('http', 'https') or not parts.hostname or port is None:
+        raise wrong(
+            'expected http://HOST:PORT/MACHINE or https://HOST:PORT/MACHINE, usual port 5000, but '
+            f'found {text!r}'
+        )
     if '@' in parts.netloc:
         raise wrong('expected no user and password in the address of an agent')
     if not re.fullmatch(r'[A-Za-z0-9._~%/-]*', parts.path) or parts.query or parts.fragment:
@@ -336,8 +349,14 @@ class _Mtconnect(_Scaling, _Device):
     SHORTHAND = 'item'
 
     protocol: Annotated[str, Word(('mtconnect',))]
-    url: Annotated[str, Text(r'http://.+'), AfterValidator(_agent)] = Field(
-        description='Address, http://HOST:PORT, and /MACHINE where the agent has several'
+    url: Annotated[str, Text(r'https?://.+'), AfterValidator(_agent)] = Field(
+        description='Address, http:// or https://HOST:PORT, and /MACHINE where the agent has '
+        'several'
+    )
+    ca_file: File = Field(
+        default_factory=Path,
+        description='Certificates of those who may vouch for the agent, PEM; without it those '
+        'that the system trusts',
     )
     timeout: Annotated[float, Number(0.05, 60.0, 's')] = Field(
         2.0, description='Longest wait for an answer [s]'
@@ -345,7 +364,33 @@ class _Mtconnect(_Scaling, _Device):
     sensors: dict[str, Annotated[_Item, Shorthand('item')]] = Field(
         {}, description='Sensors by name; a mere text is the id or name of the data item'
     )
+    positions: dict[str, Annotated[str, Text()]] = Field(
+        {}, description='Id or name of the data item of the position of each axis'
+    )
     spindle_speed: _SpeedItem | None = Field(None, description='Spindle speed')
+
+    def axes(self) -> dict[str, Channel]:
+        """Return the channels of axes by the names of these."""
+        return {
+            name: Item(name=f'axis {name}', item=item, quantity=Quantity.POSITION)
+            for name, item in self.positions.items()
+        }
+
+    @model_validator(mode='after')
+    def _check_trust(self) -> '_Mtconnect':
+        if self.ca_file == Path():
+            return self
+        if not self.url.startswith('https:'):
+            raise wrong(
+                'expected https:// in url beside it, since http has no certificate', 'ca_file'
+            )
+        try:
+            ssl.create_default_context(cafile=self.ca_file)
+        except OSError as error:  # those of ssl are among them
+            raise wrong(
+                f'expected certificates in PEM but {self.ca_file} holds none ({error})', 'ca_file'
+            ) from error
+        return self
 
     def device(self, folder: Path) -> MtconnectDevice:
         """Return the device."""
@@ -356,6 +401,8 @@ class _Mtconnect(_Scaling, _Device):
             host=parts.hostname or '',
             port=parts.port or 0,
             path=parts.path.rstrip('/'),
+            encrypted=parts.scheme == 'https',
+            ca_file=self.ca_file if self.ca_file != Path() else None,
         )
 
 
@@ -404,7 +451,8 @@ class DeviceFile(Fields):
         lines: dict[str, tuple[str, SerialLine]] = {}
         for index, device in enumerate(self.devices):
             spindle = [f'the {SPINDLE}'] if device.spindle_speed is not None else []
-            for name in [*(f'sensor {name}' for name in device.sensors), *spindle]:
+            axes = [f'axis {name}' for name in device.axes()]
+            for name in [*(f'sensor {name}' for name in device.sensors), *axes, *spindle]:
                 if name in seen:
                     raise wrong(
                         f'{name} is already read from {seen[name]}; every name can be used once',

@@ -3,12 +3,13 @@
 """Driver: reads Modbus devices, OPC UA servers and MTConnect agents."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from queue import Empty
 
 import numpy as np
 from rclpy.node import Node
+from sensor_msgs.msg import JointState
 
 from fuzzycnc_ros.adapters.modbus import link as modbus
 from fuzzycnc_ros.adapters.modbus.serial_line import ModbusRtuLink
@@ -38,6 +39,8 @@ from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import SpeedStatus
 from fuzzycnc_ros.runtime.records import SpindleSpeed
 
+POSITIONS = 'axis_positions'
+"""Topic of where axes are, as the devices say."""
 LOOK_MIN, LOOK_MAX = 0.002, 0.1
 """Shortest and longest wall time between two looks at what the devices brought [s]."""
 NAMED_MAX = 10
@@ -81,6 +84,8 @@ class DeviceSource(Source):
         )
         spindle = next((d.channels[-1] for d in self._devices if d.has_spindle), None)
         self._spindle = None if spindle is None else Spindle(node, frame_id, spindle)
+        has_axes = any(device.axes for device in self._devices)
+        self._positions = Positions(node, frame_id) if has_axes else None
         self._poller = Poller(self._devices, connect, self._now)
         look = min(device.period for device in self._devices) / 2.0
         # Wall time: devices are read in real time, whatever the node's clock says.
@@ -113,9 +118,14 @@ class DeviceSource(Source):
         """Hand on what one device has brought."""
         device, health = self._devices[polled.device], self._health[polled.device]
         health.note(polled)
-        values = [_value(reading) for reading in polled.readings or ()]
+        # Of a lost device nothing is known.
+        values = [_value(reading) for reading in polled.readings or ('',) * len(device.channels)]
         if device.has_spindle and self._spindle is not None:
-            self._spindle.publish(polled.stamp, values.pop() if values else np.nan)
+            self._spindle.publish(polled.stamp, values.pop())
+        if device.axes and self._positions is not None:
+            first = len(device.sensors)
+            self._positions.publish(polled.stamp, device.axes, values[first:])
+            del values[first:]
         place = self._place.get(polled.device)
         if place is None:
             return
@@ -223,6 +233,19 @@ class Spindle:
             'compare unit and scale in the device file'
         )
         return Health(SPINDLE, Level.WARN, text)
+
+
+class Positions:
+    """Publish where axes are, for people and plots; no node reads it."""
+
+    def __init__(self, node: Node, frame_id: str) -> None:
+        self._frame_id = frame_id
+        self._publisher = create_publisher(node, 'sensor_msgs/msg/JointState', POSITIONS, STREAM)
+
+    def publish(self, stamp: int, axes: Sequence[str], position: Sequence[float]) -> None:
+        """Publish the positions of the axes of a device [m, rad], NaN where one is not known."""
+        header = RCLPY.header(stamp, self._frame_id)
+        self._publisher.publish(JointState(header=header, name=axes, position=position))
 
 
 def connect(device: Device) -> Link:

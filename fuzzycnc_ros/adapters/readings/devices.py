@@ -5,6 +5,8 @@
 import math
 import struct
 from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
 from typing import TypeAlias
 
 from fuzzycnc_ros.adapters.opcua.session import Address, Server
@@ -33,7 +35,7 @@ class Channel:
     name : str
         Name of the sensor.
     scale, offset : float
-        From the raw value to degC, for the spindle to rad/s.
+        From the raw value to degC, for the spindle to rad/s, for an axis to m or rad.
     open_circuit : tuple of numbers
         Raw values by which the device says that no sensor is connected.
     largest : float
@@ -80,6 +82,14 @@ class Variable(Channel, Address):
     """A value in a variable of an OPC UA server."""
 
 
+class Quantity(Enum):
+    """What a data item of an MTConnect agent is read as."""
+
+    TEMPERATURE = 'temperature'
+    SPEED = 'speed'
+    POSITION = 'position'
+
+
 @dataclass(frozen=True, kw_only=True)
 class Item(Channel):
     """A data item of an MTConnect agent; the raw value is brought to degC or to `unit` first.
@@ -90,13 +100,13 @@ class Item(Channel):
         Its id, or its name.
     unit : float
         Unit of the raw value where the agent states none: degC 1, of a speed in rad/s.
-    is_speed : bool
-        Whether it is the spindle speed.
+    quantity : Quantity
+        What it is read as.  A position has no unit of its own: the agent has to state it.
     """
 
     item: str
     unit: float = 1.0
-    is_speed: bool = False
+    quantity: Quantity = Quantity.TEMPERATURE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,9 +122,11 @@ class Device:
     timeout : float
         Longest wait for an answer [s].
     channels : tuple of Channel
-        Sensors in the order of the file, the spindle speed last.
+        Sensors in the order of the file, then axes, the spindle speed last.
     has_spindle : bool
         Whether the last channel is the spindle speed.
+    axes : tuple of str
+        Names of the axes whose positions are read.
     """
 
     name: str
@@ -122,12 +134,13 @@ class Device:
     timeout: float
     channels: tuple[Channel, ...]
     has_spindle: bool
+    axes: tuple[str, ...] = ()
 
     @property
     def sensors(self) -> tuple[str, ...]:
         """Names of the sensors."""
-        temperatures = self.channels[:-1] if self.has_spindle else self.channels
-        return tuple(channel.name for channel in temperatures)
+        count = len(self.channels) - len(self.axes) - self.has_spindle
+        return tuple(channel.name for channel in self.channels[:count])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,17 +222,24 @@ class MtconnectDevice(Device):
         TCP port.
     path : str
         What its requests begin with, as `/mill`; empty for all of its machines.
+    encrypted : bool
+        Whether it speaks HTTPS.
+    ca_file : Path, optional
+        Certificates of those who may vouch for it; None: those that the system trusts.
     """
 
     channels: tuple[Item, ...]
     host: str
     port: int
     path: str
+    encrypted: bool = False
+    ca_file: Path | None = None
 
     @property
     def address(self) -> str:
         """Where it is, for messages."""
-        return f'MTConnect http://{self.host}:{self.port}{self.path}'
+        scheme = 'https' if self.encrypted else 'http'
+        return f'MTConnect {scheme}://{self.host}:{self.port}{self.path}'
 
 
 AnyDevice: TypeAlias = ModbusTcpDevice | ModbusRtuDevice | OpcUaDevice | MtconnectDevice

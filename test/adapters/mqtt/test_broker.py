@@ -11,12 +11,11 @@ import pytest
 pytest.importorskip('rclpy')
 pytest.importorskip('paho')
 
+from equipment.certificates import LOCAL, certificate
 from equipment.mqtt_broker import (
-    LOCAL,
     MOSQUITTO,
     PASSWORD,
     MqttBroker,
-    certificate,
     credentials,
     wait,
 )

@@ -4,12 +4,15 @@
 
 import math
 import random
+import ssl
 import time
+from urllib.parse import parse_qs, unquote, urlsplit
 
 import pytest
 
 pytest.importorskip('rclpy')
 
+from equipment.certificates import certificate
 from equipment.field_servers import LOCAL, Field, HostileServer, Route
 from equipment.mtconnect_agent import BOUNDARY, Agent, http
 from equipment.polled import TIMEOUT, good, lost, wait
@@ -17,6 +20,7 @@ from equipment.polled import TIMEOUT, good, lost, wait
 from fuzzycnc_ros.adapters.link import LinkError
 from fuzzycnc_ros.adapters.mtconnect import link as mtconnect
 from fuzzycnc_ros.adapters.mtconnect.documents import parse
+from fuzzycnc_ros.adapters.mtconnect.link import FILTER_MAX, path_of
 from fuzzycnc_ros.adapters.readings import polling
 from fuzzycnc_ros.adapters.readings.device_file import read_devices
 from fuzzycnc_ros.adapters.readings.device_source import DeviceHealth, connect
@@ -30,14 +34,23 @@ FILE = """
 devices:
   - name: mill
     protocol: mtconnect
-    url: http://{host}:{port}/mill
+    url: {scheme}://{host}:{port}/mill
     period: 0.02
     timeout: 0.3
     sensors: {sensors}
+    positions: {axes}
     spindle_speed: {{item: Srpm, max: 6000}}
 """
 SENSORS = '{T1: t1, T2: {item: rear, scale: 1, offset: 0.5}}'
-START = {'t1': '21.5', 't2': '77', 's1': '3000', 'x1': '12', 'm1': 'AUTOMATIC'}
+START = {
+    't1': '21.5',
+    't2': '77',
+    's1': '3000',
+    'x1': '12',
+    'm1': 'AUTOMATIC',
+    'b1': '90',
+    'l1': '3',
+}
 
 
 @pytest.fixture
@@ -61,9 +74,10 @@ def poll(tmp_path, monkeypatch):
     monkeypatch.setattr(mtconnect, 'HEARTBEAT', 0.2)
     pollers = []
 
-    def begin(server, sensors=SENSORS):
+    def begin(server, sensors=SENSORS, *, axes='{}', more='', scheme='http', host=LOCAL):
         path = tmp_path / 'devices.yaml'
-        path.write_text(FILE.format(host=LOCAL, port=server.port, sensors=sensors))
+        places = {'scheme': scheme, 'host': host, 'port': server.port}
+        path.write_text(FILE.format(sensors=sensors, axes=axes, **places) + more)
         (device,) = read_devices(path)
         pollers.append(Poller([device], connect, time.monotonic_ns))
         pollers[-1].device = device
@@ -79,9 +93,16 @@ def reads(first):
     return lambda polled: good(polled) and polled.readings[0] == first
 
 
-@pytest.mark.parametrize('chunked', [False, True])
-def test_the_present_state_is_read_once_and_then_what_changes(field, agent, poll, chunked):
-    agent.chunked = chunked
+@pytest.mark.parametrize(
+    ('kind', 'chunked'),
+    [
+        ('multipart/x-mixed-replace', False),
+        ('multipart/x-mixed-replace', True),
+        ('multipart/mixed', True),
+    ],
+)
+def test_the_present_state_is_read_once_and_then_what_changes(field, agent, poll, kind, chunked):
+    agent.kind, agent.chunked = kind, chunked
     poller = poll(agent)
     readings = wait(poller, good).readings
     assert list(readings) == pytest.approx([21.5, 25.5, 100.0 * math.pi])
@@ -91,7 +112,101 @@ def test_the_present_state_is_read_once_and_then_what_changes(field, agent, poll
     assert list(readings) == pytest.approx([22.5, 25.5, 0.0])
     kinds = [path.partition('?')[0] for path in agent.requests]
     assert kinds == ['/mill/probe', '/mill/current', '/mill/sample']
-    assert '?from=6&count=1000&interval=20&heartbeat=200' in agent.requests[-1]
+    assert '?from=8&count=1000&interval=20&heartbeat=200&path=' in agent.requests[-1]
+
+
+def paths(agent):
+    """Return the XPath of each request."""
+    return [parse_qs(urlsplit(request).query).get('path') for request in agent.requests]
+
+
+def test_no_more_is_sent_than_is_read(agent, poll):
+    wait(poll(agent, axes='{X: Xact}'), lambda _: '/sample' in agent.requests[-1])
+    chosen = ['//DataItem[@id="s1" or @id="t1" or @id="t2" or @id="x1"]']
+    assert paths(agent) == [None, chosen, chosen]
+
+
+@pytest.mark.parametrize('answer', ['refuses', 'empties'])
+def test_an_agent_that_makes_nothing_of_a_path_is_asked_for_everything(field, agent, poll, answer):
+    agent.paths = answer
+    poller = poll(agent)
+    wait(poller, reads(21.5))
+    field.call(agent.observe(t1=22.0))
+    wait(poller, reads(22.0))
+    assert [path is None for path in paths(agent)] == [True, False, True, True]
+
+
+def test_a_path_that_an_agent_might_not_take_is_not_sent():
+    few, many = ({f'Mill-1.T{k:03d}' for k in range(count)} for count in (80, 200))
+    assert unquote(path_of(few)).startswith('//DataItem[@id="Mill-1.T000" or @id="Mill-1.T001" or')
+    assert len(path_of(few)) < FILTER_MAX
+    assert path_of(many) == path_of(set()) == ''
+    for name in ('a/b', 'a|b', 'a"b', "a'b", 'a&b', 'T\u00e4'):
+        assert path_of({name, 't1'}) == ''
+
+
+def test_positions_are_in_metres_and_radians(field, agent, poll):
+    poller = poll(agent, '{T1: t1}', axes='{X: Xact, B: b1, C: l1, D: m1, E: x9}')
+    readings = wait(poller, good).readings
+    assert list(readings[1:3]) == pytest.approx([0.012, math.pi / 2.0])
+    units = 'MILLIMETER, INCH, METER, DEGREE, RADIAN'
+    assert readings[3] == f'data item l1: expected one of {units} but found PERCENT'
+    assert readings[4] == "data item m1: expected a number but found 'AUTOMATIC'"
+    assert readings[5].endswith('none of this id or name; of this kind it has x1, b1')
+    field.call(agent.observe(m1=3, x1='UNAVAILABLE', b1=-45))
+    readings = wait(poller, lambda polled: isinstance(polled.readings[1], str)).readings
+    assert readings[1] == 'data item Xact: the agent reports UNAVAILABLE'
+    assert readings[2] == pytest.approx(-math.pi / 4.0)
+    assert readings[4] == f'data item m1: expected one of {units} but found no unit'
+    field.call(agent.lose(5, x1=20.0))
+    polled = wait(poller, lambda polled: polled.readings[1] == pytest.approx(0.02))
+    assert polled.facts['sequence_gaps'] == '1'
+    health = DeviceHealth(poller.device)
+    health.note(polled)
+    assert health.health().values['axis E'] == polled.readings[5]
+
+
+@pytest.fixture
+def secured(field, tmp_path):
+    """An agent that speaks TLS; its certificate is `agent.pem`."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate(tmp_path, 'agent'), tmp_path / 'agent-key.pem')
+    made = Agent(context)
+    made.observations = list(START.items())
+    return field.add(made)
+
+
+TRUSTED = '    ca_file: agent.pem\n'
+
+
+def test_an_agent_is_read_over_https(field, secured, poll):
+    poller = poll(secured, more=TRUSTED, scheme='https')
+    assert list(wait(poller, good).readings) == pytest.approx([21.5, 25.5, 100.0 * math.pi])
+    field.call(secured.observe(t1=22.0))
+    wait(poller, reads(22.0))
+    assert poller.device.address == f'MTConnect https://{LOCAL}:{secured.port}/mill'
+
+
+def test_what_the_system_trusts_is_trusted(secured, poll, tmp_path, monkeypatch):
+    poller = poll(secured, scheme='https')
+    said = wait(poller, lost).trouble
+    assert said.startswith('the certificate of the agent is not trusted (self-signed certificate)')
+    assert said.endswith('as ca_file')
+    assert not secured.requests
+    monkeypatch.setenv('SSL_CERT_FILE', str(tmp_path / 'agent.pem'))
+    wait(poller, reads(21.5))
+
+
+def test_a_certificate_of_another_host_is_not_trusted(secured, poll):
+    poller = poll(secured, more=TRUSTED, scheme='https', host='localhost')
+    wait(poller, lambda polled: 'not trusted (Hostname mismatch, cert' in polled.trouble)
+    assert not secured.requests
+
+
+def test_an_agent_that_speaks_no_tls_is_told(field, poll):
+    answer = http(b'', '400 Bad Request', 'text/plain')
+    poller = poll(field.add(HostileServer(lambda request: answer)), scheme='https')
+    wait(poller, lambda polled: 'expected TLS but the agent speaks none' in polled.trouble)
 
 
 def test_an_agent_without_streams_is_asked_again(field, agent, poll):
@@ -100,8 +215,8 @@ def test_an_agent_without_streams_is_asked_again(field, agent, poll):
     wait(poller, reads(21.5))
     field.call(agent.observe(t1=23.0))
     wait(poller, reads(23.0))
-    wait(poller, lambda _: agent.requests[-1].startswith('/mill/sample?from=7&'))
-    assert sum(path.endswith('current') for path in agent.requests) == 1
+    wait(poller, lambda _: agent.requests[-1].startswith('/mill/sample?from=9&'))
+    assert sum('/current' in path for path in agent.requests) == 1
 
 
 def test_what_is_no_value_is_missing_and_said_so(field, agent, poll):
@@ -251,10 +366,13 @@ def test_hostile_streams_are_lost_devices(field, agent, poll, answer, said):
 
 def test_an_address_that_is_none_is_refused(tmp_path):
     path = tmp_path / 'devices.yaml'
-    good_url = FILE.format(host=LOCAL, port=5000, sensors='{T1: t1}')
+    good_url = FILE.format(
+        scheme='http', host=LOCAL, port=5000, sensors='{T1: t1}', axes='{X: x1}'
+    )
     for url, said in (
-        ('http://mill', 'expected http://HOST:PORT/MACHINE, usual port 5000, but found'),
-        ('https://mill:5000', 'expected http://HOST:PORT/MACHINE'),
+        ('http://mill', 'expected http://HOST:PORT/MACHINE or https://HOST:PORT/MACHINE, usual'),
+        ('https://mill', 'expected http://HOST:PORT/MACHINE or https://HOST:PORT/MACHINE, usual'),
+        ('ftp://mill:5000', 'expected http://HOST:PORT/MACHINE'),
         ('http://me:secret@mill:5000', 'expected no user and password in the address'),
         ('http://mill:5000/a?b=c', 'expected the name of a machine behind the port'),
     ):
@@ -262,6 +380,27 @@ def test_an_address_that_is_none_is_refused(tmp_path):
         with pytest.raises(ParameterError, match='line 5') as refusal:
             read_devices(path)
         assert said in str(refusal.value)
+    (tmp_path / 'none.pem').write_text('none')
+    for more, said in (
+        ('    ca_file: none.pem\n', 'ca_file: expected https:// in url beside it'),
+        ('    ca_file: gone.pem\n', 'ca_file: expected a file but nothing is at'),
+    ):
+        path.write_text(good_url + more)
+        with pytest.raises(ParameterError, match='line 11') as refusal:
+            read_devices(path)
+        assert said in str(refusal.value)
+    path.write_text(good_url.replace('http:', 'https:') + '    ca_file: none.pem\n')
+    with pytest.raises(ParameterError, match='line 11: device mill: ca_file: expected certific'):
+        read_devices(path)
+    path.write_text(good_url.replace('{X: x1}', '{X: [x1]}'))
+    with pytest.raises(ParameterError, match='line 9: device mill, axis X: expected a text but'):
+        read_devices(path)
+    second = (
+        good_url.partition('\n')[2].partition('\n')[2].replace('mill\n    pro', 'other\n    pro')
+    )
+    path.write_text(good_url + second.replace('{T1: t1}', '{T2: t1}'))
+    with pytest.raises(ParameterError, match='axis X is already read from device mill; every'):
+        read_devices(path)
 
 
 def test_a_newer_observation_is_not_overwritten_by_an_older_one():

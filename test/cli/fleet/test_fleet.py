@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from fleet_bags import DAY, FIRST_DAY, warm_up, write_bag
-from processes import HANG, start, wait_for
+from processes import HANG, children, start, wait_for
 
 from fuzzycnc_ros.studies.fleet.cache import FILE
 
@@ -252,6 +252,20 @@ def test_two_runs_at_once_share_a_cache(large, root):
         ended(process)
     assert Path('shared.parquet').read_bytes() == large
     assert kept('shared') == BAGS
+
+
+@pytest.mark.slow
+def test_a_killed_worker_of_its_own_loses_nothing(large, root):
+    process = begin(root, *words('worker', '--workers', '2'))
+    wait_for(lambda: kept('worker') >= 3, 'some bags were judged')
+    workers = children(process.pid, 'spawn_main')
+    assert len(workers) == 2
+    os.kill(workers[0], signal.SIGKILL)
+    assert f'{BAGS} bags: {BAGS} judged now' in ended(process)
+    assert Path('worker.parquet').read_bytes() == large
+    # What is known needs nobody.
+    assert f'{BAGS} known from before' in ended(begin(root, *words('worker', '--workers', '1')))
+    assert Path('worker.parquet').read_bytes() == large
 
 
 @pytest.mark.slow

@@ -5,8 +5,11 @@
 import asyncio
 import contextlib
 import os
+import re
 import shutil
+import ssl
 import subprocess
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
@@ -20,6 +23,8 @@ ITEMS = (
     ('t2', 'rear', 'TEMPERATURE', 'FAHRENHEIT'),
     ('s1', 'Srpm', 'ROTARY_VELOCITY', 'REVOLUTION/MINUTE'),
     ('x1', 'Xact', 'POSITION', 'MILLIMETER'),
+    ('b1', 'Bact', 'ANGLE', 'DEGREE'),
+    ('l1', 'load', 'LOAD', 'PERCENT'),
     ('m1', 'mode', 'CONTROLLER_MODE', ''),
 )
 
@@ -39,12 +44,20 @@ class Agent(LocalServer):
         Whether it answers `interval` with a stream, or else with one document.
     chunked : bool
         Whether its stream is sent in chunks of HTTP.
+    kind : str
+        What it calls its stream.
+    paths : str
+        What it makes of `path=`: `filters`, `refuses`, `ignores`, or `empties`, as one that finds
+        none of the data items.
     requests : list of str
         What it was asked.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, tls: ssl.SSLContext | None = None) -> None:
         super().__init__()
+        self._tls = tls
+        self.kind = 'multipart/x-mixed-replace'
+        self.paths = 'filters'
         self.instance = 1
         self.observations: list[tuple[str, str]] = []
         self.first = 1
@@ -52,6 +65,11 @@ class Agent(LocalServer):
         self.chunked = False
         self.requests: list[str] = []
         self._news = asyncio.Event()
+
+    async def start(self) -> None:
+        """Serve, encrypted if that is wanted."""
+        self._server = await asyncio.start_server(self._serve, LOCAL, self.port, ssl=self._tls)
+        self.port = self._server.sockets[0].getsockname()[1]
 
     async def observe(self, **texts: object) -> None:
         """Take new observations: id and text."""
@@ -87,11 +105,17 @@ class Agent(LocalServer):
             f'nextSequence="{following or self.following}"/>{body}</MTConnect{kind}>'
         ).encode()
 
-    def _streams(self, begin: int, end: int) -> bytes:
+    def _streams(self, begin: int, end: int, query: Mapping[str, Sequence[str]]) -> bytes:
+        wanted = {item for item, *_ in ITEMS}
+        if 'path' in query and self.paths in ('filters', 'empties'):
+            (path,) = query['path']
+            assert re.fullmatch(r'//DataItem\[@id="\w+"( or @id="\w+")*\]', path)
+            wanted = {*re.findall(r'"(\w+)"', path)} if self.paths == 'filters' else set()
         found = ''.join(
             f'<Value dataItemId="{item}" sequence="{place}" '
             f'timestamp="2020-01-01T00:00:00Z">{text}</Value>'
             for place, (item, text) in list(enumerate(self.observations, 1))[begin - 1 : end - 1]
+            if item in wanted
         )
         body = f'<Streams><DeviceStream name="mill"><Samples>{found}</Samples></DeviceStream>'
         return self.document('Streams', f'{body}</Streams>', end)
@@ -106,14 +130,17 @@ class Agent(LocalServer):
             )
             body = f'<Devices><Device id="d" name="mill"><DataItems>{items}</DataItems></Device>'
             return self.document('Devices', f'{body}</Devices>')
-        if path.endswith('/current'):
-            return self._streams(1, self.following)
-        begin = int(parse_qs(urlsplit(path).query)['from'][0])
+        query = parse_qs(urlsplit(path).query)
+        if 'path' in query and self.paths == 'refuses':
+            return self.document('Error', '<Errors><Error errorCode="INVALID_XPATH"/></Errors>')
+        if urlsplit(path).path.endswith('/current'):
+            return self._streams(1, self.following, query)
+        begin = int(query['from'][0])
         if not self.first <= begin <= self.following:
             text = f"'from' must be from {self.first} to {self.following}"
             error = f'<Errors><Error errorCode="OUT_OF_RANGE">{text}</Error></Errors>'
             return self.document('Error', error)
-        return self._streams(begin, self.following)
+        return self._streams(begin, self.following, query)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._writers.add(writer)
@@ -140,10 +167,10 @@ class Agent(LocalServer):
         coding = 'Transfer-Encoding: chunked\r\n' if self.chunked else ''
         writer.write(
             'HTTP/1.1 200 OK\r\nConnection: close\r\n'
-            f'Content-Type: multipart/x-mixed-replace;boundary={BOUNDARY}\r\n{coding}\r\n'.encode()
+            f'Content-Type: {self.kind};boundary={BOUNDARY}\r\n{coding}\r\n'.encode()
         )
         while not writer.transport.is_closing():
-            document = self._streams(begin, self.following)
+            document = self._streams(begin, self.following, query)
             begin = self.following
             part = (
                 f'--{BOUNDARY}\r\nContent-type: text/xml\r\n'
