@@ -35,6 +35,7 @@ from stepped_shift import (
     speed_model,
     with_fault,
 )
+from tiers import rest_slow
 
 from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.core.thermal.model import load_model
@@ -256,7 +257,7 @@ def swapped(faults=()) -> Shift:
     return shift.run()
 
 
-@pytest.mark.parametrize('place', range(5))
+@pytest.mark.parametrize('place', rest_slow(range(5), 0, 3))
 @pytest.mark.parametrize('names', ['old', 'new'])
 def test_a_sensor_that_dies_during_a_swap_makes_no_step(names, place):
     text = one_run_model() if names == 'old' else model_of(0)
@@ -285,7 +286,7 @@ def test_a_new_model_knows_at_once_which_sensor_had_drifted(place):
     assert (shift.largest <= (6.0, 4.0)).all()
 
 
-@pytest.mark.parametrize('place', range(5))
+@pytest.mark.parametrize('place', rest_slow(range(5), 0, 3))
 def test_a_dead_sensor_beside_a_model_with_spindle_speed(place):
     sensor = load_model(speed_model()).inputs[place]
     shift = Shift(speed_model(), faults=[f'{sensor}:dead:3600']).run()
