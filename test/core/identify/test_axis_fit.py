@@ -23,7 +23,7 @@ PERIOD = 1e-3
 @pytest.fixture(scope='module')
 def one_friction():
     config = BallscrewAxisConfig(offset=0.0, count=1e-6, delay=1e-3)
-    return config, fit_axis([operated(BallscrewAxis(config), 3.7)])
+    return config, fit_axis([operated(BallscrewAxis(config), 3.7, 2.1)])
 
 
 def test_a_simulated_axis_is_found(one_friction):
