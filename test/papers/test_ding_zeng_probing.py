@@ -93,7 +93,7 @@ def test_filter_equals_the_plain_reset(from_one_run, every):
     np.testing.assert_allclose(filtered, plain, atol=0.5)
 
 
-@pytest.fixture(scope='module', params=rest_slow([SEEDS[:4], SEEDS], 0), ids=len)
+@pytest.fixture(scope='module', params=rest_slow([SEEDS[:6], SEEDS], 0), ids=len)
 def fitting(request):
     """Models of three runs with the runs that they have not seen, per seed."""
     found = []
