@@ -250,7 +250,8 @@ def one_run_model() -> str:
     return train_model(calibrated(0).runs[:1], candidates=CANDIDATES).to_json()
 
 
-def swapped(faults=()) -> Shift:
+@cache
+def swapped(*faults: str) -> Shift:
     """Return T2 with a model of one run, from sample 100 on fading to that of three."""
     shift = Shift(one_run_model(), faults=faults, swap_time=600.0).run(100)
     assert shift.use(model_of(0)).startswith('fading from ')
@@ -262,7 +263,7 @@ def swapped(faults=()) -> Shift:
 def test_a_sensor_that_dies_during_a_swap_makes_no_step(names, place):
     text = one_run_model() if names == 'old' else model_of(0)
     sensor = load_model(text).inputs[place]
-    shift, beside = swapped([f'{sensor}:dead:6120']), swapped()
+    shift, beside = swapped(f'{sensor}:dead:6120'), swapped()
     assert shift.valid[2:].all()
     assert 'swap' not in shift.health[-1]
     np.testing.assert_array_equal(shift.error[2:101], beside.error[2:101])
@@ -279,7 +280,7 @@ def test_a_new_model_knows_at_once_which_sensor_had_drifted(place):
     """Its own watch has judged the samples that it is given."""
     sensor = inputs_of(0)[place]
     assert sensor not in load_model(one_run_model()).inputs
-    shift = swapped([f'{sensor}:drift:3600'])
+    shift = swapped(f'{sensor}:drift:3600')
     found = shift.substituted(sensor)
     assert not found[:100].any()
     assert found[100:].all()
