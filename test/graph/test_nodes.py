@@ -37,7 +37,7 @@ ALONE = [
     'mqtt_publisher',
     'mtconnect_adapter',
 ]
-"""Nodes that quick tests start as processes here alone."""
+"""Nodes that no other quick test starts as a process, wherever it runs."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
