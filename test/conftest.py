@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fixtures for all tests."""
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -68,6 +69,22 @@ def domain() -> Iterator[int]:
 
     with free_domain() as number:
         yield number
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Spare the collector of garbage what lives to the end: all modules and tests."""
+    gc.disable()
+    yield
+    gc.enable()
+    gc.freeze()
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import no file without a test in real time where only such tests are wanted."""
+    if collection_path.suffix != '.py' or not config.option.markexpr.endswith('and realtime'):
+        return None
+    return 'realtime' not in collection_path.read_text(encoding='utf-8') or None
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -13,6 +13,7 @@ import sys
 import pytest
 from processes import HANG, start, wait_for
 from rich.console import Console
+from tiers import rest_slow
 
 from fuzzycnc_ros.cli.background_output import BackgroundOutput
 from fuzzycnc_ros.cli.live import supervision_view
@@ -139,7 +140,7 @@ sys.exit(3)
 """
 
 
-@pytest.mark.parametrize('open_one', [os.openpty, os.pipe])
+@pytest.mark.parametrize('open_one', rest_slow([os.openpty, os.pipe], 1))
 def test_a_process_ends_though_nobody_reads(open_one):
     reading, writing = open_one()
     process = start([sys.executable, '-c', SCRIPT], stdout=writing, stderr=writing)

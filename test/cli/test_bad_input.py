@@ -222,8 +222,9 @@ def test_a_machine_that_stayed_cold(refused, table, fuzzycnc):
         (('--param', 'compensator.axes=[Q]'), ['axes', 'Q']),
     ],
 )
-def test_unknown_and_out_of_bounds_parameters(refused, options, naming):
-    refused('simulate', *options, naming=naming)
+def test_unknown_and_out_of_bounds_parameters(refused, model, options, naming):
+    given = () if '--train' in options else ('--model', model)  # else one is trained first
+    refused('simulate', *given, *options, naming=naming)
 
 
 def test_negative_duration(refused):

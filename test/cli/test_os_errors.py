@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from tiers import rest_slow
 
 
 def started(root, words, **streams):
@@ -22,7 +23,7 @@ def started(root, words, **streams):
 
 
 @pytest.mark.parametrize(
-    'words', [['--version'], ['machine', 'show', 'mill'], ['schema', 'machine']]
+    'words', rest_slow([['--version'], ['machine', 'show', 'mill'], ['schema', 'machine']], 0)
 )
 def test_standard_output_on_a_full_disk_is_one_line(root, words):
     with open('/dev/full', 'w', encoding='utf-8') as full:

@@ -22,6 +22,11 @@ ENDS = [
     pytest.param(signal.SIGINT, 'ignored', 130, id='SIGINT-background'),
     pytest.param(signal.SIGHUP, 'default', 129, id='SIGHUP', marks=pytest.mark.slow),
 ]
+TERMINATED = [
+    one if one.id == 'SIGTERM' else pytest.param(*one.values, id=one.id, marks=pytest.mark.slow)
+    for one in ENDS
+]
+"""For further commands that end in the same way."""
 KILLED = pytest.param(signal.SIGKILL, 'default', -9, id='SIGKILL')
 """Signal, what SIGINT is at the beginning, and exit code; SIGINT at its default: test_main.py."""
 
@@ -106,7 +111,7 @@ def test_while_reading_what_does_not_come(command, tmp_path, words, number, inte
     assert not (tmp_path / 'out').exists()
 
 
-@pytest.mark.parametrize(('number', 'interrupts', 'code'), ENDS)
+@pytest.mark.parametrize(('number', 'interrupts', 'code'), TERMINATED)
 def test_replay_in_the_middle_of_work(command, root, number, interrupts, code):
     found = end(
         lambda: command('replay', root / 'bags' / 'mill_warm_up', interrupts=interrupts),
@@ -126,7 +131,7 @@ def test_nohup_is_heeded(command, root):
     assert 'identical' in out
 
 
-@pytest.mark.parametrize(('number', 'interrupts', 'code'), ENDS)
+@pytest.mark.parametrize(('number', 'interrupts', 'code'), TERMINATED)
 def test_simulate_leaves_whole_bags(command, tmp_path, number, interrupts, code):
     words = ('simulate', '--seeds', '1000', '--out', 'shift')
     calibration = tmp_path / 'shift_calibration'

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Work in other processes: order, progress, errors, and that none is left behind."""
 
+import itertools
 import json
 import os
 import signal
@@ -96,9 +97,22 @@ def test_results_keep_their_order_and_progress_never_goes_back(script):
     assert any('b (2 of 3): fitting mlp (2 of 3)' in text for text, *_ in told)
 
 
-@pytest.mark.parametrize('interrupts', ['default', 'ignored'])
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-@pytest.mark.parametrize('to', ['process', 'group'])
+ENDS = itertools.product(
+    ('process', 'group'), (signal.SIGINT, signal.SIGTERM, signal.SIGKILL), ('default', 'ignored')
+)
+EACH_ONCE = [
+    ('process', signal.SIGINT, 'ignored'),
+    ('process', signal.SIGKILL, 'default'),
+    ('group', signal.SIGINT, 'default'),
+    ('group', signal.SIGTERM, 'ignored'),
+]
+"""Each signal, receiver and beginning; the other ways to combine them are slow."""
+
+
+@pytest.mark.parametrize(
+    ('to', 'number', 'interrupts'),
+    [pytest.param(*end, marks=[] if end in EACH_ONCE else [pytest.mark.slow]) for end in ENDS],
+)
 def test_nobody_is_left_behind(script, tmp_path, to, number, interrupts):
     """A terminal sends to the group, and so do those who end all of a service."""
     process = script(2, 'endless', 'endless', interrupts=interrupts)

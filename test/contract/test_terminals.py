@@ -3,6 +3,7 @@
 """Text reaches terminals at few places, each of which spells control characters out."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / 'fuzzycnc_ros'
@@ -21,6 +22,7 @@ CONSOLES = {'Console', 'TextColumn', 'echo', 'secho'}
 """What would show text as it comes; `fuzzycnc_ros/cli/terminal.py` has what commands use."""
 
 
+@cache
 def called() -> list[tuple[str, str]]:
     """Return the file and the function of every call, as it is written there."""
     return [

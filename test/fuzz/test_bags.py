@@ -119,7 +119,7 @@ def read_all(path: Path, strict: bool) -> None:
                 list(reader.messages([topic]))
 
 
-@fuzz(60, share=0.2)
+@fuzz(40, share=0.2)
 @given(seed=SEEDS)
 def test_damaged_bags(folder, bags, seed):
     rng = random.Random(seed)

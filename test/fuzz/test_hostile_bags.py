@@ -84,7 +84,12 @@ def uses(bag: Path, out: Path) -> Iterator[Callable[[], object]]:
     yield lambda: evaluate(bag)
 
 
-SLOW = ('chunk_of_the_smallest_messages', 'chunks_that_overlap', 'very_many_topics')
+SLOW = (
+    'chunk_of_the_smallest_messages',
+    'chunks_that_overlap',
+    'database_of_large_messages',
+    'very_many_topics',
+)
 CASES = [
     pytest.param(make, id=make.__name__, marks=[pytest.mark.slow] * (make.__name__ in SLOW))
     for make in hostile_files.CASES + hostile_runs.CASES

@@ -49,7 +49,7 @@ def damaged(text: str, seed: int) -> str:
     return mutated_json(text, rng)
 
 
-@fuzz(60, share=0.2)
+@fuzz(30, share=0.2)
 @given(seed=SEEDS)
 def test_thermal_models(seed):
     text = damaged(thermal_text(), seed)
@@ -66,7 +66,7 @@ def test_thermal_models(seed):
         assert load_model(model.to_json()).to_json() == model.to_json()
 
 
-@fuzz(60, share=0.2)
+@fuzz(30, share=0.2)
 @given(seed=SEEDS)
 def test_thermal_models_in_a_predictor(seed):
     text = damaged(thermal_text(), seed)
@@ -84,7 +84,7 @@ def test_thermal_models_in_a_predictor(seed):
         assert bench.records('thermal_error')[-1].valid
 
 
-@fuzz(60, share=0.2)
+@fuzz(30, share=0.2)
 @given(seed=SEEDS)
 def test_deformation_models(seed):
     text = damaged(deformation_text(), seed)

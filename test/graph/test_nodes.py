@@ -12,6 +12,7 @@ import pytest
 from live_graph import AGAIN
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
+from tiers import rest_slow
 
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.config import Config
@@ -29,6 +30,14 @@ from fuzzycnc_ros.runtime.host import (
 pytestmark = pytest.mark.ros
 
 NODES = [*COMPONENTS, 'recorder', 'player', 'mqtt_publisher', 'mtconnect_adapter', 'opcua_server']
+ALONE = [
+    'linuxcnc_bridge',
+    'simulated_body',
+    'joint_trajectory_bridge',
+    'mqtt_publisher',
+    'mtconnect_adapter',
+]
+"""Nodes that no other quick test starts as a process, wherever it runs."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -72,21 +81,25 @@ def needed(tmp_path: Path) -> Callable[[str], dict[str, Any]]:
 
 
 @pytest.mark.parametrize(
-    ('first', 'interrupts'), [(0, 'ignored'), pytest.param(1, 'default', marks=pytest.mark.slow)]
+    ('alone', 'first', 'interrupts'), rest_slow([(ALONE, 0, 'ignored'), (NODES, 1, 'default')], 0)
 )
-def test_describe_report_and_end(graph, observer, root, needed, monkeypatch, first, interrupts):
-    """Each node as a process; they are asked to end by one signal or the other."""
+def test_describe_report_and_end(
+    graph, observer, root, needed, monkeypatch, alone, first, interrupts
+):
+    """Each node, `alone` as a process; they are asked to end by one signal or the other."""
     monkeypatch.setenv(TAKEOVER, '1')  # all of those that a machine has one of, side by side
     observer.watch_diagnostics()
-    started = {
-        node: graph.start(
-            node,
-            needed(node),
-            files=(root / 'params' / f'{node}.yaml',),
-            interrupts=interrupts,
+    files = {node: root / 'params' / f'{node}.yaml' for node in NODES}
+    started = [
+        graph.start(node, needed(node), files=(files[node],), interrupts=interrupts)
+        for node in alone
+    ]
+    if together := [node for node in NODES if node not in alone]:
+        wanted = {node: needed(node) for node in together}
+        given = tuple(files[node] for node in together)
+        started.append(
+            graph.compose(*together, parameters=wanted, files=given, interrupts=interrupts)
         )
-        for node in NODES
-    }
     for node in NODES:
         check_description(observer, node)
     observer.until(
@@ -96,7 +109,7 @@ def test_describe_report_and_end(graph, observer, root, needed, monkeypatch, fir
         ),
         f'diagnostics of every node, found {sorted(observer.statuses)}',
     )
-    for place, running in enumerate(started.values(), first):
+    for place, running in enumerate(started, first):
         assert running.interrupt(SIGNALS[place % len(SIGNALS)]) == 0, running.output
 
 

@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from tiers import rest_slow
 
 pytest.importorskip('asyncua')
 
@@ -322,7 +323,7 @@ devices:
 """
 
 
-@pytest.mark.parametrize('node', ['opcua_bridge', 'temperature_acquisition'])
+@pytest.mark.parametrize('node', rest_slow(['opcua_bridge', 'temperature_acquisition'], 0))
 def test_certificates_are_pinned_in_the_state_directory(graph, observer, shop, tmp_path, node):
     server = shop.field.add(ControlServer(LineControl(), secured(tmp_path)))
     user_file(tmp_path)

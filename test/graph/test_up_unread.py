@@ -10,6 +10,7 @@ import sys
 
 import pytest
 from processes import HANG, children, start, wait_for
+from tiers import rest_slow
 
 pytestmark = pytest.mark.ros
 
@@ -69,7 +70,7 @@ def nodes_of(process, name=''):
     return children(process.pid, f'fuzzycnc_ros.nodes.{name}')
 
 
-@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize('number', rest_slow([signal.SIGTERM, signal.SIGINT, signal.SIGHUP], 0))
 def test_nodes_are_restarted_and_all_ends(command, tmp_path, number):
     process = command('up', '--nodes', NODES, '--json', 'outcome.json')
     wait_for(lambda: nodes_of(process, 'compensator'), 'the compensator is started')

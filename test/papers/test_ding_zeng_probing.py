@@ -7,6 +7,7 @@ Residuals in um, Y then Z; T2 and T3 are never seen; medians over noise seeds.
 
 import numpy as np
 import pytest
+from tiers import rest_slow
 
 from fuzzycnc_ros.core.thermal.fit import GreyModel, select_sensors, train_model
 from fuzzycnc_ros.core.thermal.probing import (
@@ -92,11 +93,11 @@ def test_filter_equals_the_plain_reset(from_one_run, every):
     np.testing.assert_allclose(filtered, plain, atol=0.5)
 
 
-@pytest.fixture(scope='module')
-def fitting():
+@pytest.fixture(scope='module', params=rest_slow([SEEDS[:6], SEEDS], 0), ids=len)
+def fitting(request):
     """Models of three runs with the runs that they have not seen, per seed."""
     found = []
-    for seed in SEEDS:
+    for seed in request.param:
         runs = record_runs(seed=seed)
         model = train_model(
             [runs[name] for name in ('D0', 'D0b', 'T1')],

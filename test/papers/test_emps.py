@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.io import loadmat
+from tiers import rest_slow
 
 from fuzzycnc_ros.components.servo.servo_controller_config import (
     ServoControllerConfig,
@@ -293,7 +294,7 @@ def published_with_feedforward(axis, target, speed, change):
     return (volts + force / config.force_constant) / config.voltage_max
 
 
-@pytest.mark.parametrize('volts', [1.0, 2.5, 5.0])
+@pytest.mark.parametrize('volts', rest_slow([1.0, 2.5, 5.0], 2))
 @pytest.mark.parametrize('sign', [1.0, -1.0])
 def test_pulses_of_half_the_drive_are_borne(recording, volts, sign):
     """As the real machine bore them, and by the node's default better than under its own law."""

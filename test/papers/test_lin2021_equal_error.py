@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 from scipy.optimize import brentq
+from tiers import rest_slow
 
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
@@ -112,17 +113,22 @@ def test_refinement_at_equal_error(key, seconds):
 
 @pytest.mark.parametrize(
     ('key', 'feed_mm_min', 'less_error', 'less_time'),
-    [
-        ('infinity', 300, 0.14, 0.07),
-        ('infinity', 1500, 0.13, 0.07),
-        ('infinity', 3000, 0.11, 0.06),
-        ('trident', 300, 0.69, 0.45),
-        ('trident', 1500, 0.59, 0.36),
-        ('trident', 3000, 0.03, 0.28),
-        ('butterfly', 300, 0.91, 0.71),
-        ('butterfly', 1500, 0.47, 0.37),
-        ('butterfly', 3000, -0.22, 0.22),
-    ],
+    rest_slow(
+        [
+            ('infinity', 300, 0.14, 0.07),
+            ('infinity', 1500, 0.13, 0.07),
+            ('infinity', 3000, 0.11, 0.06),
+            ('trident', 300, 0.69, 0.45),
+            ('trident', 1500, 0.59, 0.36),
+            ('trident', 3000, 0.03, 0.28),
+            ('butterfly', 300, 0.91, 0.71),
+            ('butterfly', 1500, 0.47, 0.37),
+            ('butterfly', 3000, -0.22, 0.22),
+        ],
+        1,
+        3,
+        8,
+    ),
 )
 def test_the_two_claims_of_the_paper(key, feed_mm_min, less_error, less_time):
     feed_max = feed_mm_min / 60e3
@@ -142,23 +148,30 @@ def test_the_two_claims_of_the_paper(key, feed_mm_min, less_error, less_time):
 
 @pytest.mark.parametrize(
     ('key', 'method', 'feed_mm_min', 'published_s', 'seconds', 'error_um'),
-    [
-        ('infinity', LookAheadFeed, 300, 62, 62.5, 1.93),
-        ('infinity', ChordErrorFeed, 300, 122, 62.5, 1.93),
-        ('infinity', JerkLimitedFeed, 300, 907, 62.5, 1.93),
-        ('infinity', FuzzyScheduler, 300, 62, 63.2, 1.62),
-        ('trident', LookAheadFeed, 300, 46, 46.2, 8.01),
-        ('trident', ChordErrorFeed, 300, 127, 46.2, 8.01),
-        ('trident', JerkLimitedFeed, 150, 599, 92.1, 2.07),
-        ('trident', FuzzyScheduler, 300, 45, 47.2, 2.34),
-        ('trident', FuzzyScheduler, 150, 92, 94.1, 0.60),
-        ('butterfly', LookAheadFeed, 300, 73, 67.3, 44.7),
-        ('butterfly', ChordErrorFeed, 185, 120, 109.1, 28.9),
-        ('butterfly', JerkLimitedFeed, 58, 729, 347.5, 5.90),
-        ('butterfly', FuzzyScheduler, 300, 67, 85.1, 2.49),
-        ('butterfly', FuzzyScheduler, 185, 109, 138.0, 0.94),
-        ('butterfly', FuzzyScheduler, 58, 360, 439.4, 0.31),
-    ],
+    rest_slow(
+        [
+            ('infinity', LookAheadFeed, 300, 62, 62.5, 1.93),
+            ('infinity', ChordErrorFeed, 300, 122, 62.5, 1.93),
+            ('infinity', JerkLimitedFeed, 300, 907, 62.5, 1.93),
+            ('infinity', FuzzyScheduler, 300, 62, 63.2, 1.62),
+            ('trident', LookAheadFeed, 300, 46, 46.2, 8.01),
+            ('trident', ChordErrorFeed, 300, 127, 46.2, 8.01),
+            ('trident', JerkLimitedFeed, 150, 599, 92.1, 2.07),
+            ('trident', FuzzyScheduler, 300, 45, 47.2, 2.34),
+            ('trident', FuzzyScheduler, 150, 92, 94.1, 0.60),
+            ('butterfly', LookAheadFeed, 300, 73, 67.3, 44.7),
+            ('butterfly', ChordErrorFeed, 185, 120, 109.1, 28.9),
+            ('butterfly', JerkLimitedFeed, 58, 729, 347.5, 5.90),
+            ('butterfly', FuzzyScheduler, 300, 67, 85.1, 2.49),
+            ('butterfly', FuzzyScheduler, 185, 109, 138.0, 0.94),
+            ('butterfly', FuzzyScheduler, 58, 360, 439.4, 0.31),
+        ],
+        0,
+        1,
+        5,
+        9,
+        13,
+    ),
 )
 def test_rows_of_tables_10_to_12(key, method, feed_mm_min, published_s, seconds, error_um):
     run = drive(key, method(feed_max=feed_mm_min / 60e3).feed(shape(key)[2]))

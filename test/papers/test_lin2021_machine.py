@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from tiers import rest_slow
 
 from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
@@ -61,16 +62,21 @@ def test_error_at_300_mm_per_minute(name, error_mm):
 
 @pytest.mark.parametrize(
     ('name', 'tolerance_mm', 'seconds'),
-    [
-        ('infinity', 0.01, 27.3),
-        ('infinity', 0.05, 12.0),
-        ('infinity', 0.1, 8.3),
-        ('trident', 0.01, 41.2),
-        ('trident', 0.05, 17.2),
-        ('trident', 0.1, 11.5),
-        ('butterfly', 0.05, 62.2),
-        ('butterfly', 0.1, 29.3),
-    ],
+    rest_slow(
+        [
+            ('infinity', 0.01, 27.3),
+            ('infinity', 0.05, 12.0),
+            ('infinity', 0.1, 8.3),
+            ('trident', 0.01, 41.2),
+            ('trident', 0.05, 17.2),
+            ('trident', 0.1, 11.5),
+            ('butterfly', 0.05, 62.2),
+            ('butterfly', 0.1, 29.3),
+        ],
+        1,
+        4,
+        7,
+    ),
 )
 def test_time_of_constant_feed_at_equal_error(name, tolerance_mm, seconds):
     found = knob_at_error(
@@ -81,17 +87,22 @@ def test_time_of_constant_feed_at_equal_error(name, tolerance_mm, seconds):
 
 @pytest.mark.parametrize(
     ('name', 'tolerance_mm', 'seconds'),
-    [
-        ('infinity', 0.01, 7.18),
-        ('infinity', 0.05, 3.57),
-        ('infinity', 0.1, 2.82),
-        ('trident', 0.01, 5.30),
-        ('trident', 0.05, 2.98),
-        ('trident', 0.1, 2.50),
-        ('butterfly', 0.01, 20.1),
-        ('butterfly', 0.05, 9.43),
-        ('butterfly', 0.1, 6.37),
-    ],
+    rest_slow(
+        [
+            ('infinity', 0.01, 7.18),
+            ('infinity', 0.05, 3.57),
+            ('infinity', 0.1, 2.82),
+            ('trident', 0.01, 5.30),
+            ('trident', 0.05, 2.98),
+            ('trident', 0.1, 2.50),
+            ('butterfly', 0.01, 20.1),
+            ('butterfly', 0.05, 9.43),
+            ('butterfly', 0.1, 6.37),
+        ],
+        1,
+        4,
+        7,
+    ),
 )
 def test_time_of_constant_normal_acceleration_at_equal_error(name, tolerance_mm, seconds):
     tolerance = 1e-3 * tolerance_mm

@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from tiers import rest_slow
 
 from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.simulated_machine import (
@@ -43,7 +44,7 @@ def three_runs(calibration):
     return train_model(calibration.runs, candidates=CANDIDATES).to_json()
 
 
-@pytest.mark.parametrize('kind', ['offset', 'kalman'])
+@pytest.mark.parametrize('kind', rest_slow(['offset', 'kalman'], 1))
 def test_half_hourly_probes_correct_a_model_of_one_run(one_run, kind):
     probing = {'probing': kind, 'probe_interval_min': 1800.0}
     (plain,), (probed,) = (

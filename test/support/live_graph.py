@@ -211,12 +211,21 @@ class Graph:
         command = [sys.executable, '-c', SET_CLOCK, str(clock), node]
         return self.launch(node, [*command, *ros_arguments('/mill', [own])], folder)
 
-    def compose(self, *nodes: str) -> Running:
+    def compose(
+        self,
+        *nodes: str,
+        parameters: Mapping[str, Mapping[str, Any]] | None = None,
+        files: tuple[Path, ...] = (),
+        interrupts: str = 'default',
+    ) -> Running:
         """Start nodes in one process, which starts as quickly as one of them."""
         folder = self.folder / f'{len(self.running)}-composed'
         folder.mkdir(parents=True)
+        specs = [NodeSpec(node, own) for node, own in (parameters or {}).items()]
+        given = [*files, parameter_file(folder, '/mill', specs)]
         command = [sys.executable, '-m', 'fuzzycnc_ros.nodes.composed', *nodes]
-        return self.launch('composed', [*command, *ros_arguments('/mill', [])], folder)
+        command += ros_arguments('/mill', given)
+        return self.launch('composed', command, folder, interrupts)
 
     def start_shift(
         self,

@@ -3,9 +3,11 @@
 """Small recordings to run the command line on; a `conftest.py` imports the fixtures by name."""
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+from kept import kept
 
 
 def warm_up(rows: int = 120, interval: float = 60.0) -> dict[str, np.ndarray]:
@@ -59,9 +61,24 @@ def bag(fuzzycnc, table):
     return imported
 
 
-@pytest.fixture
-def model(fuzzycnc, bag):
+@kept
+def model_text() -> str:
     """Return a model trained on the table."""
-    outcome = fuzzycnc('train', bag('training'), '--out', 'model.json')
-    assert outcome.code == 0, outcome
-    return Path('model.json')
+    from fuzzycnc_ros.cli.main import run
+
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        file = write_table(folder / 'training.csv', warm_up())
+        assert run(['import-csv', str(file), '--out', str(folder / 'training'), *IMPORT]) == 0
+        out = folder / 'model.json'
+        assert run(['train', str(folder / 'training'), '--out', str(out)]) == 0
+        return out.read_text(encoding='utf-8')
+
+
+@pytest.fixture
+def model(bag):
+    """Return a model trained on the table, beside the bag of it."""
+    bag('training')
+    path = Path('model.json')
+    path.write_text(model_text(), encoding='utf-8')
+    return path

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
-from scipy.linalg import expm
 
 from fuzzycnc_ros.core.arrays import Array
 
@@ -134,6 +133,9 @@ class LinearAxis:
         >>> f'{dynamics[0, 0]:.6f} {duty[0]:.6f} {disturbance[0]:.6f}'
         '0.942873 0.016338 -0.016338'
         """
+        # Here, since a machine without servo axes does without: it starts sooner.
+        from scipy.linalg import expm
+
         size = len(self.a)
         whole = np.zeros((size + 2, size + 2))
         whole[:size, :size] = self.a

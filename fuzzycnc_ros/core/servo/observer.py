@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from math import isfinite, sqrt
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.axis import LinearAxis, velocity_lag
@@ -305,6 +304,9 @@ class ObserverDesign:
         >>> ObserverDesign.of(axis).gain[2:].round(2).tolist()
         [89.6, 0.73, 0.37, -558.61]
         """
+        # Here, since a machine without servo axes does without: it starts sooner.
+        from scipy.linalg import solve_discrete_are
+
         expected = noise or ObserverNoise()
         held, duty, disturbance = axis.discrete()
         size = len(held) + 1

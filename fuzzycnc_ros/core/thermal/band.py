@@ -5,7 +5,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from fuzzycnc_ros.core.arrays import Array
 
@@ -125,6 +124,14 @@ def _gain(square: Array, other: Array) -> float:
         return float(np.nanmean(log_residual(other) - log_residual(square)))
 
 
+def _student(freedom: float, share: float) -> float:
+    """Return the quantile of Student's distribution."""
+    # Here, since what only predicts does without: a node starts sooner.
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, share))
+
+
 def _significant(gain: float, variance: float, count: int, error: float) -> bool:
     """Return whether a mean gain is above zero, given the variance of single ones."""
     if not np.isfinite(variance):
@@ -132,7 +139,7 @@ def _significant(gain: float, variance: float, count: int, error: float) -> bool
     count = max(1, count)
     freedom = SCATTER_WEIGHT + count - 1
     moderated = (SCATTER_WEIGHT * SCATTER**2 + (count - 1) * variance) / freedom
-    return bool(gain > float(stdtrit(freedom, 1.0 - error)) * np.sqrt(moderated / count))
+    return bool(gain > _student(freedom, 1.0 - error) * np.sqrt(moderated / count))
 
 
 WIDTH = 2.0
@@ -211,8 +218,8 @@ def fitted_band(residual: Array, distance: Array, folds: int) -> Band:
     surprise = [_surprise(residual, band.at(distance)) for band in bands]
     best = bands[int(np.argmin(surprise))]
     # Samples of one run err alike: what counts is how many runs there were.
-    unknown = stdtrit(SCATTER_WEIGHT + folds, 0.5 + 0.5 * COVERED) / WIDTH
-    return Band(max(1.0, float(unknown)) * best.deviation, best.growth)
+    unknown = _student(SCATTER_WEIGHT + folds, 0.5 + 0.5 * COVERED) / WIDTH
+    return Band(max(1.0, unknown) * best.deviation, best.growth)
 
 
 def _surprise(residual: Array, deviation: Array) -> float:

@@ -133,6 +133,7 @@ def test_evaluate_of_good_bags_ends_with_0_and_writes_all_into_the_report(fuzzyc
     assert page.count('<svg') >= 4
 
 
+@pytest.mark.usefixtures('here')
 def test_nothing_but_bad_bags(refused, folder, model):
     shutil.move('runs/torn', 'torn')
     bags = ('torn', 'gone')

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benches import predictor_bench
 from small_recordings import warm_up
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
@@ -298,7 +299,9 @@ def copy_with_another_error(source: str, target: str, change) -> None:
 
 
 def test_replay_finds_a_changed_message_and_ends_with_1(fuzzycnc):
-    assert fuzzycnc('simulate', *SHORT, '--out', 'shift').code == 0
+    Path('m.json').write_text(predictor_bench.model_text())
+    ready = ('--duties', 'T2', '--model', 'm.json')
+    assert fuzzycnc('simulate', *ready, '--out', 'shift').code == 0
     copy_with_another_error('shift', 'changed', lambda error: error + 1e-12)
     outcome = fuzzycnc('replay', 'changed', '--json', 'r.json')
     assert outcome.code == 1, outcome

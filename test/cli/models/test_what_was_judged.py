@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_recordings import IMPORT, warm_up
+from tiers import rest_slow
 
 ROWS = 240
 
@@ -53,7 +54,7 @@ def unrelated(columns, seed):
 # windows
 
 
-@pytest.mark.parametrize('name', ['lag_ridge', 'stable_grey'])
+@pytest.mark.parametrize('name', rest_slow(['lag_ridge', 'stable_grey'], 1))
 def test_training_on_a_window_leaves_no_more_there_than_training_on_all(fuzzycnc, lagging, name):
     run, window = lagging(), ('--start', '4800')
     left = {}
@@ -66,6 +67,7 @@ def test_training_on_a_window_leaves_no_more_there_than_training_on_all(fuzzycnc
     assert left['window.json'] <= 1.05 * left['all.json']
 
 
+@pytest.mark.usefixtures('here')
 @pytest.mark.parametrize(
     ('command', 'options'),
     [('compare', ('--models', 'lag_ridge', '--jobs', '1')), ('curve', ('--counts', '1,2'))],

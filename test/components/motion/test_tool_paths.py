@@ -265,7 +265,7 @@ def mutated(path: ToolPath, rng: np.random.Generator) -> ToolPath:
     return path
 
 
-@settings(max_examples=2000, deadline=None)
+@settings(max_examples=700, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_mutated_paths_are_refused_or_can_be_moved_along(seed):
     rng = np.random.default_rng(seed)

@@ -7,6 +7,7 @@ import pytest
 from paths.path_parts import straight_lines
 from paths.random_paths import KINDS, arc, random_limits, random_path
 from paths.reference_parts import reference_parts
+from tiers import rest_slow
 
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.stream import MotionStream, default_window
@@ -31,7 +32,7 @@ def trajectory_of(parts, window):
 
 
 @pytest.mark.parametrize('kind', KINDS)
-@pytest.mark.parametrize('jerk', [False, True])
+@pytest.mark.parametrize('jerk', rest_slow([False, True], 1))
 def test_parts_give_the_motion_of_the_whole(kind, jerk):
     for axes in (2, 3):
         rng = np.random.default_rng([KINDS.index(kind), axes])

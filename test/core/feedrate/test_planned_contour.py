@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiers import rest_slow
 
 from fuzzycnc_ros.components.motion import feedrate_run
 from fuzzycnc_ros.components.motion.feedrate_run import PathRun
@@ -56,7 +57,9 @@ def largest_error(reference: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize('name', PROGRAMS)
-@pytest.mark.parametrize(('blend', 'tolerance'), [(1e-5, 1e-5), (5e-5, 1e-5), (1e-5, 5e-5)])
+@pytest.mark.parametrize(
+    ('blend', 'tolerance'), rest_slow([(1e-5, 1e-5), (5e-5, 1e-5), (1e-5, 5e-5)], 1)
+)
 def test_blended_program_keeps_the_tolerance(name, blend, tolerance):
     config = FeedrateSchedulerConfig(tolerance=tolerance, blend=blend, settle=0.25)
     assert largest_error(planned(PROGRAMS[name], config)) <= 1.05 * tolerance

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from programs.without_feeds import strip_feeds
+from tiers import rest_slow
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
     FeedrateSchedulerConfig,
@@ -150,7 +151,9 @@ def test_no_block_runs_faster_than_the_program_or_the_scheduler_say(seed, blend)
 
 
 @pytest.mark.parametrize('blend', [0.0, 1e-5])
-@pytest.mark.parametrize('method', ['log_fuzzy', 'fuzzy', 'normal_acceleration', 'look_ahead'])
+@pytest.mark.parametrize(
+    'method', rest_slow(['log_fuzzy', 'fuzzy', 'normal_acceleration', 'look_ahead'], 0, 2)
+)
 def test_a_stream_of_small_parts_gives_what_large_ones_give(monkeypatch, method, blend):
     law = make_scheduler(FeedrateSchedulerConfig(method=method))
     program = read_program(random_program(3, blocks=80) + 'G90\n' + on_circle(150))
@@ -364,7 +367,7 @@ def shape(part):
     return (*part.start, *part.end, *bent)
 
 
-@pytest.mark.parametrize('blend', [0.0, 1e-5])
+@pytest.mark.parametrize('blend', rest_slow([0.0, 1e-5], 1))
 @pytest.mark.parametrize(
     'name',
     [pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in FILES],

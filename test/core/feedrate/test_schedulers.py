@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
@@ -54,6 +54,7 @@ def wiggle(count=400, seed=0):
 
 
 @ALL
+@settings(max_examples=40)
 @given(st.integers(0, 10_000), st.integers(1, 60), st.booleans())
 def test_feed_stays_between_least_and_largest(scheduler, seed, count, closed):
     path = wiggle(count, seed)
@@ -257,6 +258,7 @@ STREAMED = [
 
 
 @pytest.mark.parametrize('scheduler', STREAMED, ids=repr)
+@settings(max_examples=30)
 @given(st.lists(st.integers(1, 90), min_size=1, max_size=40), st.integers(0, 100))
 def test_parts_give_what_the_whole_path_gives(scheduler, sizes, seed):
     path = wiggle(sum(sizes), seed)

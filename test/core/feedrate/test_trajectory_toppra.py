@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from paths.path_parts import straight_lines
 from paths.random_paths import quintic, sampled
+from tiers import rest_slow
 
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
@@ -50,7 +51,7 @@ def limits_of_axes(rng, axes):
     )
 
 
-@pytest.mark.parametrize('axes', [2, 3])
+@pytest.mark.parametrize('axes', rest_slow([2, 3], 1))
 def test_splines_take_nearly_the_same_time(axes):
     ratio = []
     for seed in range(20):

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from fuzzycnc_ros.core.arrays import Array
 
@@ -128,6 +127,9 @@ class Contour:
 
     def _index(self) -> None:
         """Prepare the search over the vertices."""
+        # Here, since `PathError` does without: a third of a second that a machine saves at start.
+        from scipy.spatial import cKDTree
+
         step = np.diff(self._vertices, axis=0)
         kept = np.append(True, np.any(step != 0.0, axis=1))
         self._vertices = self._vertices[kept]

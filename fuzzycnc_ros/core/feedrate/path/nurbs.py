@@ -5,12 +5,15 @@
 import operator
 from functools import cached_property
 from math import comb, factorial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline, PPoly
 
 from fuzzycnc_ros.core.arrays import Array
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 COORDINATE_MAX = 1e3
 """Largest coordinate [m]: of no machine, and far from what doubles lose digits at."""
@@ -411,6 +414,9 @@ class NurbsCurve:
         That takes half the time of the basis functions.  The origin is the first point: far from
         it the quotient rule would cancel digits.
         """
+        # Here, since many nodes read tool paths that have no such curve: they start sooner.
+        from scipy.interpolate import BSpline, PPoly
+
         lifted = np.column_stack(
             [self.weight[:, np.newaxis] * (self.control - self._origin), self.weight]
         )

@@ -21,7 +21,6 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import block_diag
 
 from fuzzycnc_ros.core.arrays import Array, check_shapes
 from fuzzycnc_ros.core.document import Node
@@ -431,6 +430,9 @@ class LinearRecursion(Recursion):
         ):
             readout = np.concatenate([item.readout for item in items])
             return LinearRecursion(first.pole, first.drive, readout, direct, offset)
+        # Here, since nodes without a model do without: they start sooner.
+        from scipy.linalg import block_diag
+
         return LinearRecursion(
             pole=np.concatenate([item.pole for item in items]),
             drive=np.concatenate([item.drive for item in items]),

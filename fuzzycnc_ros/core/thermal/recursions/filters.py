@@ -10,7 +10,6 @@ from typing import ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.document import Node
@@ -244,6 +243,9 @@ class FilterNetworkRecursion(DelayedRecursion):
 
     @cached_property
     def _outer(self) -> Array:
+        # Here, since nodes without a model do without: they start sooner.
+        from scipy.linalg import block_diag
+
         return np.ascontiguousarray(block_diag(*self.outer))
 
     def _output(self, activation: Array) -> Array:

@@ -128,7 +128,14 @@ def assert_as_expected(estimator, expected):
     assert set(failures) == set(expected) & names, failures
 
 
-@pytest.mark.parametrize('estimator', ESTIMATORS, ids=repr)
+@pytest.mark.parametrize(
+    'estimator',
+    [
+        pytest.param(one, marks=[pytest.mark.slow] * isinstance(one, Anfis | DynamicNetwork))
+        for one in ESTIMATORS  # these two take long, and have a brother of the same kind
+    ],
+    ids=repr,
+)
 def test_scikit_learn_accepts(estimator):
     assert_as_expected(estimator, expected_failures(estimator))
 
