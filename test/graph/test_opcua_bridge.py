@@ -271,7 +271,7 @@ def test_killed_bridge_leaves_no_offset_and_a_new_one_goes_on(rig):
 @watched
 @pytest.mark.slow
 def test_stopped_bridge_does_not_send_a_control_back_that_let_the_offsets_go(rig):
-    """The control is twenty times as fast as the bridge may be: a set of before would be a step."""
+    """The control is twenty times as fast as the bridge may be: an old set would be a step."""
     slow = SLEW / 20.0
     rig.control.watchdog = 1.5
     rig.start(text=FILE.replace('{timeout}', '60'), slew_max=slow, validity=60.0)
