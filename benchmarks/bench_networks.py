@@ -48,7 +48,7 @@ def network_data(rise: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.n
     """Return the outputs of LR, MA and AR and the target, divided by the output range."""
     rows = [slice(0, len(rise))]
     data = NetworkTraining(rise, target, rows, np.empty(0, np.int64), SCALE)
-    front = Front.fitted(data, np.array([1, 2, 3]), 'sum', 1e-3, True)
+    front = Front.fitted(data, np.array([1, 2, 3]), 1e-3, True)
     history = past(target, rows, 1)
     back = Feedback.fitted(history, front.values, target, 1e-3, True, 0.95)
     inputs = np.column_stack([front.values, back(history, front.values)])

@@ -16,6 +16,7 @@ import json
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import asdict
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -107,7 +108,7 @@ class Stand:
             self._recorder.limit(LIMITS.velocity, (acceleration,) * 3)
             samples = self._recorder.run(text, TIMEOUT)
             judged = path.judge(path.recorded(samples, PERIOD), MACHINE)
-            self._found[name] = judged.document()
+            self._found[name] = asdict(judged)
             print(f'{name}: {judged.duration:.2f} s, {1e6 * judged.error:.1f} um',
                   file=sys.stderr, flush=True)  # fmt: skip
             self._keep()
@@ -158,7 +159,7 @@ def advised(program: Program, tolerance: float) -> dict[str, Any]:
         'acceleration': chosen.acceleration[0],
         'mode': chosen.mode.word if chosen.mode else "program's path mode",
         'program': advised_program(program, chosen),
-        'judged': chosen.judged.document(),
+        'judged': asdict(chosen.judged),
     }
 
 

@@ -27,7 +27,8 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
 
     def _make_socket_transport(self, *args: Any, **options: Any) -> asyncio.Transport:
         made: asyncio.Transport = super()._make_socket_transport(*args, **options)  # type: ignore[misc]
-        self._connections = [item for item in self._connections if not item.is_closing()]
+        # One that is closing is open as long as nobody takes what was written to it.
+        self._connections = [item for item in self._connections if _is_open(item)]
         self._connections.append(made)
         return made
 
@@ -45,6 +46,10 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
         for connection in self._connections:
             connection.abort()
         await asyncio.sleep(0)  # a connection ends in the next turn of the loop
+
+
+def _is_open(connection: asyncio.Transport) -> bool:
+    return int(connection.get_extra_info('socket').fileno()) >= 0
 
 
 class LoopThread:

@@ -1,0 +1,40 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Event loops that let go of their connections."""
+
+import asyncio
+import contextlib
+import socket
+
+from fuzzycnc_ros.adapters.loops import ConnectionLoop
+
+MUCH = 16 << 20
+"""More bytes than a connection takes while nobody reads."""
+
+
+def test_a_connection_that_closes_but_cannot_deliver_is_dropped_as_well():
+    """`close` waits for a reader; a loop that ends does not."""
+    loop = ConnectionLoop()
+    accepted = []
+
+    async def serve(reader, writer):
+        accepted.append(writer.get_extra_info('socket'))
+        writer.write(bytes(MUCH))
+        writer.close()
+
+    async def connect():
+        server = await asyncio.start_server(serve, '127.0.0.1', 0)
+        for _ in range(2):  # the second looks for what is over
+            client = socket.create_connection(server.sockets[0].getsockname())
+            stack.callback(client.close)
+            while len(accepted) == len(clients):
+                await asyncio.sleep(0.01)
+            clients.append(client)
+        server.close()
+
+    clients = []
+    with contextlib.ExitStack() as stack:
+        loop.run_until_complete(connect())
+        assert all(item.fileno() >= 0 for item in accepted)
+        loop.close()
+        assert [item.fileno() for item in accepted] == [-1, -1]
