@@ -73,11 +73,13 @@ def domain() -> Iterator[int]:
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_collection() -> Iterator[None]:
-    """Spare the collector of garbage what lives to the end: all modules and tests."""
+    """Spare the collector of garbage what lives to the end: all modules and tests.
+
+    Frozen it must not be: hypothesis 6.98 then takes its own examples for unreliable.
+    """
     gc.disable()
     yield
     gc.enable()
-    gc.freeze()
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

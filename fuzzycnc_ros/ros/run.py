@@ -39,8 +39,10 @@ from fuzzycnc_ros.uninterrupted import Interrupted, uninterrupted
 
 DELIVERING = 0.5
 """Wall time [s] in all that readers have to acknowledge what the nodes published last."""
-LETTING_GO = 20
-"""Wall time [s] that the middleware has for its part of the end; it takes 0.1 s, or forever."""
+LETTING_GO = 6
+"""Wall time [s] that the middleware has for its part of the end; it takes 0.1 s, or forever.
+
+Less than `NODE_STOP`: who is killed by then has not told how it ended."""
 NO_MEMORY = 1
 """What a node ends with that gets no more memory: started again it begins with little."""
 
@@ -162,12 +164,12 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
         manager.stopping()
         for host in reversed(hosts):
             host.stop()
-        with suppress(Interrupted), uninterrupted():
-            _deliver([host.node for host in hosts])
         # What a node holds may fail to be written to its end: the code is known only now.
         code = max([failed, *(host.exit_code for host in hosts)])
         sys.stdout.flush()
         with ending_within(LETTING_GO, code):
+            with suppress(Interrupted), uninterrupted():
+                _deliver([host.node for host in hosts])
             # Ends the thread that wakes the executor: late on a busy computer, it would touch what
             # is destroyed here.
             waking.close()

@@ -138,6 +138,7 @@ def test_publishers_that_end_before_their_recorder_are_told(graph, observer, tmp
     assert said['publishers_left'] == {'/mill/ended': 1}
 
 
+@pytest.mark.slow
 def test_full_disk_ends_a_recording(command, observer, graph, tmp_path):
     graph.start('simulated_machine', {'rate': 600.0, 'duties': ['T2']})
     states = observer.records('machine_state', MachineState)

@@ -10,7 +10,9 @@ import threading
 import pytest
 from processes import start, wait_for
 
+from fuzzycnc_ros.ros.bring_up import NODE_STOP
 from fuzzycnc_ros.ros.processes import interruptible
+from fuzzycnc_ros.ros.run import LETTING_GO
 from fuzzycnc_ros.uninterrupted import Interrupted
 
 
@@ -100,3 +102,8 @@ def test_a_wish_that_comes_when_all_is_done_is_no_failure(name):
     """A machine's duty is over as somebody ends the run."""
     done = start([sys.executable, '-c', LATE.format(name=name)], stderr=subprocess.PIPE, text=True)
     assert (done.communicate()[1], done.returncode) == ('', 3)
+
+
+def test_a_node_ends_by_itself_before_it_is_killed():
+    """Else `up` and `demo` would report the middleware's hang as a node that failed."""
+    assert LETTING_GO <= 0.6 * NODE_STOP

@@ -241,6 +241,7 @@ def test_wrong_node_id_is_refused_before_any_connection(tmp_path):
         opc_ua.check(device)
 
 
+@pytest.mark.slow
 def test_the_first_certificate_of_a_server_is_pinned_and_another_refused(field, poll, tmp_path):
     server = field.add(OpcUaServer({'T1': 20.5}, secured(tmp_path)))
     user_file(tmp_path)
