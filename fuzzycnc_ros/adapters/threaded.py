@@ -40,8 +40,8 @@ class ThreadedController(Controller[StatusT, OrdersT, LimitsT]):
     ) -> None:
         self._connect, self._period, self._pause = connect, period, pause
         self._begun = time.monotonic()
-        self._looks = False  # what was ordered before a pause counts no more
-        self._looked = False
+        self._stale = False  # what is handed over was ordered before a pause
+        self._looked = False  # the newest exchange was the look after one
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._status: StatusT | None = None
@@ -61,8 +61,8 @@ class ThreadedController(Controller[StatusT, OrdersT, LimitsT]):
     def write(self, orders: OrdersT) -> StatusT | None:
         """Hand over what to write in the next exchange; return as `read` does."""
         with self._lock:
-            if self._looks:
-                self._looks = self._status is None  # orders after this status know of the pause
+            if self._stale:
+                self._stale = self._status is None  # orders after this status know of the pause
             else:
                 self._orders = orders
             return self._take()
@@ -138,7 +138,7 @@ class ThreadedController(Controller[StatusT, OrdersT, LimitsT]):
         begun, self._begun = self._begun, time.monotonic()
         self._looked = self._begun - begun > self._pause and not self._looked
         if self._looked:
-            self._status, self._orders, self._looks = None, None, True
+            self._status, self._orders, self._stale = None, None, True
 
     def _fail(self, error: LinkError) -> None:
         with self._lock:

@@ -262,12 +262,10 @@ class MtconnectLink(Link):
 
     def _ask(self, request: str) -> http.client.HTTPResponse:
         device = self._device
-        timeout = HEARTBEAT + device.timeout
-        connection = http.client.HTTPConnection(device.host, device.port, timeout=timeout)
+        make: Callable[..., http.client.HTTPConnection] = http.client.HTTPConnection
         if self._trust is not None:
-            connection = http.client.HTTPSConnection(
-                device.host, device.port, timeout=timeout, context=self._trust
-            )
+            make = partial(http.client.HTTPSConnection, context=self._trust)
+        connection = make(device.host, device.port, timeout=HEARTBEAT + device.timeout)
         try:
             connection.connect()
         except ssl.SSLCertVerificationError as error:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What components share that move axes: one motion at a time, and whose the machine follows."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from typing import ClassVar, Generic, TypeVar
 
@@ -29,7 +30,7 @@ def motion_refusal(state: MachineState) -> str:
     return '' if state.homed else 'the machine is not homed'
 
 
-class MotionSender(Component[ConfigT], Generic[ConfigT, RunT]):
+class MotionSender(Component[ConfigT], ABC, Generic[ConfigT, RunT]):
     """Send one motion at a time; hear from the machine how each comes to its end."""
 
     MACHINE: ClassVar[Input[MachineState]]
@@ -71,13 +72,13 @@ class MotionSender(Component[ConfigT], Generic[ConfigT, RunT]):
             what = TrajectoryStatus(state.status).name.lower()
             self._give_up(f'{what} by the machine: {state.reason or "no part in time"}')
 
+    @abstractmethod
     def _finish(self, run: RunT, stamp: int) -> None:
         """Take the machine's word that it has followed all of the run."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _give_up(self, why: str) -> None:
         """Send no more of the run."""
-        raise NotImplementedError
 
     def _unready(self, stamp: int) -> str:
         """Say why nobody may move the machine now; empty if somebody may."""

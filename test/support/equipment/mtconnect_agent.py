@@ -54,8 +54,7 @@ class Agent(LocalServer):
     """
 
     def __init__(self, tls: ssl.SSLContext | None = None) -> None:
-        super().__init__()
-        self._tls = tls
+        super().__init__(tls)
         self.kind = 'multipart/x-mixed-replace'
         self.paths = 'filters'
         self.instance = 1
@@ -65,11 +64,6 @@ class Agent(LocalServer):
         self.chunked = False
         self.requests: list[str] = []
         self._news = asyncio.Event()
-
-    async def start(self) -> None:
-        """Serve, encrypted if that is wanted."""
-        self._server = await asyncio.start_server(self._serve, LOCAL, self.port, ssl=self._tls)
-        self.port = self._server.sockets[0].getsockname()[1]
 
     async def observe(self, **texts: object) -> None:
         """Take new observations: id and text."""
