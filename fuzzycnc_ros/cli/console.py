@@ -49,8 +49,8 @@ def show(table: 'Table') -> None:
     """Print a table: with emphasis on a terminal, as plain text elsewhere."""
     if not sys.stdout.isatty():
         width = plain_width()
-        for part in fitting(table, lambda part: part.least_width() <= width):
-            _put(part.to_text(width))
+        parts = fitting(table, lambda part: part.least_width() <= width)
+        _put('\n\n'.join(part.to_text(width) for part in parts))
         return
     from fuzzycnc_ros.cli.terminal import Terminal
 

@@ -31,6 +31,7 @@ from fuzzycnc_ros.studies.page.drawing import (
     plot_style,
 )
 from fuzzycnc_ros.studies.page.html import to_inline_svg
+from fuzzycnc_ros.studies.page.paper import ROWS, draw_panel
 
 
 def decoded(column):
@@ -127,6 +128,19 @@ def test_a_series_with_an_x_of_its_own_is_thinned_too():
     panel = only_panel(found)
     assert panel['kept'][1] == 30_000
     assert len(panel['x']['steps']) <= ROWS_MAX + 2
+
+
+def test_on_paper_each_of_many_series_keeps_its_own_course():
+    """A saw-tooth of an hour in two days, one of sixteen, each shifted against the others."""
+    hours = np.linspace(0.0, 48.0, 7000)
+    teeth = [Series(f't{n}', (hours + n / 16.0) % 1.0, AFTER) for n in range(16)]
+    with plot_style():
+        axes = new_figure(2.0).subplots()
+        draw_panel(axes, Panel(hours, Axis('temperature'), teeth), Axis('time'))
+    for line in axes.get_lines():
+        y = line.get_ydata()
+        assert len(y) <= ROWS
+        assert np.count_nonzero(np.diff(y) < -0.9) == 48
 
 
 @given(st.integers(1, 300), st.integers(1, 4), st.integers(8, 120), st.integers(0, 2**32 - 1))

@@ -11,8 +11,10 @@ from fuzzycnc_ros.studies.page.chart import DOTS_MAX, Axis, Chart, Panel, Series
 from fuzzycnc_ros.studies.page.drawing import INK, MUTED, add_legend, new_figure, plot_style
 from fuzzycnc_ros.studies.requirement import require
 
+ROWS = 1000
+"""Rows of a series on paper: no printer shows more extremes."""
 _ROWS, _POINTS, _ROWS_MIN = 240, 1200, 60
-"""Rows of a panel on paper: no printer shows more extremes; fewer where there are many series."""
+"""Rows of a series in a page of text, and those of all series of a panel, which make its size."""
 
 _CHARACTER = 0.062
 """Width of a character of a stretch's name, about [in]."""
@@ -40,7 +42,8 @@ def drawn(chart: Chart) -> Any:
             axes.remove()
         handles: dict[str, Any] = {}
         for number, (axes, panel) in enumerate(zip(places, chart.panels, strict=False)):
-            for name, handle in draw_panel(axes, panel, chart.x_axis).items():
+            most = max(_ROWS_MIN, min(_ROWS, _POINTS // max(1, len(panel.series))))
+            for name, handle in draw_panel(axes, panel, chart.x_axis, most).items():
                 handles.setdefault(name, handle)
             if not (stacked and chart.linked) or number == rows - 1:
                 axes.set_xlabel(chart.x_axis.label)
@@ -58,9 +61,9 @@ def plain_ticks(axis: Any, low: float, high: float, every: tuple[int, ...] = (1,
     axis.set_ticks([], minor=True)
 
 
-def draw_panel(axes: Any, panel: Panel, x_axis: Axis) -> dict[str, Any]:
-    """Draw a panel into axes, in as many rows as paper shows; return what its legend names."""
-    panel = panel.thinned(max(_ROWS_MIN, min(_ROWS, _POINTS // max(1, len(panel.series)))))
+def draw_panel(axes: Any, panel: Panel, x_axis: Axis, most: int = ROWS) -> dict[str, Any]:
+    """Draw a panel into axes, each series in `most` rows; return what its legend names."""
+    panel = panel.apart().thinned(most)
     handles: dict[str, Any] = {}
     axes.set_title(panel.title)
     axes.set_ylabel(panel.y_axis.label)
