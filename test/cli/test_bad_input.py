@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.studies.shift import thermal_shift
 
 HELLO = b'\x00\x01\x00\x00\x03\x00\x00\x00hi\x00'
 IMPORT = ('--time', 't', '--temperature', 't*', '--displacement', 'dz=Z:um')
@@ -205,7 +206,7 @@ def test_a_machine_that_stayed_cold(refused, table, fuzzycnc):
     [
         (('--duties', 'T9'), ['duties', 'T9', 'D0b']),
         (('--duties', ''), ['duties', 'none']),
-        (('--train', 'warm'), ['duties', 'warm']),
+        (('--train', 'D0,warm'), ['duties', 'warm']),
         (('--seed', '-1'), ['--seed', '-1']),
         (('--seeds', '0'), ['--seeds', '0']),
         (('--fault', 'T99:dead:0'), ['T99', 'T1 to T76']),
@@ -222,9 +223,9 @@ def test_a_machine_that_stayed_cold(refused, table, fuzzycnc):
         (('--param', 'compensator.axes=[Q]'), ['axes', 'Q']),
     ],
 )
-def test_unknown_and_out_of_bounds_parameters(refused, model, options, naming):
-    given = () if '--train' in options else ('--model', model)  # else one is trained first
-    refused('simulate', *given, *options, naming=naming)
+def test_a_shift_with_bad_settings_does_not_begin(refused, monkeypatch, options, naming):
+    monkeypatch.setattr(thermal_shift, 'judged_graph', lambda *_: pytest.fail('it began'))
+    refused('simulate', *options, naming=naming)
 
 
 def test_negative_duration(refused):

@@ -102,6 +102,7 @@ def simulate(
         fuzzycnc simulate --duties T2 --fault T18:drift:3600 --report t2.html
         fuzzycnc simulate --out shift --param compensator.offset_max=20um
     """
+    from fuzzycnc_ros.studies.shift.thermal_shift import shift_components
     from fuzzycnc_ros.studies.thermal.summary import summary_document, summary_table
 
     check_at_least('--seed', seed, 0)
@@ -112,6 +113,7 @@ def simulate(
         check_new(_calibration_folder(out))
     check_folder(report, json_file)
     parameters = node_parameters('--param', param or [])
+    shift_components(names, seed, faults=fault or (), parameters=parameters)
     documents: list[Figures] = []
     with progress_bar('simulating') as tell:
         for number in range(seed, seed + seeds):

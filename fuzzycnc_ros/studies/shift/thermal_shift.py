@@ -56,6 +56,11 @@ Parameters = Mapping[str, Mapping[str, Any]]
 
 C = TypeVar('C', bound=Config)
 
+ShiftComponents = tuple[
+    SimulatedMachine, TemperatureAcquisition, SensorSelector, ThermalPredictor, Compensator
+]
+"""All components of a shift."""
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -113,10 +118,8 @@ def record_calibration(
         If a bag exists or cannot be written.
     """
     given = checked(parameters)
-    runs, bags = [], []
-    for number, duty in enumerate(duties):
-        log = ShiftLog()
-        machine = SimulatedMachine(
+    machines = [
+        SimulatedMachine(
             configured(
                 SimulatedMachineConfig,
                 given,
@@ -124,6 +127,11 @@ def record_calibration(
                 seed=CALIBRATION_SEED + seed + SEED_STEP * number,
             )
         )
+        for number, duty in enumerate(duties)
+    ]
+    runs, bags = [], []
+    for duty, machine in zip(duties, machines, strict=True):
+        log = ShiftLog()
         acquisition = TemperatureAcquisition(configured(TemperatureAcquisitionConfig, given))
         told = _labelled(progress, f'calibrating on {duty}')
         if folder is None:
@@ -183,28 +191,14 @@ def run_shift(
     ValueError
         If a duty, fault or parameter is unknown or out of bounds, or a request is refused.
     """
-    given = checked(parameters)
+    machine, acquisition, selector, predictor, compensator = shift_components(
+        duties, seed, faults=faults, parameters=parameters
+    )
     model = load_model(model_text)
-    fixed: dict[str, Any] = {'duties': tuple(duties), 'seed': seed}
-    if faults:
-        fixed['sensor_faults'] = tuple(faults)
-    machine = SimulatedMachine(configured(SimulatedMachineConfig, given, **fixed))
-    selector = SensorSelector(configured(SensorSelectorConfig, given))
     selector.run_reader = calibration.read if calibration is not None else read_run
-    compensator = Compensator(configured(CompensatorConfig, given))
     limits = compensator.configuration
     log = ShiftLog()
-    graph = judged_graph(
-        machine,
-        [
-            TemperatureAcquisition(configured(TemperatureAcquisitionConfig, given)),
-            selector,
-            ThermalPredictor(configured(ThermalPredictorConfig, given)),
-            compensator,
-        ],
-        log,
-        sink,
-    )
+    graph = judged_graph(machine, [acquisition, selector, predictor, compensator], log, sink)
     if calibration is not None:
         bags = list(calibration.bags)
         _accepted(graph.request('sensor_selector', 'select_sensors', bag=bags, clusters=0))
@@ -212,6 +206,40 @@ def run_shift(
     _accepted(graph.request('compensator', 'activate'))
     graph.run(_labelled(progress, f'compensating {", ".join(duties)}'))
     return compensation_runs(log, model, duties, offset_max=limits.offset_max)
+
+
+def shift_components(
+    duties: Sequence[str],
+    seed: int = 0,
+    *,
+    faults: Sequence[str] = (),
+    parameters: Parameters | None = None,
+) -> tuple[
+    SimulatedMachine, TemperatureAcquisition, SensorSelector, ThermalPredictor, Compensator
+]:
+    """Return the components of a shift, all of whose settings are checked then.
+
+    Parameters
+    ----------
+    duties, seed, faults, parameters
+        As `run_shift` takes them.
+
+    Raises
+    ------
+    ValueError
+        If a duty, fault or parameter is unknown or out of bounds.
+    """
+    given = checked(parameters)
+    fixed: dict[str, Any] = {'duties': tuple(duties), 'seed': seed}
+    if faults:
+        fixed['sensor_faults'] = tuple(faults)
+    return (
+        SimulatedMachine(configured(SimulatedMachineConfig, given, **fixed)),
+        TemperatureAcquisition(configured(TemperatureAcquisitionConfig, given)),
+        SensorSelector(configured(SensorSelectorConfig, given)),
+        ThermalPredictor(configured(ThermalPredictorConfig, given)),
+        Compensator(configured(CompensatorConfig, given)),
+    )
 
 
 def checked(parameters: Parameters | None) -> Parameters:
