@@ -101,6 +101,7 @@ class ComponentNode:
         self._subscriptions: dict[str, Any] = {}
         self._published: dict[str, int] = {}
         self._deaf: set[str] = set()
+        self._routes: list[Health] = []
         self._strangers: dict[str, tuple[int, str]] = {}
         self._notices: dict[str, tuple[float, str]] = {}
         self._lifecycle_state = 'active'
@@ -178,6 +179,8 @@ class ComponentNode:
 
     def request(self, name: str, arguments: Mapping[str, Any]) -> Answer:
         """Carry out a request and write it down for replay."""
+        if any(item.level >= Level.ERROR for item in self.component.health()):
+            self._tell_health()  # the request may end it before the second is over
         answer = self.component.on_request(name, arguments, self.merger.time)
         if answer.success:
             event = event_record(self.component, self.merger.time, name, arguments)
@@ -198,12 +201,16 @@ class ComponentNode:
         self.follow_clock()
         if not self.component.MACHINE_SIDE:
             self._commands.look()
+        self._routes = self._route_health()
+        self._tell_health()
+
+    def _tell_health(self) -> None:
         now = self.merger.time if self.settings.lockstep else self.now()
         health = [
             *self.component.health(),
             *self._host_health(),
             *input_health(self.merger, now),
-            *self._route_health(),
+            *self._routes,
             *self.own_health(),
             self._activity.health(),
         ]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lifecycle_msgs.msg import Transition
 from live_graph import ANSWER_TIMEOUT, KILL_TIMEOUT
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
@@ -201,6 +202,18 @@ def test_fault_takes_the_axis_to_zero(graph, observer):
     readings = readings[np.isfinite(readings)]
     assert readings.min() > TARGET - 1e-5
     assert readings.max() < 2e-3
+
+
+def test_a_fault_that_is_cleared_at_once_is_told(graph, observer):
+    """Diagnostics come once a second, an operator may be faster."""
+    observer.watch_diagnostics()
+    states = observer.records('servo_state', ServoState)
+    start(graph, move_time=3.0, servo_silence=0.2)
+    observer.until(lambda: states and states[-1].status == ServoStatus.FAULT, 'the fault')
+    assert observer.change('servo_controller', Transition.TRANSITION_DEACTIVATE)
+    item = 'mill/servo_controller: state'
+    observer.until(lambda: observer.told(item, 'inactive'), 'the end of the fault')
+    assert observer.told(item, 'no axis_state')
 
 
 def test_priority_in_real_time_is_taken_or_its_refusal_told(graph, observer):
