@@ -19,6 +19,7 @@ _STATES = {
     'holding': 'bold yellow',
     'ramping': 'bold red',
     'expired': 'bold red',
+    'refused': 'bold red',
     'inactive': 'bold',
     'absent': 'bold red',
 }

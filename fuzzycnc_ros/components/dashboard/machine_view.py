@@ -100,6 +100,10 @@ _STATE_WORDS = {
     CompensationState.RAMPING: 'offsets go to zero',
     CompensationState.EXPIRED: 'offsets are at zero until the predicted error is of use',
 }
+_IN_FORCE = frozenset(
+    {CompensationState.ACTIVE, CompensationState.HOLDING, CompensationState.RAMPING}
+)
+"""States in which offsets of the compensator are in force, if the machine agrees."""
 
 
 @dataclass
@@ -456,7 +460,6 @@ class MachineView:
 
     def _state(self) -> dict[str, Any]:
         told = self._newest.get('compensation')
-        applied = self._newest.get('compensation_applied')
         machine = self._newest.get('machine_state')
         report = self._nodes.get('compensator')
         state, why = 'absent', 'no compensator is in the graph; start one with fuzzycnc up'
@@ -468,8 +471,8 @@ class MachineView:
             known = states.get(said, CompensationState.INACTIVE) if told is None else told.state
             state = word(CompensationState, known)
             why = visible(reason) if reason and said == state else _STATE_WORDS.get(known, state)
-        if applied is not None and applied.status == AppliedStatus.REFUSED:
-            why += f'; the machine refuses offsets: {visible(applied.reason)}'
+            if known in _IN_FORCE:
+                state, why = self._in_force(state, why)
         mode = 'unknown'
         if machine is not None:
             mode = {
@@ -485,6 +488,21 @@ class MachineView:
             'machine': mode,
             'offsets_allowed': bool(machine is not None and machine.offsets_allowed),
         }
+
+    def _in_force(self, state: str, why: str) -> tuple[str, str]:
+        """Return state and reason of a compensator at work, as the machine side sees it.
+
+        One that hangs has told nothing else: what it told last is no longer true then.
+        """
+        told, applied = self._newest.get('compensation'), self._newest.get('compensation_applied')
+        if applied is not None and applied.status == AppliedStatus.REFUSED:
+            return 'refused', f'the machine refuses offsets: {visible(applied.reason)}'
+        out_of_date = (
+            told is not None and self._stamp is not None and (self._stamp > told.valid_until)
+        )
+        if out_of_date or (applied is not None and applied.status == AppliedStatus.EXPIRED):
+            return 'expired', 'no command of the compensator is in force: the machine goes to zero'
+        return state, why
 
     @property
     def _limit(self) -> float | None:

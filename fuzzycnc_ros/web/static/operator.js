@@ -6,7 +6,7 @@ import {field, make, match, say} from './dom.js';
 import {duration, micrometres, number, percent, rate, rpm, UNKNOWN} from './units.js';
 
 export const STATES = {
-  active: '●', holding: '◐', ramping: '▼', inactive: '○', expired: '◇', absent: '×',
+  active: '●', holding: '◐', ramping: '▼', inactive: '○', expired: '◇', refused: '⊘', absent: '×',
 };
 const ARROWS = {up: '▲', down: '▼', steady: '■'};
 const MOVES = {up: 'rising', down: 'falling', steady: 'steady'};

@@ -261,7 +261,30 @@ def test_without_a_compensator_none_is_shown():
 def test_what_the_machine_refuses_is_told():
     view = running()
     view.take('compensation_applied', applied(1, 0.0, AppliedStatus.REFUSED, 'epoch'), 1.0)
-    assert 'refuses offsets: epoch' in document(view, 1.0)['state']['why']
+    state = document(view, 1.0)['state']
+    assert state['compensation'] == 'refused'
+    assert 'refuses offsets: epoch' in state['why']
+
+
+def test_a_compensator_that_hangs_is_not_active():
+    """What it told last was that it is; the machine side knows better."""
+    view = running()
+    assert document(view, 1.0)['state']['compensation'] == 'active'
+    view.take('compensation_applied', applied(1, -1e-6, AppliedStatus.EXPIRED), 1.0)
+    assert document(view, 1.0)['state']['compensation'] == 'expired'
+    view.take('compensation', compensation(2), 2.0)
+    view.take('compensation_applied', applied(2), 2.0)
+    assert document(view, 2.0)['state']['compensation'] == 'active'
+
+
+def test_a_command_out_of_date_is_not_in_force_where_no_machine_tells():
+    view = MachineView('mill')
+    view.take_health('compensator', [], 0.0)
+    view.take('compensation', compensation(0), 0.0)
+    view.take('machine_state', machine_state(180), 180.0)
+    assert document(view, 180.0)['state']['compensation'] == 'active'
+    view.take('machine_state', machine_state(181), 181.0)
+    assert document(view, 181.0)['state']['compensation'] == 'expired'
 
 
 def test_a_reached_limit_is_shown():
