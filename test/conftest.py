@@ -6,6 +6,7 @@ import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import command_lines
 import hypothesis
@@ -44,6 +45,15 @@ def data() -> Path:
             'or where FUZZYCNC_DATA says, but found none'
         )
     return folder
+
+
+@pytest.fixture(scope='session')
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """The driver of a browser that all tests share: to start one takes seconds."""
+    from chromium import chromium
+
+    with chromium(tmp_path_factory.mktemp('profile')) as driver:
+        yield driver
 
 
 @pytest.fixture

@@ -4,24 +4,17 @@
 
 import json
 import os
-import re
 import signal
-import sys
 import time
-from itertools import pairwise
 
-import numpy as np
 import pytest
+from supervised_shift import MICRO, Up, check_steps
 
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
-from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
 from fuzzycnc_ros.runtime.component import LATCHED
 from fuzzycnc_ros.runtime.convert import decode
-from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
 from fuzzycnc_ros.runtime.host import NodeConfiguration, NodeEvent
 from fuzzycnc_ros.runtime.records import (
-    SECOND,
     Compensation,
     CompensationApplied,
     MachineState,
@@ -31,39 +24,8 @@ from fuzzycnc_ros.runtime.records import (
 
 pytestmark = pytest.mark.ros
 
-LIMITS, MACHINE = CompensatorConfig(), SimulatedMachineConfig()
-MICRO = 1e-6
 RATE = 120.0
 """Two minutes of machine time a second of wall time."""
-AT_WORK = 3 * MICRO
-"""Offset from which on compensation is at work [m]."""
-
-
-class Up:
-    """A supervised graph of a thermal shift, started by the command line."""
-
-    def __init__(self, graph, model, folder):
-        self.folder = folder
-        command = [
-            *(sys.executable, '-m', 'fuzzycnc_ros.cli.main', 'up', '--simulate', 'T2'),
-            *('--rate', f'{RATE:g}', '--model', str(model), '--autostart'),
-            *('--record', str(folder / 'bag'), '--json', str(folder / 'outcome.json')),
-        ]
-        self.process = graph.launch('up', command, folder)
-
-    def pid(self, node):
-        """Return the process id of a node's newest life."""
-        found = re.findall(rf'mill/{node} runs as process (\d+)', self.process.output)
-        return int(found[-1]) if found else None
-
-    def lives(self, node):
-        """Return how often a node was started."""
-        return len(re.findall(rf'mill/{node} runs as process', self.process.output))
-
-    def living(self):
-        """Return the processes that it has started and that still run."""
-        pids = map(int, re.findall(r'runs as process (\d+)', self.process.output))
-        return [pid for pid in pids if os.path.exists(f'/proc/{pid}')]
 
 
 @pytest.fixture
@@ -71,11 +33,7 @@ def supervised(graph, observer, model_file, tmp_path):
     """A shift under supervision."""
     folder = tmp_path / 'up'
     folder.mkdir()
-    return Up(graph, model_file, folder)
-
-
-GROWN = 100_000
-"""Size of a bag in which more than its first messages are [byte]."""
+    return Up(graph, observer, model_file, folder, RATE)
 
 
 def records(bag, name, kind):
@@ -88,65 +46,27 @@ def records(bag, name, kind):
         ]
 
 
-def check_steps(told, applied):
-    """Hold all that was told and applied against limits; return the worst steps [m]."""
-    steps = [0.0, 0.0]
-    assert len(applied) > 30
-    for before, after in pairwise(applied):
-        elapsed = (after.stamp - before.stamp) / SECOND
-        step = np.abs(after.offset - before.offset).max()
-        steps[0] = max(steps[0], step)
-        assert np.abs(after.offset).max() <= MACHINE.offset_max
-        assert step <= MACHINE.slew_max * elapsed + 1e-12, f'at {after.stamp / SECOND} s'
-    epoch = 0
-    for number, command in enumerate(told):
-        assert np.isfinite(command.offset).all()
-        assert np.abs(command.offset).max() <= LIMITS.offset_max
-        if command.epoch == epoch:
-            before = told[number - 1]
-            elapsed = (command.stamp - before.stamp) / SECOND
-            step = np.abs(command.offset - before.offset).max()
-            steps[1] = max(steps[1], step)
-            assert step <= LIMITS.slew_max * elapsed + 1e-12, f'at {command.stamp / SECOND} s'
-            continue
-        epoch = command.epoch
-        # A new owner starts from what is in force: the newest read-back that it can know.
-        known = [item.offset for item in applied if item.stamp <= command.stamp][-6:]
-        reach = LIMITS.slew_max * LIMITS.period + 1e-12
-        nearest = min((np.abs(command.offset - offset).max() for offset in known), default=0.0)
-        assert nearest <= reach, f'epoch {epoch} begins with a step of {nearest / MICRO} um'
-    return steps
+GROWN = 100_000
+"""Size of a bag in which more than its first messages are [byte]."""
 
 
 @pytest.mark.slow
 @pytest.mark.realtime  # two minutes of machine time a second, and readings may not be missing long
 def test_killed_nodes_come_back_without_a_step(supervised, observer):
     """One after the other, with compensation at work; the whole bag is looked at."""
-    told = observer.records('compensation', Compensation)
-    applied = observer.records('compensation_applied', CompensationApplied)
     heard = {
         'temperature_acquisition': observer.records('temperatures', Temperatures),
         'thermal_predictor': observer.records('thermal_error', ThermalError),
-        'compensator': told,
+        'compensator': supervised.told,
     }
     lives = observer.records('node_configuration', NodeConfiguration, LATCHED)
 
-    def at_work(since=0):
-        command = told[-1] if told else None
-        return (
-            command is not None
-            and command.stamp > since
-            and command.state == CompensationState.ACTIVE
-            and np.abs(applied[-1].offset).max() > AT_WORK
-            and applied[-1].status == AppliedStatus.FOLLOWING
-        )
-
-    observer.until(at_work, f'compensates, found {told[-1:]} {applied[-1:]}')
+    observer.until(supervised.at_work, 'compensates')
     back_after = {}
     for node in ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator'):
         known, begun = len(heard.get(node, ())), supervised.lives(node)
         told_lives = len(lives)
-        since = applied[-1].stamp
+        since = supervised.applied[-1].stamp
         os.kill(supervised.pid(node), signal.SIGKILL)
         killed = time.monotonic()
         observer.until(lambda n=node, b=begun: supervised.lives(n) > b, f'{node} is started again')
@@ -156,7 +76,7 @@ def test_killed_nodes_come_back_without_a_step(supervised, observer):
         )
         if node in heard:
             observer.until(lambda h=heard[node], k=known: len(h) > k + 1, f'{node} is back')
-        observer.until(lambda s=since: at_work(s), f'compensates again, found {told[-1]}')
+        observer.until(lambda s=since: supervised.at_work(s), 'compensates again')
         back_after[node] = round(time.monotonic() - killed, 2)
     print(f'time until compensating again [s]: {back_after}')
     # Temperatures were missing while their node was away.

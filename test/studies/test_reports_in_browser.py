@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 from processes import wait_for
-from report_browser import browser, check
+from report_browser import Reader, check
 from thermal_reports import day_run, report
 
 from fuzzycnc_ros.studies.contour.contouring_page import path_picture
@@ -60,10 +60,9 @@ class Keys:
     ARROW_LEFT, ARROW_RIGHT = '\ue012', '\ue014'
 
 
-@pytest.fixture(scope='module')
-def reader(tmp_path_factory):
-    with browser(tmp_path_factory.mktemp('browser')) as found:
-        yield found
+@pytest.fixture(scope='session')
+def reader(browser, tmp_path_factory):
+    return Reader(browser, tmp_path_factory.mktemp('downloads'))
 
 
 @pytest.fixture(scope='module')

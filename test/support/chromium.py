@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import MARK, command_line, wait_for
+from processes import KEPT, MARK, command_line, wait_for
 
 BROWSER, DRIVER = 'chromium', 'chromedriver'
 FLAGS = (
@@ -45,6 +45,7 @@ def chromium(profile: Path) -> Iterator[Any]:
     # Its processes come and go while tests run: they are looked after here, not by each test.
     mark = MARK.partition('=')[0]
     environment = {name: value for name, value in os.environ.items() if name != mark}
+    environment.update([KEPT.split('=')])
     service = webdriver.ChromeService(paths[1], env=environment)
     driver = webdriver.Chrome(options=options, service=service)
     try:

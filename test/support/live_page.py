@@ -3,14 +3,11 @@
 """Who looks at the live page in a browser, and what is to be seen."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from decimal import ROUND_HALF_UP, Decimal
-from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlsplit
 
-from chromium import chromium
 from processes import wait_for
 
 TABS = ('operator', 'temperatures', 'error', 'offsets', 'model', 'motion', 'bags', 'shop')
@@ -101,13 +98,6 @@ class LivePage:
                 asked.add(message['params']['url'])
         assert any(address.startswith(url) for address in asked), 'nothing was asked at all'
         return {urlsplit(address).netloc for address in asked} - {urlsplit(url).netloc, ''}
-
-
-@contextmanager
-def browser(profile: Path) -> Iterator[LivePage]:
-    """Yield a browser with an empty profile, and who looks at the page with it."""
-    with chromium(profile) as driver:
-        yield LivePage(driver)
 
 
 # What a view is in words, told a second time and in another language than the page's.

@@ -21,6 +21,8 @@ POLL = 0.01
 MARK = f'FUZZYCNC_TEST={uuid.uuid4().hex}'
 """Environment of everything that this process and its descendants start."""
 os.environ.update([MARK.split('=')])
+KEPT = 'FUZZYCNC_TEST_KEPT=1'
+"""Environment of what a fixture of all tests starts and ends, and no single test."""
 
 _strangers: set[int] = set()
 _seen_once: set[int] = set()
@@ -124,7 +126,9 @@ def _ours(pid: int) -> bool:
         environment = Path(f'/proc/{pid}/environ').read_bytes()
     except OSError:  # gone, or another user's
         return False
-    return MARK.encode() in environment or (bool(environment) and _parent(pid) == os.getpid())
+    if not environment or KEPT.encode() in environment:
+        return False
+    return MARK.encode() in environment or _parent(pid) == os.getpid()
 
 
 def _parent(pid: int) -> int:

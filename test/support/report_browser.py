@@ -5,12 +5,9 @@
 import csv
 import re
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from chromium import chromium
 from processes import wait_for
 
 SIZES = (1280, 400)
@@ -32,6 +29,8 @@ class Reader:
 
     def __init__(self, driver: Any, downloads: Path) -> None:
         self.driver, self.downloads = driver, downloads
+        behavior = {'behavior': 'allow', 'downloadPath': str(downloads)}
+        driver.execute_cdp_cmd('Browser.setDownloadBehavior', behavior)
         self.run = driver.execute_script
         self._touched_at = time.time()
 
@@ -200,14 +199,3 @@ def check(reader: Reader, page: Path, themes: tuple[str, ...] = ('light', 'dark'
             assert reader.complaints() == []
             ink.add(found['ink'])
     assert len(ink) == len(themes)
-
-
-@contextmanager
-def browser(folder: Path) -> Iterator[Reader]:
-    """Yield a browser with an empty profile, and who reads with it."""
-    downloads = folder / 'downloads'
-    downloads.mkdir()
-    with chromium(folder / 'profile') as driver:
-        behavior = {'behavior': 'allow', 'downloadPath': str(downloads)}
-        driver.execute_cdp_cmd('Browser.setDownloadBehavior', behavior)
-        yield Reader(driver, downloads)

@@ -1,19 +1,22 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A browser and a server that shows it whatever a test wants, one of each a module."""
+"""The live page, and a server of a module that shows it whatever a test wants."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from fake_dashboard import FakeDashboard, serving
-from live_page import LivePage, browser
+from live_page import LivePage
 
 
-@pytest.fixture(scope='module')
-def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LivePage]:
-    """The browser of a module."""
-    with browser(tmp_path_factory.mktemp('profile')) as page:
-        yield page
+@pytest.fixture
+def opened(browser: Any) -> Iterator[LivePage]:
+    """The live page in the browser of all tests; it is closed in the end."""
+    page = LivePage(browser)
+    yield page
+    browser.get('about:blank')  # what is left open goes on asking its server
+    page.complaints()
 
 
 @pytest.fixture(scope='module')
