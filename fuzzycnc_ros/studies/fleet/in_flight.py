@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Work by any executor, a bounded part of it at a time, so that memory does not grow with it.
 
+Quick pieces go out several at a time: what an executor takes for each thing that it is given, a
+few milliseconds where it is a scheduler on a network, is spent once for all of them.
+
 A process that is killed takes the whole pool of Python's own executors with it.  What it worked on
 is done again, one piece at a time, so that a piece that kills its process is found out.
 """
@@ -17,14 +20,19 @@ from concurrent.futures import (
     wait,
 )
 from dataclasses import dataclass
+from itertools import islice
+from math import inf
+from time import perf_counter
 from typing import Generic, TypeVar
 
 Item = TypeVar('Item')
 Result = TypeVar('Result')
 
 IN_FLIGHT = 64
-"""Pieces that are handed to an executor that does not say how many workers it has."""
+"""Lots of pieces that an executor has at a time which does not say how many workers it has."""
 
+WORTH, TOGETHER = 0.1, 16
+"""Work [s] for which a process is given pieces, and the most pieces that it gets for it."""
 
 TRIES = 2
 """Times that a piece which may have ended its process is done alone, before it is given up."""
@@ -45,9 +53,9 @@ class Crew:
     Parameters
     ----------
     start : callable
-        Returns an executor; called when the first piece is there, and again when it broke.
+        Returns an executor; called when there is something to do, and again when it broke.
     in_flight : int
-        Pieces that it has at a time, about twice as many as workers.
+        Lots of pieces that it has at a time, about twice as many as workers.
     killed : tuple of exception types
         What it raises for a piece that ended all the workers that it was given to.
     """
@@ -62,20 +70,20 @@ class Crew:
         self._begin = start
         self._executor: Executor | None = None
 
-    def submit(self, work: Callable[[Item], Result], item: Item) -> 'Future[Result]':
-        """Hand a piece out.
+    def submit(self, work: Callable[..., Result], *given: object) -> 'Future[Result]':
+        """Hand something out.
 
         Raises
         ------
         BrokenExecutor
-            If a process of the executor was killed; the next piece goes to another one.
+            If a process of the executor was killed; what comes next goes to another one.
         LostWorkersError
             If there is no other.
         """
         if self._executor is None:
             self._executor = self._begin()
         try:
-            return self._executor.submit(work, item)
+            return self._executor.submit(work, *given)
         except BrokenExecutor:
             self.broke()
             raise
@@ -99,6 +107,7 @@ class InFlight(Generic[Item, Result]):
     def __init__(self, work: Callable[[Item], Result], crew: Crew | None) -> None:
         self._work, self._crew = work, crew
         self._suspects: deque[Item] = deque()
+        self._seconds = inf  # for a piece; it is not known before the first one is done
 
     def done(self, items: Iterable[Item]) -> Iterator[tuple[Item, Result | Killed]]:
         """Yield pieces and what came of them, in the order in which they are done.
@@ -115,19 +124,17 @@ class InFlight(Generic[Item, Result]):
                 yield item, self._work(item)
             return
         crew, source = self._crew, iter(items)
-        running: dict[Future[Result], Item] = {}
+        running: dict[Future[tuple[list[Result], float]], tuple[Item, ...]] = {}
         more = True
         while True:
             while more and not self._suspects and len(running) < crew.in_flight:
-                try:
-                    item = next(source)
-                except StopIteration:
-                    more = False
-                else:
+                pieces = tuple(islice(source, self._together))
+                more = bool(pieces)
+                if more:
                     try:
-                        running[crew.submit(self._work, item)] = item
+                        running[crew.submit(_each, self._work, pieces)] = pieces
                     except BrokenExecutor:
-                        self._suspects.append(item)
+                        self._suspects.extend(pieces)
             if not running and not self._suspects:
                 return
             if running:
@@ -135,34 +142,58 @@ class InFlight(Generic[Item, Result]):
             if self._suspects and not running:
                 yield self._alone(self._suspects.popleft(), crew)
 
+    @property
+    def _together(self) -> int:
+        """How many pieces are handed out at a time."""
+        return max(1, min(TOGETHER, int(WORTH / max(self._seconds, WORTH / TOGETHER))))
+
     def _landed(
-        self, running: 'dict[Future[Result], Item]', crew: Crew
+        self,
+        running: 'dict[Future[tuple[list[Result], float]], tuple[Item, ...]]',
+        crew: Crew,
     ) -> Iterator[tuple[Item, Result | Killed]]:
         """Wait for some of what runs; of a broken executor all goes to the suspects."""
         done, _ = wait(running, return_when=FIRST_COMPLETED)
         for future in done:
-            item = running.pop(future)
+            pieces = running.pop(future)
             try:
-                result: Result | Killed = future.result()
+                results, seconds = future.result()
             except BrokenExecutor:
-                self._suspects.append(item)
+                self._suspects.extend(pieces)
+                crew.broke()
             except CancelledError:
                 raise _lost() from None
             except crew.killed:
-                yield item, Killed()
+                if len(pieces) == 1:
+                    yield pieces[0], Killed()
+                self._suspects.extend(pieces[1:] and pieces)  # one of them ended its process
             else:
-                yield item, result
-        if self._suspects:
-            crew.broke()
+                self._learn(seconds / len(pieces))
+                yield from zip(pieces, results, strict=True)
+
+    def _learn(self, seconds: float) -> None:
+        """Note how long a piece takes [s]; the newest ones count most."""
+        known = self._seconds < inf
+        self._seconds = 0.7 * self._seconds + 0.3 * seconds if known else seconds
 
     def _alone(self, item: Item, crew: Crew) -> tuple[Item, Result | Killed]:
         """Do one piece with nothing beside it."""
         for _ in range(TRIES):
             try:
-                return item, crew.submit(self._work, item).result()
+                (result,), _ = crew.submit(_each, self._work, (item,)).result()
             except BrokenExecutor:
                 crew.broke()
+            except crew.killed:
+                break
+            else:
+                return item, result
         return item, Killed()
+
+
+def _each(work: Callable[[Item], Result], items: tuple[Item, ...]) -> tuple[list[Result], float]:
+    """Do pieces one after the other; return what came of them, and how long they took [s]."""
+    begin = perf_counter()
+    return [work(item) for item in items], perf_counter() - begin
 
 
 def only(executor: Executor) -> Callable[[], Executor]:

@@ -8,6 +8,7 @@ from multiprocessing import get_context
 import pytest
 from fleet_bags import doubled_or_killed
 
+from fuzzycnc_ros.studies.fleet import in_flight
 from fuzzycnc_ros.studies.fleet.in_flight import (
     Crew,
     InFlight,
@@ -34,7 +35,12 @@ class Slow(Executor):
         return future
 
 
-def test_no_more_than_a_bound_is_under_way():
+@pytest.fixture
+def one_by_one(monkeypatch):
+    monkeypatch.setattr(in_flight, 'WORTH', 0.0)
+
+
+def test_no_more_than_a_bound_is_under_way(one_by_one):
     taken = []
 
     def items():
@@ -51,12 +57,48 @@ def test_no_more_than_a_bound_is_under_way():
     assert executor.most == 3
 
 
-def test_one_crew_does_one_work_after_another():
+def test_one_crew_does_one_work_after_another(one_by_one):
     crew = Crew(only(Slow()), in_flight=3)
     for first in (0, 3):
         items = [(number, '') for number in range(first, first + 3)]
         found = dict(InFlight(doubled_or_killed, crew).done(items))
         assert found == {item: 2 * item[0] for item in items}
+
+
+class Immediate(Executor):
+    """Does at once what it is given, unless a deadly piece is among it."""
+
+    def __init__(self):
+        self.given = 0
+
+    def submit(self, work, /, *arguments, **named):
+        self.given += 1
+        future = Future()
+        if any(fate == 'killed' for _, fate in arguments[-1]):
+            future.set_exception(KilledError())
+        else:
+            future.set_result(work(*arguments))
+        return future
+
+
+class KilledError(Exception):
+    """What the executor raises for what ended all its workers."""
+
+
+def test_quick_pieces_are_handed_out_together():
+    executor = Immediate()
+    items = [(number, '') for number in range(400)]
+    found = dict(InFlight(doubled_or_killed, Crew(only(executor), in_flight=4)).done(items))
+    assert found == {item: 2 * item[0] for item in items}
+    assert executor.given < 50
+
+
+def test_of_a_lot_with_a_deadly_piece_all_others_are_done():
+    items = [(number, 'killed' if number == 77 else '') for number in range(100)]
+    crew = Crew(only(Immediate()), in_flight=4, killed=(KilledError,))
+    found = dict(InFlight(doubled_or_killed, crew).done(items))
+    assert found.pop((77, 'killed')) == Killed()
+    assert found == {item: 2 * item[0] for item in items if item[0] != 77}
 
 
 @pytest.fixture
