@@ -35,7 +35,7 @@ from fuzzycnc_ros.studies.fleet.dask_crew import dask_crew
 from fuzzycnc_ros.studies.fleet.evaluation import evaluate_fleet, read_models
 
 MACHINES = 4
-TURN = 100
+TURN = 500
 RATIO_MAX, CACHED_MAX = 0.6, 0.02
 
 WORKER = """

@@ -195,7 +195,7 @@ class _Fleet:
                 (moved if new_here else unknown).append(at)
             self._say(at + 1 - len(moved) - len(unknown))
         work = InFlight(judge_bag, crew)
-        for task, found in work.done(self._tasks(moved, only_hash=True)):
+        for task, found in work.done(self._tasks(moved, only_hash=True), len(moved)):
             if isinstance(found, Judged) and found.sha256:
                 self._cache.put(task.path, found)
                 self._hashes[task.number] = found.sha256
@@ -204,7 +204,7 @@ class _Fleet:
         unknown.sort()
         self.summary.judged = len(unknown)
         self.summary.from_cache = done = len(self._bags) - len(unknown)
-        for task, judged in work.done(self._tasks(unknown)):
+        for task, judged in work.done(self._tasks(unknown), len(unknown)):
             self._take(task, judged)
             done += 1
             self._say(done)

@@ -109,10 +109,17 @@ class InFlight(Generic[Item, Result]):
         self._suspects: deque[Item] = deque()
         self._seconds = inf  # for a piece; it is not known before the first one is done
 
-    def done(self, items: Iterable[Item]) -> Iterator[tuple[Item, Result | Killed]]:
+    def done(
+        self, items: Iterable[Item], count: int | None = None
+    ) -> Iterator[tuple[Item, Result | Killed]]:
         """Yield pieces and what came of them, in the order in which they are done.
 
-        Pieces are taken from `items` as there is room for them.
+        Parameters
+        ----------
+        items : iterable
+            The pieces; they are taken as there is room for them.
+        count : int, optional
+            How many there are: the last ones are shared out in small lots, so that all end alike.
 
         Raises
         ------
@@ -125,11 +132,12 @@ class InFlight(Generic[Item, Result]):
             return
         crew, source = self._crew, iter(items)
         running: dict[Future[tuple[list[Result], float]], tuple[Item, ...]] = {}
-        more = True
+        more, left = True, inf if count is None else count
         while True:
             while more and not self._suspects and len(running) < crew.in_flight:
-                pieces = tuple(islice(source, self._together))
-                more = bool(pieces)
+                share = min(self._together, left / (2.0 * crew.in_flight))
+                pieces = tuple(islice(source, max(1, int(share))))
+                more, left = bool(pieces), left - len(pieces)
                 if more:
                     try:
                         running[crew.submit(_each, self._work, pieces)] = pieces
@@ -144,8 +152,8 @@ class InFlight(Generic[Item, Result]):
 
     @property
     def _together(self) -> int:
-        """How many pieces are handed out at a time."""
-        return max(1, min(TOGETHER, int(WORTH / max(self._seconds, WORTH / TOGETHER))))
+        """How many pieces take so long as is worth it; 0 if one takes longer."""
+        return min(TOGETHER, int(WORTH / max(self._seconds, WORTH / TOGETHER)))
 
     def _landed(
         self,

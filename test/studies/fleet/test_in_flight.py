@@ -37,7 +37,7 @@ class Slow(Executor):
 
 @pytest.fixture
 def one_by_one(monkeypatch):
-    monkeypatch.setattr(in_flight, 'WORTH', 0.0)
+    monkeypatch.setattr(in_flight, 'TOGETHER', 1)
 
 
 def test_no_more_than_a_bound_is_under_way(one_by_one):
