@@ -170,6 +170,7 @@ class _Fleet:
         tell: Tell,
     ) -> None:
         self._bags, self._models, self._by = bags, models, machine_by
+        self._places = [str(bag.path.absolute()) for bag in bags]
         self._cache, self._table, self._tell = cache, table, tell
         self._hashes: list[str | None] = [None] * len(bags)
         self._lost: dict[int, Judged] = {}  # what is not for the cache
@@ -186,7 +187,7 @@ class _Fleet:
             except OSError:
                 unknown.append(at)  # who reads it says why it cannot be read
                 continue
-            self._hashes[at] = self._cache.content_of(_place(bag), files)
+            self._hashes[at] = self._cache.content_of(self._places[at], files)
             known = self._known(at)
             if known is not None and self._written == at:
                 self._write(at, known)
@@ -220,7 +221,7 @@ class _Fleet:
     def _tasks(self, numbers: Sequence[int], only_hash: bool = False) -> Iterator[Task]:
         for at in numbers:
             bag = self._bags[at]
-            yield Task(at, _place(bag), bag.name, self._models, self._by, only_hash)
+            yield Task(at, self._places[at], bag.name, self._models, self._by, only_hash)
 
     def _known(self, at: int) -> Known | None:
         """Return what the cache has of a bag; None unless that is all that is wanted."""
@@ -241,7 +242,7 @@ class _Fleet:
         None stands for the model of a machine that none is for.
         """
         for namespace in facts.get('machines', ()):
-            machine = machine_name(namespace, _place(self._bags[at]), self._by)
+            machine = machine_name(namespace, self._places[at], self._by)
             fitting = [model for model in self._models if model.fits(machine)]
             if not fitting:
                 yield namespace, machine, None
@@ -280,7 +281,7 @@ class _Fleet:
         }
         rows: list[Row] = []
         if 'problem' in facts:
-            machine = machine_name('', _place(bag), 'folder')
+            machine = machine_name('', self._places[at], 'folder')
             problem = _renamed(facts, bag)
             rows.append({**common, 'machine': machine, 'problem': problem})
             self.summary.problems.append(Problem(bag.name, problem))
@@ -325,10 +326,6 @@ def _renamed(document: Document, bag: NamedBag) -> str:
         text = text.replace(f'run {document["name"]!r}', f'run {bag.name!r}')
         text = text.replace(document['path'], str(bag.path))
     return text
-
-
-def _place(bag: NamedBag) -> str:
-    return str(bag.path.absolute())
 
 
 def _model_files(places: Sequence[Path]) -> Iterator[tuple[Path, str | None]]:
