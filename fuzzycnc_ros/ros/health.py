@@ -56,10 +56,12 @@ def input_health(merger: Merger, now: int) -> list[Health]:
             text += f'; {meaning}' if meaning else ''
             items.append(Health(declared.name, level, text, values))
         elif count.dropped or count.late:
-            text = (
-                f'dropped {count.dropped} messages that were not newer than the one before and '
-                f'{count.late} that came too late'
-            )
+            kinds = {
+                'were not newer than the one before': count.dropped,
+                'came too late': count.late,
+            }
+            parts = [f'{number} that {what}' for what, number in kinds.items() if number]
+            text = f'messages dropped since the start: {", ".join(parts)}'
             items.append(Health(declared.name, Level.WARN, text, values))
         else:
             items.append(Health(declared.name, Level.OK, 'in time', values))

@@ -87,3 +87,14 @@ def test_outage_does_not_become_usual():
         merger.push('compensation_applied', applied(time, (0.0, 5e-6)))
     assert read_back(merger, 7300.0).level is Level.OK
     assert read_back(merger, 7260.0 + 10 * 60.0).level is Level.ERROR
+
+
+def test_dropped_messages_are_told_by_what_was_wrong_with_them():
+    merger = Merger(Compensator())
+    for time in (0.2, 0.4, 0.4):
+        merger.push('compensation_applied', applied(time))
+    item = read_back(merger, 0.4)
+    assert item.level is Level.WARN
+    assert item.message == (
+        'messages dropped since the start: 1 that were not newer than the one before'
+    )

@@ -537,6 +537,10 @@ class MachineView:
             predicted = value_of(error.axis, error.error, axis)
             deviation = value_of(error.axis, error.standard_deviation, axis)
         trend, approach = self._trends.get(axis), self._approaches.get(axis)
+        arrow = 'steady' if trend is None else trend.arrow
+        stable_in = None if approach is None else approach.stable_in
+        if stable_in == 0.0 and arrow != 'steady':
+            stable_in = None  # what moves is not stable, however near its end the curve says it is
         probe = self._probes.get(axis)
         return {
             'axis': visible(axis),
@@ -549,12 +553,12 @@ class MachineView:
             'limit': limit,
             'share': None if limit is None or shown is None else abs(shown) / limit,
             'rate': None if trend is None else trend.rate,
-            'arrow': 'steady' if trend is None else trend.arrow,
+            'arrow': arrow,
             'predicted': predicted,
             'band': None if deviation is None else 2.0 * deviation,
             'limited': limited,
             'probe': None if probe is None else self._probe(*probe),
-            'stable_in': None if approach is None else approach.stable_in,
+            'stable_in': stable_in,
         }
 
     def _probe(self, stamp: int, measured: float, predicted: float | None) -> dict[str, Any]:

@@ -295,6 +295,19 @@ def test_a_reached_limit_is_shown():
     assert document(view, 1.0)['axes'][0]['limited'] == ['clamp']
 
 
+@pytest.mark.parametrize(('rate', 'stable_in'), [(0.0, 0.0), (4e-9, None)])
+def test_what_moves_is_not_called_stable(rate, stable_in):
+    """For an hour all of it lies within a micrometre of where it will end."""
+    view = running()
+    for second in range(0, 3600, 10):
+        view.take('thermal_error', error(second), 0.0)
+        moved = -3e-6 - rate * max(0, second - 3400)
+        view.take('compensation_applied', applied(second, moved), 0.0)
+    (axis,) = document(view)['axes']
+    assert (axis['arrow'] == 'steady') == (rate == 0.0)
+    assert axis['stable_in'] == stable_in
+
+
 def test_alarms_have_cause_remedy_and_since():
     view = running()
     view.take_health(
