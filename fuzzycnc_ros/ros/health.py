@@ -16,6 +16,9 @@ from fuzzycnc_ros.runtime.records import SECOND
 LATE_FACTOR = 3.0
 """An input is late when it is silent for this many of its own intervals: slow is not late."""
 
+REMEMBERED = 3600.0
+"""Machine time [s] for which messages that were dropped or late are a warning."""
+
 
 def input_health(merger: Merger, now: int) -> list[Health]:
     """Say which stream inputs are late or lose records, and which of all got nonsense.
@@ -55,13 +58,10 @@ def input_health(merger: Merger, now: int) -> list[Health]:
             text = f'late: newest is {age:.1f} s old, usual interval {usual:.1f} s'
             text += f'; {meaning}' if meaning else ''
             items.append(Health(declared.name, level, text, values))
-        elif count.dropped or count.late:
-            kinds = {
-                'were not newer than the one before': count.dropped,
-                'came too late': count.late,
-            }
-            parts = [f'{number} that {what}' for what, number in kinds.items() if number]
-            text = f'messages dropped since the start: {", ".join(parts)}'
+        elif count.amiss_at is not None and now - count.amiss_at < round(REMEMBERED * SECOND):
+            kinds = {'not newer than the one before': count.dropped, 'too late': count.late}
+            parts = [f'{number} {what}' for what, number in kinds.items() if number]
+            text = f'messages since the start: {", ".join(parts)}'
             items.append(Health(declared.name, Level.WARN, text, values))
         else:
             items.append(Health(declared.name, Level.OK, 'in time', values))

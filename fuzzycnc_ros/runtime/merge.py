@@ -115,6 +115,8 @@ class InputCount:
     """Why the newest record was refused; empty if it was not."""
     late: int = 0
     """Records that came after the component had worked past their stamp; a driving one is lost."""
+    amiss_at: int | None = None
+    """When a record was dropped or late last [ns]."""
     newest: int | None = None
     """Newest stamp seen [ns]."""
     last: Record | None = None
@@ -163,6 +165,7 @@ class Merger:
             # set anew before machine time moves.
             if name not in self._latched or record.stamp < count.newest:
                 count.dropped += 1
+                count.amiss_at = self.time
                 return False
         if count.newest is not None:
             gap, usual = record.stamp - count.newest, count.interval
@@ -172,6 +175,7 @@ class Merger:
         count.newest, count.last = record.stamp, record
         if record.stamp < self.time and name not in self._latched:
             count.late += 1
+            count.amiss_at = self.time
             if self._ranks[name] == _DRIVING_RANK:
                 # What it would cause lies before what has been published already.
                 return False

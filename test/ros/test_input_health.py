@@ -89,12 +89,16 @@ def test_outage_does_not_become_usual():
     assert read_back(merger, 7260.0 + 10 * 60.0).level is Level.ERROR
 
 
-def test_dropped_messages_are_told_by_what_was_wrong_with_them():
+def test_dropped_messages_are_a_warning_for_an_hour():
     merger = Merger(Compensator())
-    for time in (0.2, 0.4, 0.4):
+    for time in (60.0, 120.0, 120.0):
         merger.push('compensation_applied', applied(time))
-    item = read_back(merger, 0.4)
+        merger.advance(round(time * SECOND))
+    item = read_back(merger, 130.0)
     assert item.level is Level.WARN
-    assert item.message == (
-        'messages dropped since the start: 1 that were not newer than the one before'
-    )
+    assert item.message == 'messages since the start: 1 not newer than the one before'
+    for time in range(180, 3900, 60):
+        merger.push('compensation_applied', applied(time))
+    item = read_back(merger, 3800.0)
+    assert (item.level, item.message) == (Level.OK, 'in time')
+    assert item.values['dropped'] == '1'

@@ -174,7 +174,8 @@ class InFlight(Generic[Item, Result]):
             except crew.killed:
                 if len(pieces) == 1:
                     yield pieces[0], Killed()
-                self._suspects.extend(pieces[1:] and pieces)  # one of them ended its process
+                else:
+                    self._suspects.extend(pieces)  # one of them ended its process
             else:
                 self._learn(seconds / len(pieces))
                 yield from zip(pieces, results, strict=True)
