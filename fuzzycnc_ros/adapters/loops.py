@@ -4,6 +4,7 @@
 
 import asyncio
 import contextlib
+import socket
 import threading
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
@@ -12,7 +13,7 @@ T = TypeVar('T')
 
 
 class ConnectionLoop(asyncio.SelectorEventLoop):
-    """An event loop that ends its tasks and drops its connections when it is closed.
+    """An event loop that ends its tasks, servers and connections when it is closed.
 
     asyncio leaves open what nobody closed: a client that was accepted while its server stopped, a
     connection that was made while its caller lost patience.
@@ -21,6 +22,7 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
     def __init__(self) -> None:
         super().__init__()
         self._connections: list[asyncio.Transport] = []
+        self._listening: list[socket.socket] = []
         # What a protocol's callback could not make sense of ends its connection, which is
         # reported; asyncio would write a traceback for each.
         self.set_exception_handler(lambda loop, context: None)
@@ -32,13 +34,26 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
         self._connections.append(made)
         return made
 
+    def _start_serving(
+        self, protocol_factory: Any, sock: socket.socket, *args: Any, **options: Any
+    ) -> None:
+        self._listening = [item for item in self._listening if item.fileno() >= 0]
+        self._listening.append(sock)
+        super()._start_serving(protocol_factory, sock, *args, **options)  # type: ignore[misc]
+
     def close(self) -> None:
-        """End all tasks and connections, then the loop, which must not run."""
+        """End all tasks, servers and connections, then the loop, which must not run."""
         if not self.is_closed():
             self.run_until_complete(self._let_go())
         super().close()
 
     async def _let_go(self) -> None:
+        for server in self._listening:
+            if server.fileno() >= 0:
+                self._stop_serving(server)  # type: ignore[attr-defined]
+        await asyncio.sleep(
+            0
+        )  # who was accepted in the last turn becomes a connection in this one
         tasks = asyncio.all_tasks() - {asyncio.current_task()}
         for task in tasks:
             task.cancel()

@@ -38,3 +38,21 @@ def test_a_connection_that_closes_but_cannot_deliver_is_dropped_as_well():
         assert all(item.fileno() >= 0 for item in accepted)
         loop.close()
         assert [item.fileno() for item in accepted] == [-1, -1]
+
+
+def test_who_connects_while_the_loop_ends_is_dropped():
+    """Nobody has taken them yet, and nobody will."""
+    loop = ConnectionLoop()
+
+    async def serve(reader, writer):
+        await reader.read()
+
+    server = loop.run_until_complete(asyncio.start_server(serve, '127.0.0.1', 0))
+    address = server.sockets[0].getsockname()
+    with contextlib.ExitStack() as stack:
+        clients = [stack.enter_context(socket.create_connection(address)) for _ in range(3)]
+        loop.close()
+        for client in clients:
+            client.settimeout(10.0)
+            with contextlib.suppress(ConnectionResetError):
+                assert client.recv(1) == b''

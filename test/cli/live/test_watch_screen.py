@@ -20,7 +20,7 @@ def offsets(value, at=0):
         slope=np.zeros(1),
         reference_position=np.zeros(1),
         slewing=np.zeros(1, bool),
-        valid_until=0,
+        valid_until=common['stamp'] + 180 * SECOND,
         source=(),
         **common,
     )
