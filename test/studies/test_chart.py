@@ -132,6 +132,7 @@ def test_a_series_with_an_x_of_its_own_is_thinned_too():
 
 def test_on_paper_each_of_many_series_keeps_its_own_course():
     """A saw-tooth of an hour in two days, one of sixteen, each shifted against the others."""
+    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
     hours = np.linspace(0.0, 48.0, 7000)
     teeth = [Series(f't{n}', (hours + n / 16.0) % 1.0, AFTER) for n in range(16)]
     with plot_style():
