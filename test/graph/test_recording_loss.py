@@ -75,12 +75,12 @@ from fuzzycnc_ros.nodes import recorder
 from fuzzycnc_ros.ros import processes
 close, interrupt = BagWriter.close, processes.interrupt
 def slow(writer):
-    os.write(1, b'closing\n')
+    os.write(1, b'closing\\n')
     while not os.path.exists(os.environ['ROOM']):
         time.sleep(0.01)
     close(writer)
 def hear():
-    os.write(1, b'wished\n')  # a handler of signals must not print
+    os.write(1, b'wished\\n')  # a handler of signals must not print
     interrupt()
 BagWriter.close, processes.interrupt = slow, hear
 processes.ONE_WISH = 0.0  # each signal is a wish of its own

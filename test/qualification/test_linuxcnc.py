@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from equipment.bridge_rig import ACTIVATE, CONFIGURE, DEACTIVATE, MICRON, BridgeRig
 from equipment.linuxcnc_machine import LinuxcncMachine, exclusive
+from processes import KEPT
 
 from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.records import (
@@ -254,7 +255,8 @@ def test_killed_bridge_leaves_no_offset_and_a_new_one_goes_on(rig):
         rig.observer.spin_for(0.05)
 
 
-def test_linuxcnc_ends_and_comes_back(rig):
+def test_linuxcnc_ends_and_comes_back(rig, monkeypatch):
+    monkeypatch.setenv(*KEPT.split('='))  # what is started here ends with the file, not the test
     rig.start()
     rig.settle((0, 0, 25))
     rig.controller.end()

@@ -22,7 +22,7 @@ MARK = f'FUZZYCNC_TEST={uuid.uuid4().hex}'
 """Environment of everything that this process and its descendants start."""
 os.environ.update([MARK.split('=')])
 KEPT = 'FUZZYCNC_TEST_KEPT=1'
-"""Environment of what a fixture of all tests starts and ends, and no single test."""
+"""Environment of what a fixture of many tests ends, and no single test."""
 
 _strangers: set[int] = set()
 _seen_once: set[int] = set()
