@@ -51,9 +51,8 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
         for server in self._listening:
             if server.fileno() >= 0:
                 self._stop_serving(server)  # type: ignore[attr-defined]
-        await asyncio.sleep(
-            0
-        )  # who was accepted in the last turn becomes a connection in this one
+        # Who was accepted in the last turn becomes a connection in this one.
+        await asyncio.sleep(0)
         tasks = asyncio.all_tasks() - {asyncio.current_task()}
         for task in tasks:
             task.cancel()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import KEPT, MARK, command_line, wait_for
+from processes import KEPT, command_line, wait_for
 
 BROWSER, DRIVER = 'chromium', 'chromedriver'
 FLAGS = (
@@ -43,9 +43,7 @@ def chromium(profile: Path) -> Iterator[Any]:
         options.add_argument(flag)
     options.set_capability('goog:loggingPrefs', {'browser': 'ALL', 'performance': 'ALL'})
     # Its processes come and go while tests run: they are looked after here, not by each test.
-    mark = MARK.partition('=')[0]
-    environment = {name: value for name, value in os.environ.items() if name != mark}
-    environment.update([KEPT.split('=')])
+    environment = os.environ | dict([KEPT.split('=')])
     service = webdriver.ChromeService(paths[1], env=environment)
     driver = webdriver.Chrome(options=options, service=service)
     try:

@@ -473,6 +473,9 @@ class MachineView:
             why = visible(reason) if reason and said == state else _STATE_WORDS.get(known, state)
             if known in _IN_FORCE:
                 state, why = self._in_force(state, why)
+        applied = self._newest.get('compensation_applied')
+        if state != 'refused' and applied is not None and applied.status == AppliedStatus.REFUSED:
+            why += f'; the machine refuses offsets: {visible(applied.reason)}'
         mode = 'unknown'
         if machine is not None:
             mode = {

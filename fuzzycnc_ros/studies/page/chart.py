@@ -210,11 +210,6 @@ class Panel:
                     f'many as there are of x, but found {len(item.y)}'
                 )
 
-    def apart(self) -> 'Panel':
-        """Return the panel with an x for each series, so that each is thinned by itself."""
-        series = [item if item.x is not None else replace(item, x=self.x) for item in self.series]
-        return replace(self, series=series)
-
     def thinned(self, most: int) -> 'Panel':
         """Return the panel with no more than about `most` of its rows.
 

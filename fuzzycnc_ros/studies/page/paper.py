@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A declared figure on paper, and where scripts do not run: drawn by matplotlib."""
 
+from dataclasses import replace
 from math import ceil
 from typing import Any
 
@@ -63,7 +64,9 @@ def plain_ticks(axis: Any, low: float, high: float, every: tuple[int, ...] = (1,
 
 def draw_panel(axes: Any, panel: Panel, x_axis: Axis, most: int = ROWS) -> dict[str, Any]:
     """Draw a panel into axes, each series in `most` rows; return what its legend names."""
-    panel = panel.apart().thinned(most)
+    # With an x of its own each series keeps its own extremes.
+    apart = [replace(item, x=panel.x) if item.x is None else item for item in panel.series]
+    panel = replace(panel, series=apart).thinned(most)
     handles: dict[str, Any] = {}
     axes.set_title(panel.title)
     axes.set_ylabel(panel.y_axis.label)

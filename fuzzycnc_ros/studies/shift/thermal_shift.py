@@ -214,9 +214,7 @@ def shift_components(
     *,
     faults: Sequence[str] = (),
     parameters: Parameters | None = None,
-) -> tuple[
-    SimulatedMachine, TemperatureAcquisition, SensorSelector, ThermalPredictor, Compensator
-]:
+) -> ShiftComponents:
     """Return the components of a shift, all of whose settings are checked then.
 
     Parameters

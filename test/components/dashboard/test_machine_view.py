@@ -264,6 +264,10 @@ def test_what_the_machine_refuses_is_told():
     state = document(view, 1.0)['state']
     assert state['compensation'] == 'refused'
     assert 'refuses offsets: epoch' in state['why']
+    view.take('compensation', compensation(2, state=CompensationState.INACTIVE), 2.0)
+    state = document(view, 2.0)['state']
+    assert state['compensation'] == 'inactive'
+    assert 'not activated; the machine refuses offsets: epoch' in state['why']
 
 
 def test_a_compensator_that_hangs_is_not_active():

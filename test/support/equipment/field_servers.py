@@ -5,6 +5,7 @@
 import asyncio
 import contextlib
 import ssl
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -129,7 +130,7 @@ class OpcUaServer:
         return value if isinstance(value, ua.DataValue) else ua.DataValue(ua.Variant(value))
 
 
-class LocalServer:
+class LocalServer(ABC):
     """A server of streams on a free port, which it has again when it is started again."""
 
     def __init__(self, tls: ssl.SSLContext | None = None) -> None:
@@ -146,8 +147,9 @@ class LocalServer:
         for writer in list(self._writers):
             writer.transport.abort()
 
+    @abstractmethod
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        raise NotImplementedError
+        """Serve a client."""
 
 
 class Route(LocalServer):
