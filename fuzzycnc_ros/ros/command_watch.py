@@ -18,14 +18,14 @@ from dataclasses import dataclass
 from rclpy.node import Node
 
 from fuzzycnc_ros.ros.clocks import wall_timer
+from fuzzycnc_ros.ros.processes import LEASE
 
 PERIOD = 0.2
 """Wall time [s] between two looks at the graph."""
 SETTLED = 3
 """Looks at which the same publishers must have been seen."""
-LEASE = 25.0
-"""Wall time [s] after which a killed node is gone from the graph, with room to spare; the shipped
-discovery profile says 20 s, as Fast DDS does by itself."""
+GONE = LEASE + 5.0
+"""Wall time [s] after which a killed node is gone from the graph, with room to spare."""
 _UNKNOWN = 'UNKNOWN_'
 
 
@@ -115,7 +115,7 @@ class TopicSources:
         # All but one may be dead: then the numbers begin anew once for each.
         speaking = self._returns >= len(names)
         different = len({item.node for item in publishers if item.known}) > 1
-        lasting = now - self._since > LEASE
+        lasting = now - self._since > GONE
         sure = speaking or lasting or (different and self._looks >= SETTLED)
         return names if sure else None
 

@@ -140,7 +140,7 @@ class WatchedMachine:
     def look(self, present: set[str]) -> None:
         """Take which nodes are in the graph, and which have ended.
 
-        The graph shows a node that was killed for 20 s more; where its process lived on this
+        The graph shows a node that was killed for two minutes; where its process lived on this
         computer, the name that it holds tells at once.
         """
         machine, view = self.view.machine, self.view

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which nodes are alive on this computer: each holds a name in the kernel while its process lives.
 
-What the graph shows is late: a node is found after a while, and a killed one stays for 20 s.  And
-it shows nothing of another user, whose shared memory the middleware cannot write.  The kernel
-knows at once, whoever asks, and releases the names of a process whatever ended it.  The names are
-addresses of sockets that nobody sends to: abstract ones, which lie in no folder, so that no
-permission, `TMPDIR` or `XDG_RUNTIME_DIR` hides them.  Like the middleware's ports they are those
-of a network name space.
+What the graph shows is late: a node is found after a while, and a killed one stays for two
+minutes.  And it shows nothing of another user, whose shared memory the middleware cannot write.
+The kernel knows at once, whoever asks, and releases the names of a process whatever ended it.
+The names are addresses of sockets that nobody sends to: abstract ones, which lie in no folder, so
+that no permission, `TMPDIR` or `XDG_RUNTIME_DIR` hides them.  Like the middleware's ports they are
+those of a network name space.
 
 Who starts a graph looks at it whole and holds the names of its nodes.  So what it starts does not
 look again: it is told so by the environment (`TAKEOVER`).

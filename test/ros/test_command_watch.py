@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Who commands: restarted nodes, and two sources of one topic."""
 
+from xml.etree import ElementTree
+
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
 
-from fuzzycnc_ros.ros.command_watch import LEASE, SETTLED, Publisher, TopicSources
+from fuzzycnc_ros.ros.command_watch import GONE, SETTLED, Publisher, TopicSources
+from fuzzycnc_ros.ros.processes import DISCOVERY_PROFILE, LEASE
 
 pytestmark = pytest.mark.ros
 
@@ -39,7 +42,7 @@ def test_restarted_node_is_one_source(again):
     """Until its lease runs out the graph shows the dead one too."""
     sources = TopicSources()
     looks(sources, [A], 5.0, numbers=range(50, 75))
-    assert looks(sources, [A, again], 5.0 + LEASE - 1.0, 5.0, numbers=range(1, 60)) is None
+    assert looks(sources, [A, again], 5.0 + GONE - 1.0, 5.0, numbers=range(1, 60)) is None
     assert looks(sources, [A], 40.0, 30.0) == ()
 
 
@@ -66,8 +69,8 @@ def test_two_restarts_in_a_row_are_still_one_source():
 
 def test_two_of_one_name_that_outlast_the_lease_are_two_sources():
     sources = TopicSources()
-    assert looks(sources, [A, A], LEASE - 1.0) is None
-    assert looks(sources, [A, A], LEASE + 1.0, LEASE - 1.0) == (A, A)
+    assert looks(sources, [A, A], GONE - 1.0) is None
+    assert looks(sources, [A, A], GONE + 1.0, GONE - 1.0) == (A, A)
 
 
 @pytest.fixture
@@ -123,3 +126,9 @@ def test_lost_messages_and_a_number_that_was_taken_lock_nobody_out(followed):
     assert followed.heard(12, lambda: [OWNER])
     assert not followed.heard(13, lambda: [OWNER])
     assert not followed.heard(14, lambda: [OWNER])
+
+
+def test_the_lease_is_what_the_shipped_profile_says():
+    profile = ElementTree.parse(DISCOVERY_PROFILE)
+    (seconds,) = profile.iterfind('.//{*}leaseDuration/{*}sec')
+    assert float(seconds.text) == LEASE

@@ -41,8 +41,8 @@ def check_free(monitor: 'Monitor', presence: Presence, plans: Mapping[str, Plan]
     """Refuse to start nodes beside others of the same name, or beside another machine.
 
     On this computer those count whose processes live; this command is one of them from here on.
-    Elsewhere, who is in the graph only may be dead: what was killed stays there for 20 s more.  So
-    those count that go on speaking.
+    Elsewhere, who is in the graph only may be dead: what was killed stays there for two minutes.
+    So those count that go on speaking.
 
     Parameters
     ----------
