@@ -18,14 +18,14 @@ from dataclasses import dataclass
 from rclpy.node import Node
 
 from fuzzycnc_ros.ros.clocks import wall_timer
-from fuzzycnc_ros.ros.processes import LEASE
 
 PERIOD = 0.2
 """Wall time [s] between two looks at the graph."""
 SETTLED = 3
 """Looks at which the same publishers must have been seen."""
-GONE = LEASE + 5.0
-"""Wall time [s] after which a killed node is gone from the graph, with room to spare."""
+GONE = 125.0
+"""Wall time [s] after which a killed node is gone from the graph, with room to spare; the lease of
+the shipped discovery profile is 120 s."""
 _UNKNOWN = 'UNKNOWN_'
 
 

@@ -22,9 +22,6 @@ from typing import NoReturn
 from fuzzycnc_ros.uninterrupted import Interrupted, interrupt
 
 DISCOVERY_PROFILE = Path(__file__).with_name('quick_discovery.xml')
-LEASE = 120.0
-"""Wall time [s] after which nodes give up one that stands still or was killed: the lease of the
-profile.  If it goes on later, not all of them need hear it again."""
 
 
 RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
 
 from fuzzycnc_ros.ros.command_watch import GONE, SETTLED, Publisher, TopicSources
-from fuzzycnc_ros.ros.processes import DISCOVERY_PROFILE, LEASE
+from fuzzycnc_ros.ros.processes import DISCOVERY_PROFILE
 
 pytestmark = pytest.mark.ros
 
@@ -43,7 +43,7 @@ def test_restarted_node_is_one_source(again):
     sources = TopicSources()
     looks(sources, [A], 5.0, numbers=range(50, 75))
     assert looks(sources, [A, again], 5.0 + GONE - 1.0, 5.0, numbers=range(1, 60)) is None
-    assert looks(sources, [A], 40.0, 30.0) == ()
+    assert looks(sources, [A], 15.0 + GONE, 5.0 + GONE) == ()
 
 
 @pytest.mark.parametrize('again', [A, UNKNOWN])
@@ -128,7 +128,7 @@ def test_lost_messages_and_a_number_that_was_taken_lock_nobody_out(followed):
     assert not followed.heard(14, lambda: [OWNER])
 
 
-def test_the_lease_is_what_the_shipped_profile_says():
+def test_a_killed_node_is_gone_soon_after_the_lease_of_the_shipped_profile():
     profile = ElementTree.parse(DISCOVERY_PROFILE)
     (seconds,) = profile.iterfind('.//{*}leaseDuration/{*}sec')
-    assert float(seconds.text) == LEASE
+    assert float(seconds.text) == GONE - 5.0
