@@ -184,7 +184,7 @@ def parameter_files(folder: Path | None, named: str = '') -> list[Path]:
 
 @dataclass(frozen=True)
 class RestartPolicy:
-    """When a node that died is started again.
+    """When a node that died or hangs is started again.
 
     Attributes
     ----------
@@ -194,12 +194,16 @@ class RestartPolicy:
         Restarts within `window` after which a node is given up.
     window : float
         Wall time [s] that restarts count for.
+    silence_max : float
+        Wall time [s] without a word from a node, while others are heard, after which it is ended
+        and started anew: the lease of the shipped discovery profile.
     """
 
     delay: float = 0.5
     delay_max: float = 30.0
     restarts_max: int = 5
     window: float = 120.0
+    silence_max: float = 120.0
 
     def delay_after(self, begun: Sequence[float], now: float) -> float | None:
         """Return how long to wait before a node is started anew; None if it is given up.

@@ -1,14 +1,16 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""`fuzzycnc up` whose nodes stand still for a minute each, with compensation at work."""
+"""`fuzzycnc up` whose nodes stand still for a minute each or longer, with compensation at work."""
 
 import os
 import signal
+from contextlib import suppress
 
 import numpy as np
 import pytest
 from supervised_shift import Up, check_steps
 
+from fuzzycnc_ros.ros.bring_up import NODE_STOP, RestartPolicy
 from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
 
 pytestmark = [pytest.mark.ros, pytest.mark.qualify, pytest.mark.realtime]
@@ -17,8 +19,8 @@ RATE = 20.0
 """Machine time per wall time: a stop is 20 min of the machine."""
 STOP = 60.0
 """Wall time of a stop [s]."""
-SETTLED = 10.0
-"""The same from the stop of what moves nothing until nothing has moved [s]."""
+HANG = RestartPolicy.silence_max + NODE_STOP + 5.0
+"""Wall time of a stop [s] in which a node is asked to end, and killed."""
 
 
 @pytest.fixture
@@ -29,18 +31,25 @@ def supervised(graph, observer, model_file, tmp_path):
     return Up(graph, observer, model_file, folder, RATE, '--page=0')
 
 
-def stopped(supervised, observer, *nodes):
-    """Stop nodes for a minute; return what was told and applied in the meantime."""
-    told, applied = len(supervised.told), len(supervised.applied)
-    output = len(supervised.process.output)
+def stand_still(supervised, observer, duration, *nodes):
+    """Stop nodes for some wall time [s]; return who was stopped."""
     pids = [supervised.pid(node) for node in nodes]
     for pid in pids:
         os.kill(pid, signal.SIGSTOP)
     try:
-        observer.spin_for(STOP)
+        observer.spin_for(duration)
     finally:
         for pid in pids:
-            os.kill(pid, signal.SIGCONT)
+            with suppress(ProcessLookupError):  # it was ended meanwhile
+                os.kill(pid, signal.SIGCONT)
+    return pids
+
+
+def stopped(supervised, observer, *nodes):
+    """Stop nodes for a minute; return what was told and applied in the meantime."""
+    told, applied = len(supervised.told), len(supervised.applied)
+    output = len(supervised.process.output)
+    stand_still(supervised, observer, STOP, *nodes)
     named = supervised.process.output[output:]
     assert all(f'{node}: silent' in named for node in nodes), named
     return supervised.told[told:], supervised.applied[applied:]
@@ -75,6 +84,12 @@ def test_every_node_may_stand_still_for_a_minute(supervised, observer):
 
     stopped(supervised, observer, 'simulated_machine')  # time stands still with it
     works_again()
+
+    # Who stands still for longer than nodes wait for one another is started anew.
+    (pid,) = stand_still(supervised, observer, HANG, 'compensator')
+    assert 'compensator said nothing for' in supervised.process.output
+    works_again()
+    assert supervised.pid('compensator') != pid
 
     assert supervised.process.interrupt(signal.SIGTERM) in (0, 1), supervised.process.output
     assert supervised.living() == []

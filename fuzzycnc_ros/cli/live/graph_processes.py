@@ -154,6 +154,10 @@ class GraphProcesses:
         """Return the process id of a node."""
         return self._processes[name].pid
 
+    def signal(self, name: str, number: int) -> None:
+        """Send a signal to the process of a node; how it ends then counts as its own doing."""
+        self._processes[name].send_signal(number)
+
     def log(self, name: str) -> Path:
         """Return the file with a node's output."""
         return self.folder / f'{name}.log'

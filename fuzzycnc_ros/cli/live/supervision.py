@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start nodes again that die, ever later, and give up those that keep dying."""
+"""Start nodes again that die or hang, ever later, and give up those that keep dying."""
 
 import signal
 from collections.abc import Callable, Sequence
@@ -9,11 +9,14 @@ from enum import Enum
 from typing import Protocol
 
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, node_title, process_name
-from fuzzycnc_ros.ros.bring_up import NodeSpec, RestartPolicy, again
+from fuzzycnc_ros.ros.bring_up import NodeSpec, RestartPolicy, again, stop_timeout
 from fuzzycnc_ros.ros.presence import TIME_SOURCES, GraphError
 from fuzzycnc_ros.ros.processes import REFUSED
 
 Tell = Callable[[str], None]
+
+SILENT = 5.0
+"""Wall time [s] without a word from a node, which reports every second."""
 
 
 class State(Enum):
@@ -26,10 +29,13 @@ class State(Enum):
 
 
 class Lifecycles(Protocol):
-    """What is known of managed nodes."""
+    """What is known of nodes; a lifecycle have those that are managed."""
 
     def begin(self, machine: str, node: str) -> None:
         """Forget what an earlier life of a node has said."""
+
+    def heard_at(self, machine: str, node: str) -> float:
+        """Return the wall time of a node's newest report [s]; 0 before the first of its life."""
 
     def lifecycle(self, machine: str, node: str) -> str:
         """Return the lifecycle state that a node has told last; empty if none."""
@@ -54,6 +60,9 @@ class Supervised:
         When it was started anew [s of wall time], as far back as that counts.
     restarts : int
         How often it was started anew, ever.
+    hung_at : float
+        When it was asked to end because it said nothing any more [s of wall time]; 0 if it was
+        not.
     """
 
     graph: GraphProcesses
@@ -65,6 +74,7 @@ class Supervised:
     begun: list[float] = field(default_factory=list)
     restarts: int = 0
     start_at: float = 0.0
+    hung_at: float = 0.0
     reason: str = ''
 
     @property
@@ -91,7 +101,7 @@ class Supervisor:
     tell : callable
         Told in words what happens.
     lifecycles : Lifecycles
-        Source of the states of managed nodes.
+        Source of what nodes say of themselves.
     policy : RestartPolicy, optional
         When nodes are started again.
     """
@@ -102,6 +112,8 @@ class Supervisor:
         self._tell, self._lifecycles = tell, lifecycles
         self._policy = policy or RestartPolicy()
         self.processes: list[Supervised] = []
+        self._polled_at = 0.0
+        self._listens_since = 0.0  # wall time from which on silence is that of the others [s]
 
     def start(
         self, graph: GraphProcesses, specs: Sequence[NodeSpec], *, beside: bool = False
@@ -141,11 +153,14 @@ class Supervisor:
             If a node refuses its parameters at the start, or one that makes time has failed:
             neither can be mended by starting it again.
         """
+        self._attend(now)
         for process in self.processes:
             if process.state is State.RUNNING:
                 code = process.graph.poll().get(process.name)
                 if code is not None:
                     self._ended(process, code, now)
+                elif not process.makes_time:
+                    self._end_if_it_hangs(process, now)
             elif process.state is State.WAITING and now >= process.start_at:
                 process.restarts += 1
                 process.begun.append(now)
@@ -155,17 +170,48 @@ class Supervisor:
                 )
                 self._run(process)
 
+    def _heard_at(self, process: Supervised) -> float:
+        """Return the wall time of the newest report of a process [s]; 0 before the first."""
+        machine = process.graph.machine
+        return max(self._lifecycles.heard_at(machine, spec.name) for spec in process.specs)
+
+    def _attend(self, now: float) -> None:
+        """Note since when it would hear who speaks: not while it stood still or heard nobody."""
+        newest = max(map(self._heard_at, self.processes), default=0.0)
+        if now - min(self._polled_at, newest) > SILENT:
+            self._listens_since = now
+        self._polled_at = now
+
+    def _end_if_it_hangs(self, process: Supervised, now: float) -> None:
+        """End a process of which nothing is heard any more, so that it is started anew.
+
+        Participants of the middleware give one another up in that time, and not all of them find
+        each other again: who goes on after it may be deaf to some of the others for good.
+        """
+        heard = self._heard_at(process)
+        silence = now - max(heard, self._listens_since)
+        if not heard or silence <= self._policy.silence_max:
+            return
+        if not process.hung_at:
+            process.hung_at = now
+            process.graph.signal(process.name, signal.SIGTERM)
+            self._tell(f'{process.title} said nothing for {silence:.0f} s; it is ended')
+        elif now - process.hung_at > stop_timeout(spec.name for spec in process.specs):
+            process.graph.signal(process.name, signal.SIGKILL)
+
     def _run(self, process: Supervised) -> None:
         for spec in process.specs:
             self._lifecycles.begin(process.graph.machine, spec.name)
         process.graph.start(*process.specs)
         process.state = State.RUNNING
-        process.reason = ''
+        process.reason, process.hung_at = '', 0.0
         self._tell(f'{process.title} runs as process {process.graph.pid(process.name)}')
 
     def _ended(self, process: Supervised, code: int, now: float) -> None:
         told = process.graph.last_words if code > 0 else process.graph.starved
-        process.reason = ': '.join(filter(None, (_cause(code), told(process.name))))
+        cause = 'was ended' if process.hung_at and not code else _cause(code)
+        cause = f'said nothing any more and {cause}' if process.hung_at else cause
+        process.reason = ': '.join(filter(None, (cause, told(process.name))))
         process.ends.append(process.reason)
         if process.makes_time:
             if code:

@@ -13,14 +13,13 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from fuzzycnc_ros import nodes
 from fuzzycnc_ros.cli.live.operator_client import Operator
+from fuzzycnc_ros.cli.live.supervision import SILENT
 from fuzzycnc_ros.ros.presence import lives
 from fuzzycnc_ros.ros.topics import create_subscription, message_class, subscription_qos
 from fuzzycnc_ros.runtime.component import Durability, Level
 from fuzzycnc_ros.runtime.host import NodeConfiguration
 from fuzzycnc_ros.runtime.records import Record
 
-SILENT = 5.0
-"""Wall time [s] without a word from a node, which reports every second."""
 FIRST_HEARD = 8.0
 """Wall time [s] after which a machine of which nothing was heard has no nodes."""
 DISCOVERED = 0.5
@@ -141,6 +140,10 @@ class Monitor:
     def begin(self, machine: str, node: str) -> None:
         """Forget what an earlier life of a node has said."""
         self.views[machine, node] = NodeView()
+
+    def heard_at(self, machine: str, node: str) -> float:
+        """Return the wall time of a node's newest report [s]; 0 before the first of its life."""
+        return self.view(machine, node).heard_at
 
     def lifecycle(self, machine: str, node: str) -> str:
         """Return the lifecycle state that a node has told last; empty if none."""

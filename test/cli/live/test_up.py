@@ -5,6 +5,7 @@
 import io
 import math
 import os
+import signal
 import threading
 from pathlib import Path
 
@@ -18,11 +19,17 @@ from fuzzycnc_ros.cli.live.supervision import State, Supervisor
 from fuzzycnc_ros.cli.live.supervision_view import View, row, table
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros import bring_up, processes
-from fuzzycnc_ros.ros.bring_up import THERMAL, NodeSpec, RestartPolicy, node_specs
+from fuzzycnc_ros.ros.bring_up import (
+    RECORDER_STOP,
+    THERMAL,
+    NodeSpec,
+    RestartPolicy,
+    node_specs,
+)
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.runtime.component import Level
 
-POLICY = RestartPolicy(delay=0.5, delay_max=4.0, restarts_max=5, window=100.0)
+POLICY = RestartPolicy(delay=0.5, delay_max=4.0, restarts_max=5, window=100.0, silence_max=60.0)
 
 
 class Processes:
@@ -32,6 +39,10 @@ class Processes:
         self.machine = machine
         self.started = []
         self.codes = {}
+        self.signals = []
+
+    def signal(self, name, number):
+        self.signals.append((name, number))
 
     def start(self, *specs):
         self.started.append(specs)
@@ -56,6 +67,10 @@ class Lifecycles:
     def __init__(self):
         self.states = {}
         self.active = set()
+        self.heard = {}
+
+    def heard_at(self, machine, node):
+        return self.heard.get(node, 0.0)
 
     def say(self, node, state):
         self.states[node] = state
@@ -65,6 +80,7 @@ class Lifecycles:
     def begin(self, machine, node):
         self.states.pop(node, None)
         self.active.discard(node)
+        self.heard.pop(node, None)
 
     def lifecycle(self, machine, node):
         return self.states.get(node, '')
@@ -82,6 +98,13 @@ class Bench:
         self.supervisor = Supervisor(self.said.append, self.lifecycles, POLICY)
         self.processes = [self.supervisor.start(self.graph, [spec]) for spec in specs]
         self.now = 0.0
+
+    def listen(self, duration, *nodes):
+        """Let time pass in which some nodes report every second [s]."""
+        for _ in range(round(duration)):
+            self.now += 1.0
+            self.lifecycles.heard.update(dict.fromkeys(nodes, self.now))
+            self.supervisor.poll(self.now)
 
     def end(self, name, code, after=0.0):
         """Let a process end; return when it is started again, None if it is not."""
@@ -170,6 +193,51 @@ def test_run_is_over_with_the_machine_and_fails_with_it():
     bench = Bench(NodeSpec('compensator'), NodeSpec('simulated_machine'))
     with pytest.raises(GraphError, match='mill/simulated_machine was killed by SIGKILL'):
         bench.end('simulated_machine', -9)
+
+
+def test_node_that_says_nothing_any_more_is_started_anew():
+    """Asked first, killed if it stands still; it is named with what was the matter."""
+    bench = Bench(NodeSpec('compensator'), NodeSpec('recorder', {'output': 'bag'}))
+    bench.listen(10, 'compensator', 'recorder')
+    bench.listen(60, 'compensator')
+    assert bench.graph.signals == []
+    bench.listen(2, 'compensator')
+    assert bench.graph.signals == [('recorder', signal.SIGTERM)]
+    assert bench.said[-1] == 'mill/recorder said nothing for 61 s; it is ended'
+    bench.listen(RECORDER_STOP - 1, 'compensator')
+    assert len(bench.graph.signals) == 1
+    bench.listen(1, 'compensator')
+    assert bench.graph.signals[1:] == [('recorder', signal.SIGKILL)]
+    assert bench.end('recorder', -9) == 0.5
+    assert 'mill/recorder said nothing any more and was killed by SIGKILL; ' in bench.said[-2]
+    # Until it has spoken in its new life nothing is known of it.
+    bench.listen(200, 'compensator')
+    assert len(bench.graph.signals) == 2
+    bench.listen(1, 'recorder')
+    bench.listen(61, 'compensator')
+    assert bench.graph.signals[2:] == [('recorder', signal.SIGTERM)]
+    assert bench.end('recorder', 0) == 0.5  # the last restart was long ago
+    assert 'mill/recorder said nothing any more and was ended; starts again' in bench.said[-2]
+
+
+def test_who_stood_still_itself_ends_nobody():
+    """Nor does who hears nobody: the network may be down, or all of them may stand still."""
+    bench = Bench(NodeSpec('compensator'), NodeSpec('thermal_predictor'))
+    bench.listen(10, 'compensator', 'thermal_predictor')
+    bench.now += 1000.0
+    bench.listen(50, 'compensator')
+    bench.listen(300)
+    bench.listen(59, 'compensator')
+    assert bench.graph.signals == []
+    bench.listen(3, 'compensator')
+    assert bench.graph.signals == [('thermal_predictor', signal.SIGTERM)]
+
+
+def test_what_makes_time_is_not_ended_for_its_silence():
+    bench = Bench(NodeSpec('compensator'), NodeSpec('simulated_machine'))
+    bench.listen(10, 'compensator', 'simulated_machine')
+    bench.listen(200, 'compensator')
+    assert bench.graph.signals == []
 
 
 def test_without_a_machine_the_run_is_over_when_all_are_given_up():

@@ -53,6 +53,10 @@ class _Lifecycles:
     def begin(self, machine: str, node: str) -> None:
         """Forget nothing."""
 
+    def heard_at(self, machine: str, node: str) -> float:
+        """Return that nothing was heard: who stands still is not ended."""
+        return 0.0
+
     def lifecycle(self, machine: str, node: str) -> str:
         """Return nothing."""
         return ''

@@ -3,7 +3,6 @@
 """Real Modbus TCP and OPC UA servers on loopback, and a route to them that fails on demand."""
 
 import asyncio
-import contextlib
 import ssl
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Coroutine
@@ -139,17 +138,34 @@ class LocalServer(ABC):
         self._writers: set[asyncio.StreamWriter] = set()
 
     async def start(self) -> None:
-        self._server = await asyncio.start_server(self._serve, LOCAL, self.port, ssl=self._tls)
+        self._server = await asyncio.start_server(self._accept, LOCAL, self.port, ssl=self._tls)
         self.port = self._server.sockets[0].getsockname()[1]
 
     async def stop(self) -> None:
         self._server.close()
         for writer in list(self._writers):
             writer.transport.abort()
+        await asyncio.sleep(0)  # a connection ends in the next turn of the loop
+
+    def _accept(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> Coroutine[Any, Any, None]:
+        """Know a client at once, also one whose task has not begun when the server stops."""
+        self._writers.add(writer)
+        return self._tend(reader, writer)
+
+    async def _tend(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            await self._serve(reader, writer)
+        except (ConnectionError, asyncio.IncompleteReadError, asyncio.CancelledError):
+            pass  # the other side has gone, or the test is over
+        finally:
+            self._writers.discard(writer)
+            writer.transport.abort()
 
     @abstractmethod
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve a client."""
+        """Serve a client, which is dropped afterwards."""
 
 
 class Route(LocalServer):
@@ -181,21 +197,15 @@ class Route(LocalServer):
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.connections += 1
-        ends = {writer}
-        self._writers.add(writer)  # whom the target refuses is dropped as well
+        there, out = await asyncio.open_connection(LOCAL, self._target.port)
+        self._writers.add(out)
         try:
-            there, out = await asyncio.open_connection(LOCAL, self._target.port)
-            ends.add(out)
-            self._writers.add(out)
             await asyncio.gather(
                 self._pass(reader, out, answers=False), self._pass(there, writer, answers=True)
             )
-        except (ConnectionError, asyncio.CancelledError):
-            pass
         finally:
-            self._writers -= ends
-            for end in ends:
-                end.transport.abort()
+            self._writers.discard(out)
+            out.transport.abort()
 
     async def _pass(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, *, answers: bool
@@ -205,8 +215,7 @@ class Route(LocalServer):
                 continue
             if answers and self.fault == 'cut':
                 writer.write(data[: self.CUT])
-                with contextlib.suppress(ConnectionError):
-                    await writer.drain()
+                await writer.drain()
                 raise ConnectionError
             if answers and self.fault == 'garble':
                 data = bytes(255 - byte for byte in data)
@@ -223,12 +232,7 @@ class HostileServer(LocalServer):
         self.asked = 0
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        try:
-            while data := await reader.read(65536):
-                self.asked += 1
-                writer.write(self._answer(data))
-                await writer.drain()
-        except (ConnectionError, asyncio.CancelledError):
-            pass
-        finally:
-            writer.transport.abort()
+        while data := await reader.read(65536):
+            self.asked += 1
+            writer.write(self._answer(data))
+            await writer.drain()

@@ -137,23 +137,16 @@ class Agent(LocalServer):
         return self._streams(begin, self.following, query)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._writers.add(writer)
-        try:
-            head = (await reader.readuntil(b'\r\n\r\n')).decode()
-            path = head.split(' ')[1]
-            self.requests.append(path)
-            if 'interval=' in path and self.streams and b'<Errors>' not in self.reply(path):
-                await self._stream(path, writer)
-            else:
-                writer.write(http(self.reply(path)))
-                await writer.drain()
-            writer.close()
-            await writer.wait_closed()
-        except (ConnectionError, asyncio.IncompleteReadError):
-            pass  # the other side has gone
-        finally:
-            self._writers.discard(writer)
-            writer.transport.abort()
+        head = (await reader.readuntil(b'\r\n\r\n')).decode()
+        path = head.split(' ')[1]
+        self.requests.append(path)
+        if 'interval=' in path and self.streams and b'<Errors>' not in self.reply(path):
+            await self._stream(path, writer)
+        else:
+            writer.write(http(self.reply(path)))
+            await writer.drain()
+        writer.close()
+        await writer.wait_closed()
 
     async def _stream(self, path: str, writer: asyncio.StreamWriter) -> None:
         query = parse_qs(urlsplit(path).query)
