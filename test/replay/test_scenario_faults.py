@@ -197,13 +197,8 @@ CHANGED = {
 """Factor on the model, and displacement [m] from that of the mill and the share of the duty."""
 
 
-@pytest.mark.parametrize(
-    'name',
-    [
-        pytest.param(name, marks=pytest.mark.slow) if 'machine' in name else name
-        for name in CHANGED
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize('name', CHANGED)
 def test_a_machine_that_has_changed_raises_the_drift_alarm(name):
     factor, changed = CHANGED[name]
     found = []

@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
 
+from fuzzycnc_ros.ros.bring_up import RestartPolicy
 from fuzzycnc_ros.ros.command_watch import GONE, SETTLED, Publisher, TopicSources
 from fuzzycnc_ros.ros.processes import DISCOVERY_PROFILE
 
@@ -128,7 +129,8 @@ def test_lost_messages_and_a_number_that_was_taken_lock_nobody_out(followed):
     assert not followed.heard(14, lambda: [OWNER])
 
 
-def test_a_killed_node_is_gone_soon_after_the_lease_of_the_shipped_profile():
+def test_what_follows_from_the_lease_of_the_shipped_profile():
+    """When a killed node is gone, and when one that hangs is ended."""
     profile = ElementTree.parse(DISCOVERY_PROFILE)
     (seconds,) = profile.iterfind('.//{*}leaseDuration/{*}sec')
-    assert float(seconds.text) == GONE - 5.0
+    assert float(seconds.text) == GONE - 5.0 == RestartPolicy.silence_max

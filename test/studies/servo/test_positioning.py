@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from tiers import rest_slow
 
 from fuzzycnc_ros.core.servo.rule_learning import learn_rules
 from fuzzycnc_ros.core.servo.rule_table import SETS
@@ -188,21 +189,18 @@ def test_stability_says_what_swings():
     assert rows['gain of the axis at which it swings, above'] == 'none'
 
 
-def test_cases_side_by_side_are_those_one_by_one():
+@pytest.mark.parametrize('name', rest_slow(('20 um', 'circle X'), 0))
+def test_cases_side_by_side_are_those_one_by_one(name):
     from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
     from fuzzycnc_ros.simulation.servo.axes import LatheAxis
     from fuzzycnc_ros.simulation.servo.positioning import position
 
-    cases, axis = servo_cases(), LatheAxis().linear()
-    for name in ('20 um', 'circle X'):
-        case = cases[name]
-        (batch,) = drive_many([CONTROLLERS['variable_universe'](axis)], [case], seed=3)
-        plant = LatheAxis(LatheAxisConfig(seed=3, **case.knobs), position=case.start)
-        alone = position(
-            CONTROLLERS['variable_universe'](axis), plant, case.reference, case.duration
-        )
-        assert len(batch.time) == len(alone.time)
-        np.testing.assert_allclose(batch.position, alone.position, atol=2e-7)
+    case, axis = servo_cases()[name], LatheAxis().linear()
+    (batch,) = drive_many([CONTROLLERS['variable_universe'](axis)], [case], seed=3)
+    plant = LatheAxis(LatheAxisConfig(seed=3, **case.knobs), position=case.start)
+    alone = position(CONTROLLERS['variable_universe'](axis), plant, case.reference, case.duration)
+    assert len(batch.time) == len(alone.time)
+    np.testing.assert_allclose(batch.position, alone.position, atol=2e-7)
 
 
 def test_the_circle_is_one():
