@@ -158,6 +158,15 @@ class GraphProcesses:
         """Send a signal to the process of a node; how it ends then counts as its own doing."""
         self._processes[name].send_signal(number)
 
+    def worked(self, name: str) -> float:
+        """Return the processor time that a process has used [s]; 0 if it has ended."""
+        try:
+            stat = Path(f'/proc/{self.pid(name)}/stat').read_text(encoding='utf-8')
+        except OSError:
+            return 0.0
+        fields = stat.rpartition(')')[2].split()  # the name before it may hold anything
+        return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+
     def log(self, name: str) -> Path:
         """Return the file with a node's output."""
         return self.folder / f'{name}.log'

@@ -17,6 +17,9 @@ Tell = Callable[[str], None]
 
 SILENT = 5.0
 """Wall time [s] without a word from a node, which reports every second."""
+COMPUTES = 0.1
+"""Share of a processor from which on a silent process is at work, as on a program of a million
+lines; the middleware's own threads need less."""
 
 
 class State(Enum):
@@ -60,6 +63,8 @@ class Supervised:
         When it was started anew [s of wall time], as far back as that counts.
     restarts : int
         How often it was started anew, ever.
+    worked : float or None
+        Processor time that it had used when it fell silent [s]; None while it speaks.
     hung_at : float
         When it was asked to end because it said nothing any more [s of wall time]; 0 if it was
         not.
@@ -74,6 +79,7 @@ class Supervised:
     begun: list[float] = field(default_factory=list)
     restarts: int = 0
     start_at: float = 0.0
+    worked: float | None = None
     hung_at: float = 0.0
     reason: str = ''
 
@@ -186,25 +192,32 @@ class Supervisor:
         """End a process of which nothing is heard any more, so that it is started anew.
 
         Participants of the middleware give one another up in that time, and not all of them find
-        each other again: who goes on after it may be deaf to some of the others for good.
+        each other again: who goes on after it may be deaf to some of the others for good.  One
+        that computes has threads that keep it known.
         """
         heard = self._heard_at(process)
         silence = now - max(heard, self._listens_since)
-        if not heard or silence <= self._policy.silence_max:
+        if not heard or silence <= SILENT:
+            process.worked = None
             return
-        if not process.hung_at:
+        if process.worked is None:
+            process.worked = process.graph.worked(process.name)
+        if silence <= self._policy.silence_max:
+            return
+        if process.hung_at:
+            if now - process.hung_at > stop_timeout(spec.name for spec in process.specs):
+                process.graph.signal(process.name, signal.SIGKILL)
+        elif process.graph.worked(process.name) - process.worked < COMPUTES * silence:
             process.hung_at = now
             process.graph.signal(process.name, signal.SIGTERM)
             self._tell(f'{process.title} said nothing for {silence:.0f} s; it is ended')
-        elif now - process.hung_at > stop_timeout(spec.name for spec in process.specs):
-            process.graph.signal(process.name, signal.SIGKILL)
 
     def _run(self, process: Supervised) -> None:
         for spec in process.specs:
             self._lifecycles.begin(process.graph.machine, spec.name)
         process.graph.start(*process.specs)
         process.state = State.RUNNING
-        process.reason, process.hung_at = '', 0.0
+        process.reason, process.worked, process.hung_at = '', None, 0.0
         self._tell(f'{process.title} runs as process {process.graph.pid(process.name)}')
 
     def _ended(self, process: Supervised, code: int, now: float) -> None:

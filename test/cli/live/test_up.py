@@ -40,6 +40,10 @@ class Processes:
         self.started = []
         self.codes = {}
         self.signals = []
+        self.time = 0.0
+
+    def worked(self, name):
+        return self.time
 
     def signal(self, name, number):
         self.signals.append((name, number))
@@ -231,6 +235,31 @@ def test_who_stood_still_itself_ends_nobody():
     assert bench.graph.signals == []
     bench.listen(3, 'compensator')
     assert bench.graph.signals == [('thermal_predictor', signal.SIGTERM)]
+
+
+def test_who_computes_is_not_ended_for_its_silence():
+    """A scheduler may have a program of a million lines; it ends its work, and hangs later."""
+    bench = Bench(NodeSpec('compensator'), NodeSpec('feedrate_scheduler'))
+    bench.listen(10, 'compensator', 'feedrate_scheduler')
+    for _ in range(200):
+        bench.listen(1, 'compensator')
+        bench.graph.time += 0.5
+    bench.listen(300, 'compensator', 'feedrate_scheduler')
+    assert bench.graph.signals == []
+    bench.listen(65, 'compensator')
+    assert bench.graph.signals == [('feedrate_scheduler', signal.SIGTERM)]
+
+
+@pytest.mark.ros
+def test_time_that_a_process_has_used_is_read(tmp_path):
+    graph = GraphProcesses('mill', folder=tmp_path)
+    with graph:
+        graph.start(NodeSpec('compensator'))
+        process = graph._processes['compensator']
+        wait_for(lambda: graph.worked('compensator') > 0.1, 'the process has computed')
+        process.kill()
+        process.wait(HANG)
+        assert graph.worked('compensator') == 0.0
 
 
 def test_what_makes_time_is_not_ended_for_its_silence():
