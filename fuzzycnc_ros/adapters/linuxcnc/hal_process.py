@@ -27,6 +27,10 @@ MODE_PERIOD = 0.05
 ARMING = 0.05
 """Time [s] for the servo thread to see an edge of the enable of its watchdog."""
 PREFIX = 'fuzzycnc'
+SERVER = 'linuxcncsvr'
+"""Process that every LinuxCNC has."""
+TOOLS = '.tool.mmap'
+"""File in the home of LinuxCNC's user without which its module tells no state."""
 
 
 def hal_memory():
@@ -36,6 +40,22 @@ def hal_memory():
         if int(key) & 0xFFFFFFFF == HAL_KEY:
             return int(number)
     return None
+
+
+def home_of_linuxcnc(processes=Path('/proc')):
+    """Return the home of who runs LinuxCNC; that of this process if nobody tells another."""
+    for process in processes.glob('[0-9]*'):
+        try:
+            if (process / 'comm').read_text().strip() != SERVER:
+                continue
+            environment = (process / 'environ').read_bytes().split(b'\0')
+        except OSError:
+            continue
+        for entry in environment:
+            name, _, value = entry.partition(b'=')
+            if name == b'HOME':
+                return os.fsdecode(value)
+    return os.path.expanduser('~')
 
 
 def begin_of(process):
@@ -175,6 +195,12 @@ class Bridge:
         except module.error as error:
             self._state = None
             raise HalError(f'LinuxCNC does not tell its state: {error}') from None
+        except SystemError:  # so its second call ends where there is no such file
+            file = Path(os.environ['HOME'], TOOLS)
+            raise HalError(
+                f'LinuxCNC does not tell its state: cannot read {file}; run this node as the user '
+                'that runs LinuxCNC'
+            ) from None
         state = self._state
         mode = 'off'
         if state.task_state == module.STATE_ESTOP:
@@ -235,6 +261,7 @@ def main():
     if memory is None:
         answer({'error': 'LinuxCNC does not run here'})
         return
+    os.environ['HOME'] = home_of_linuxcnc()
     sys.path.append(MODULES)
     try:
         hal, linuxcnc = import_module('hal'), import_module('linuxcnc')
