@@ -101,7 +101,6 @@ class BrokerConnection:
             self._refused = False
             self._enter()  # a corrected file is taken without a restart
         if not self._connected:
-            self._told = False
             return
         if not self._told:
             self._told = True
@@ -148,7 +147,8 @@ class BrokerConnection:
             self._trouble = f'the broker refuses the connection ({reason}); compare credentials'
             self._refused = True
             return
-        self._connected = True
+        # Before the next turn, which may come only after a loss and a return.
+        self._told, self._connected = False, True
 
     def _on_connect_fail(self, client: Any, data: Any) -> None:
         # Called where the failure is handled; the library does not say it otherwise.

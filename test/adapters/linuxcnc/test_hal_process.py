@@ -26,22 +26,22 @@ def processes(tmp_path):
 
 
 def test_home_is_that_of_the_user_of_linuxcnc(processes, monkeypatch):
-    monkeypatch.setenv('HOME', '/home/ros')
+    monkeypatch.setenv('HOME', '/srv/ros')
     found = processes(1, 'init', b'HOME=/\0')
-    assert home_of_linuxcnc(found) == '/home/ros'
-    processes(7, SERVER, b'SHELL=/bin/sh\0HOME=/home/cnc\0LANG=C\0')
-    assert home_of_linuxcnc(found) == '/home/cnc'
+    assert home_of_linuxcnc(found) == '/srv/ros'
+    processes(7, SERVER, b'SHELL=/bin/sh\0HOME=/srv/cnc\0LANG=C\0')
+    assert home_of_linuxcnc(found) == '/srv/cnc'
 
 
 def test_home_is_our_own_where_that_of_linuxcnc_is_not_told(processes, monkeypatch):
     """Another user's environment cannot be read."""
-    monkeypatch.setenv('HOME', '/home/ros')
-    assert home_of_linuxcnc(processes(7, SERVER, None)) == '/home/ros'
+    monkeypatch.setenv('HOME', '/srv/ros')
+    assert home_of_linuxcnc(processes(7, SERVER, None)) == '/srv/ros'
 
 
 def test_a_state_that_is_not_told_is_said_with_the_remedy(monkeypatch):
     """LinuxCNC's module raises SystemError where it found no tool table."""
-    monkeypatch.setenv('HOME', '/home/ros')
+    monkeypatch.setenv('HOME', '/srv/ros')
     hal = MagicMock()
     names = ('homed', 'ready', 'alive', 'on', 'soft-limited', 'heartbeat', 'enable', 'rezero')
     hal.get_info_signals.return_value = [
@@ -54,5 +54,5 @@ def test_a_state_that_is_not_told_is_said_with_the_remedy(monkeypatch):
     state = SimpleNamespace(poll=MagicMock(side_effect=SystemError('returned NULL')))
     module = SimpleNamespace(stat=lambda: state, error=RuntimeError)
     bridge = Bridge(hal, module, ['x'])
-    with pytest.raises(HalError, match=r'cannot read /home/ros/\.tool\.mmap; run this node as'):
+    with pytest.raises(HalError, match=r'cannot read /srv/ros/\.tool\.mmap; run this node as'):
         bridge.status()
