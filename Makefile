@@ -46,7 +46,7 @@ demo: setup ## A thermal shift on the simulated mill: train, compensate live, re
 	@$(ROS) '$(BIN)/fuzzycnc' demo $(ARGS)
 
 .PHONY: test
-test: style ## Checks and the tests that a change can break, in minutes
+test: lint ## Checks and the tests that a change can break, in minutes
 	@$(TESTS) fast $(ARGS)
 
 .PHONY: test-slow
@@ -73,14 +73,11 @@ bench: setup ## One table: speed beside libraries that do the same work; wants a
 	@$(ROS) '$(BIN)/python' benchmarks/performance.py
 
 .PHONY: lint
-lint: style ## Style, format, spelling, types
-	@echo 'mypy' && '$(BIN)/mypy'
-
-.PHONY: style
-style: setup ## The checks that take a second: style, format, spelling
+lint: setup ## Style, format, spelling, types
 	@echo 'ruff check' && '$(BIN)/ruff' check --quiet .
 	@echo 'ruff format' && '$(BIN)/ruff' format --quiet --check . || { '$(BIN)/ruff' format --check .; exit 1; }
 	@echo 'codespell' && '$(BIN)/codespell'
+	@echo 'mypy' && '$(BIN)/mypy'
 
 .PHONY: format
 format: setup ## Rewrite the sources in the project's format

@@ -4,10 +4,9 @@
 """Run a tier of the tests, part by part, and show how long each part took.
 
 A tier has two parts: what keeps no time of its own runs on all processors, what runs in real time
-runs alone, one test after another.  Beside the first part of the fast tier mypy checks the types.
-Up to five tests that fail are run once more, alone: a part is `unsteady` if they pass then, and
-they are named.  Times are given in seconds and as a ratio to a fixed computation of the same run,
-which tells a slow machine from a slow suite.
+runs alone, one test after another.  Up to five tests that fail are run once more, alone: a part
+is `unsteady` if they pass then, and they are named.  Times are given in seconds and as a ratio to
+a fixed computation of the same run, which tells a slow machine from a slow suite.
 
 Usage: tools/run_tests.py fast|slow|qualify [PYTEST ARGUMENT...]
        tools/run_tests.py table
@@ -21,7 +20,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -96,31 +94,6 @@ def run(name: str, arguments: list[str]) -> int:
     return code
 
 
-class Types(threading.Thread):
-    """The check of types, on one processor, beside tests that leave some of theirs idle."""
-
-    def __init__(self) -> None:
-        super().__init__(name='types', daemon=True)
-        self._seconds = math.nan
-        self.start()
-
-    def run(self) -> None:
-        """Run mypy."""
-        begin = time.monotonic()
-        self._done = subprocess.run(
-            [sys.executable, '-m', 'mypy'], cwd=ROOT, capture_output=True, text=True, check=False
-        )
-        self._seconds = time.monotonic() - begin
-
-    def outcome(self) -> int:
-        """Wait for it, say what it found, keep its row; return its exit code."""
-        self.join()
-        print(f'mypy\n{self._done.stdout}{self._done.stderr}', end='', flush=True)
-        code = self._done.returncode
-        note('fast, types beside', 'failed' if code else 'passed', self._seconds)
-        return code
-
-
 def pytest(arguments: list[str]) -> int:
     """Run pytest; return its exit code."""
     command = [sys.executable, '-m', 'pytest', '--timeout=600', *arguments]
@@ -146,16 +119,15 @@ def main(arguments: list[str]) -> int:
     tier, more = arguments[0], arguments[1:]
     marks = TIERS[tier]
     before = len(noted())
-    types = Types() if tier == 'fast' else None
+    parts = ((*ON_ALL_CORES, '-m', f'{marks} and not realtime'), ('-m', f'{marks} and realtime'))
     codes = {
-        run(f'{tier}, on all cores', [*more, *ON_ALL_CORES, '-m', f'{marks} and not realtime'])
+        run(f'{tier}, {how}', [*more, *options])
+        for how, options in zip(('on all cores', 'in real time'), parts, strict=True)
     }
-    wrong = types is not None and types.outcome()
-    codes.add(run(f'{tier}, in real time', [*more, '-m', f'{marks} and realtime']))
     print(table(noted()[before:], yardstick()), flush=True)
     if codes == {NO_TESTS}:
         print(f'run_tests: expected tests of the tier {tier} but {" ".join(more)} leaves none')
-    return 0 if PASSED in codes <= {PASSED, NO_TESTS} and not wrong else 1
+    return 0 if PASSED in codes <= {PASSED, NO_TESTS} else 1
 
 
 if __name__ == '__main__':

@@ -3,7 +3,6 @@
 """What fails of a part of the tests is run once more, alone, unless it is much."""
 
 import json
-import subprocess
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
@@ -54,19 +53,3 @@ def test_what_fails_is_run_once_more_alone(part, capsys, failures, code, outcome
 def test_failures_of_the_run_before_are_none_of_this_one(part):
     run_tests.LAST_FAILED.write_text('{"old": true}')
     assert part([]) == (0, ['passed'], [['-n', '3']])
-
-
-@pytest.mark.parametrize(
-    ('tier', 'wrong', 'code'), [('fast', 1, 1), ('fast', 0, 0), ('slow', 1, 0), ('qualify', 1, 0)]
-)
-def test_types_are_checked_beside_the_fast_tier(monkeypatch, capsys, tier, wrong, code):
-    found = subprocess.CompletedProcess([], wrong, 'mill.py:7: error: a false type\n', '')
-    monkeypatch.setattr(run_tests.subprocess, 'run', lambda *arguments, **options: found)
-    monkeypatch.setattr(run_tests.signal, 'signal', lambda number, handler: None)
-    monkeypatch.setattr(run_tests, 'run', lambda name, arguments: run_tests.PASSED)
-    noted = []
-    monkeypatch.setattr(run_tests, 'note', lambda *row: noted.append(row[:2]))
-    monkeypatch.setattr(run_tests, 'noted', list)
-    assert run_tests.main([tier]) == code
-    assert ('mill.py:7: error' in capsys.readouterr().out) == (tier == 'fast')
-    assert noted == [('fast, types beside', 'failed' if wrong else 'passed')] * (tier == 'fast')
