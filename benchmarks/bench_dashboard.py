@@ -21,7 +21,6 @@ Run with `python benchmarks/bench_dashboard.py [SECONDS [PYTHON WITH NICEGUI]]`.
 """
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -45,7 +44,7 @@ from websockets.sync.client import connect
 
 from fuzzycnc_ros.cli.live.free_domain import own_domain
 from fuzzycnc_ros.components.dashboard.history import History
-from fuzzycnc_ros.ros.processes import prepare_environment
+from fuzzycnc_ros.ros.processes import prepare_environment, processor_time
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
@@ -81,13 +80,6 @@ new MutationObserver(() => {
   requestAnimationFrame(() => window.seen.push(Date.now()));
 }).observe(place, {childList: true, characterData: true, subtree: true});
 """
-_TICKS = os.sysconf('SC_CLK_TCK')
-
-
-def processor(pid: int) -> float:
-    """Return the processor time of a process [s]."""
-    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
-    return (int(fields[11]) + int(fields[12])) / _TICKS
 
 
 class Memory(NamedTuple):
@@ -123,9 +115,9 @@ def running(*command: str) -> Iterator[int]:
 
 def cost(pid: int, seconds: float) -> tuple[float, Memory]:
     """Return part of a core and memory of a process over some time."""
-    before, began = processor(pid), time.monotonic()
+    before, began = processor_time(pid), time.monotonic()
     time.sleep(seconds)
-    return (processor(pid) - before) / (time.monotonic() - began), memory(pid)
+    return (processor_time(pid) - before) / (time.monotonic() - began), memory(pid)
 
 
 class Machine:

@@ -31,7 +31,7 @@ from fuzzycnc_ros.cli.live.free_domain import own_domain
 from fuzzycnc_ros.cli.live.graph_processes import COMPOSED, GraphProcesses
 from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.ros.bring_up import THERMAL, NodeSpec
-from fuzzycnc_ros.ros.processes import prepare_environment
+from fuzzycnc_ros.ros.processes import prepare_environment, processor_time
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, subscription_qos
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import encode
@@ -149,12 +149,6 @@ class Machine:
         if self._sent is not None and stamp >= self._sent[0]:
             self.latencies.append(now - self._sent[1])
             self._sent = None
-
-
-def processor_time(process: int) -> float:
-    """Return the processor time that a process has taken so far [s]."""
-    fields = Path(f'/proc/{process}/stat').read_text().rpartition(')')[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
 
 
 def own_memory(process: int) -> float:

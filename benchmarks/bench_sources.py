@@ -81,12 +81,6 @@ def device_file(
     return str(path)
 
 
-def cpu_time(process: int) -> float:
-    """Return the processor time that a process has taken so far [s]."""
-    fields = Path(f'/proc/{process}/stat').read_text().rpartition(')')[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
-
-
 def measure(
     folder: Path, file: str, rate: float, seconds: float
 ) -> tuple[float, float, float, int]:
@@ -96,6 +90,7 @@ def measure(
 
     from fuzzycnc_ros.cli.live.graph_processes import parameter_file, ros_arguments
     from fuzzycnc_ros.ros.bring_up import NodeSpec
+    from fuzzycnc_ros.ros.processes import processor_time
     from fuzzycnc_ros.ros.topics import message_class, subscription_qos
     from fuzzycnc_ros.runtime.component import STREAM
     from fuzzycnc_ros.runtime.convert import decode
@@ -122,10 +117,10 @@ def measure(
             if started.poll() is not None:
                 raise RuntimeError(f'the node ended with code {started.returncode}')
         heard.clear()
-        taken, begin = cpu_time(started.pid), time.monotonic()
+        taken, begin = processor_time(started.pid), time.monotonic()
         while time.monotonic() - begin < seconds:
             executor.spin_once(timeout_sec=0.1)
-        taken, lasted = cpu_time(started.pid) - taken, time.monotonic() - begin
+        taken, lasted = processor_time(started.pid) - taken, time.monotonic() - begin
     finally:
         started.send_signal(signal.SIGINT)
         started.wait(20.0)

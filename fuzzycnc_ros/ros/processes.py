@@ -212,6 +212,19 @@ def end(code: int) -> NoReturn:
     sys.exit(code)
 
 
+def processor_time(process: int) -> float:
+    """Return the processor time that a process has used so far [s].
+
+    Raises
+    ------
+    OSError
+        If there is none of this number.
+    """
+    stat = Path(f'/proc/{process}/stat').read_text(encoding='utf-8')
+    fields = stat.rpartition(')')[2].split()  # the name before it may hold anything
+    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+
+
 def memory_limit() -> float | None:
     """Return how much address space this process and its children may have [MB]; None: any."""
     most = resource.getrlimit(resource.RLIMIT_AS)[0]

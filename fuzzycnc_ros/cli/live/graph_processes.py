@@ -14,7 +14,12 @@ from typing import Any
 
 from fuzzycnc_ros.ros.bring_up import NodeSpec, stop_timeout
 from fuzzycnc_ros.ros.presence import TAKEOVER, GraphError
-from fuzzycnc_ros.ros.processes import child_set_up, memory_limit, prepare_environment
+from fuzzycnc_ros.ros.processes import (
+    child_set_up,
+    memory_limit,
+    prepare_environment,
+    processor_time,
+)
 
 COMPOSED = 'composed'
 """Name of a process that holds several nodes."""
@@ -161,11 +166,9 @@ class GraphProcesses:
     def worked(self, name: str) -> float:
         """Return the processor time that a process has used [s]; 0 if it has ended."""
         try:
-            stat = Path(f'/proc/{self.pid(name)}/stat').read_text(encoding='utf-8')
+            return processor_time(self.pid(name))
         except OSError:
             return 0.0
-        fields = stat.rpartition(')')[2].split()  # the name before it may hold anything
-        return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
 
     def log(self, name: str) -> Path:
         """Return the file with a node's output."""

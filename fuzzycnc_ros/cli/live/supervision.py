@@ -32,7 +32,7 @@ class State(Enum):
 
 
 class Lifecycles(Protocol):
-    """What is known of nodes; a lifecycle have those that are managed."""
+    """What nodes say of themselves; those that are managed tell their lifecycle too."""
 
     def begin(self, machine: str, node: str) -> None:
         """Forget what an earlier life of a node has said."""

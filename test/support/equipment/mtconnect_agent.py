@@ -183,6 +183,9 @@ def http(body: bytes, status: str = '200 OK', kind: str = 'text/xml') -> bytes:
 class InstituteAgent:
     """The C++ agent of the MTConnect Institute as a process.
 
+    Neither Debian nor PyPI has it: who wants the test builds it, elsewhere the test says what it
+    lacks, and `Agent` stands for one.
+
     Parameters
     ----------
     folder : Path
