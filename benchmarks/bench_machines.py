@@ -25,6 +25,9 @@ from typing import Any
 import numpy as np
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+
+sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'qualification'))
+
 from soak.growth import held_by
 
 from fuzzycnc_ros.cli.live.free_domain import own_domain
