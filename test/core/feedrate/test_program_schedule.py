@@ -297,10 +297,9 @@ def test_rapids_heed_the_axes_and_not_the_path():
     slow = MotionLimits(
         path_velocity=0.01, path_acceleration=0.1, velocity=(0.25,) * 3, acceleration=(4.0,) * 3
     )
-    start, end = [0.0, 0.0, 0.0], [0.3, 0.3, 0.0]
-    assert rest_to_rest(start, end, slow) == pytest.approx(0.3 / 0.25 + 0.25 / 4.0, rel=1e-12)
-    assert math.isnan(rest_to_rest(start, [math.nan, 0.0, 0.0], slow))
-    assert rest_to_rest(start, start, slow) == 0.0
+    ways = [[0.3, 0.3, 0.0], [math.nan, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    expected = [0.3 / 0.25 + 0.25 / 4.0, math.nan, 0.0]
+    assert rest_to_rest(ways, slow) == pytest.approx(expected, rel=1e-12, nan_ok=True)
 
 
 def test_limits_of_jerk_cost_time():

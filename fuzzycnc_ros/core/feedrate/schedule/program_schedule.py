@@ -30,7 +30,7 @@ from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXIS_COUNT, Pro
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import APPROACH
 
 _GATHERED = 4096
-"""Pieces that are gathered before they are driven: a stream costs time for each push."""
+"""Pieces, or motions that are not scheduled, that are gathered: each call of numpy costs time."""
 
 _STRAIGHT = 1e-6
 """Turn of a piece up to which it is straight [rad]; rounding of doubles stays below."""
@@ -162,38 +162,38 @@ class _ProgramMotion:
         return np.where(moving, 0.5 + 0.5 * before / np.where(moving, speed, 1.0), 1.0)
 
 
-def rest_to_rest(start: ArrayLike, end: ArrayLike, limits: MotionLimits) -> float:
-    """Return the least time of a straight rapid from rest to rest within the limits of the axes.
+def rest_to_rest(way: ArrayLike, limits: MotionLimits) -> Array:
+    """Return the least times of straight rapids from rest to rest within the limits of the axes.
 
     Parameters
     ----------
-    start, end : array_like, shape (3,)
-        Its ends [m].
+    way : array_like, shape (k, 3)
+        From start to end of each [m].
     limits : MotionLimits
         Those of the axes count; of a quantity that has none of these, that of the path.
 
     Returns
     -------
-    float
-        Time [s]; NaN if an end is unknown.
+    ndarray, shape (k,)
+        Times [s]; 0 for no way, NaN if an end is unknown.
 
     Examples
     --------
     >>> limits = MotionLimits(velocity=(0.25, 0.25, 0.1), acceleration=(4.0, 4.0, 2.0))
-    >>> rest_to_rest([0.0, 0.0, 0.0], [0.3, 0.0, -0.1], limits)
-    1.2625
+    >>> rest_to_rest([[0.3, 0.0, -0.1], [0.0, 0.0, 0.0]], limits).tolist()
+    [1.2625, 0.0]
     """
-    way = np.subtract(end, start, dtype=float)
-    length = float(np.linalg.norm(way))
-    if not isfinite(length) or length == 0.0:
-        return length
+    way = np.asarray(way, dtype=float)
+    time: Array = np.linalg.norm(way, axis=1)
+    moves = np.isfinite(time) & (time > 0.0)
     own: dict[str, Any] = {
         f'path_{name}': np.inf
         for name in ('velocity', 'acceleration', 'jerk')
         if np.isfinite(getattr(limits, name) or (np.inf,)).all()
     }
-    rapid = replace(limits, **own)
-    return float(straight_time(way[np.newaxis], np.array([np.inf]), rapid)[0])
+    free = np.full(int(moves.sum()), np.inf)
+    time[moves] = straight_time(way[moves], free, replace(limits, **own))
+    return time
 
 
 def straight_time(way: Array, speed: Array, limits: MotionLimits) -> Array:
@@ -338,6 +338,42 @@ class ProgramTimes:
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
+class _FixedMotions:
+    """Counts rapids, waits and blocks that keep their feed, many at once.
+
+    One way takes numpy as long as hundreds do, and some programs are rapids for the most part.
+    """
+
+    def __init__(self, settings: ProgramSettings, times: ProgramTimes) -> None:
+        self._settings = settings
+        self._times = times
+        self._gathered: list[Segment] = []
+
+    def take(self, segment: Segment) -> None:
+        self._gathered.append(segment)
+        if len(self._gathered) == _GATHERED:
+            self.count()
+
+    def count(self) -> None:
+        """Count what was gathered."""
+        segments, self._gathered = self._gathered, []
+        if not segments:
+            return
+        settle = self._settings.settle
+        way = np.subtract([one.end for one in segments], [one.start for one in segments])
+        least = rest_to_rest(way, self._settings.limits).tolist()
+        for segment, time in zip(segments, least, strict=True):
+            if isinstance(segment, DwellSegment):
+                self._times.add_fixed('dwell', segment.duration)
+            elif segment.rapid:
+                self._times.add_fixed('rapid', time + (settle if time > 0.0 else 0.0))
+            elif segment.length > 0.0 or segment.turning:
+                own = inf
+                if segment.feed is not None and segment.length > 0.0:
+                    own = segment.length / segment.feed
+                self._times.add_fixed('kept', max(own, time) + settle)
+
+
 @dataclass(frozen=True, eq=False)
 class ProgramSchedule:
     """A scheduled program.
@@ -375,7 +411,7 @@ class ProgramScheduler:
     Attributes
     ----------
     times : ProgramTimes
-        Of what has been scheduled so far.
+        Complete once all blocks have been yielded.
 
     Notes
     -----
@@ -411,6 +447,7 @@ class ProgramScheduler:
         self._motion = _ProgramMotion(settings)
         self._own_motion = _ProgramMotion(settings)
         self.times = ProgramTimes()
+        self._fixed = _FixedMotions(settings, self.times)
 
     def schedule(self, blocks: Iterable[Block]) -> Iterator[tuple[Block, float | None]]:
         """Yield the blocks of a program, each with its feed.
@@ -437,7 +474,7 @@ class ProgramScheduler:
                 source.take()
                 times.blocks += 1
                 if block.segment is not None:
-                    self._count_fixed(block.segment)
+                    self._fixed.take(block.segment)
                 yield block, None
                 continue
             for item in ProgramRun(self._settings, source, self._drive).schedule():
@@ -445,6 +482,7 @@ class ProgramScheduler:
                 times.chosen += item[1] is not None
                 times.curves += isinstance(item[0].segment, NurbsSegment)
                 yield item
+        self._fixed.count()
         for motion in (self._motion, self._own_motion):
             motion.finish()
         constant = self._settings.machine_constant
@@ -462,24 +500,6 @@ class ProgramScheduler:
         self._own_motion.push(path, scheduled.programmed)
         if self._observe is not None:
             self._observe(scheduled)
-
-    def _count_fixed(self, segment: Segment) -> None:
-        """Count the time of what is not scheduled."""
-        limits, settle = self._settings.limits, self._settings.settle
-        if isinstance(segment, DwellSegment):
-            self.times.add_fixed('dwell', segment.duration)
-        elif segment.rapid:
-            time = rest_to_rest(segment.start, segment.end, limits)
-            self.times.add_fixed('rapid', time + (settle if time > 0.0 else 0.0))
-        elif segment.length > 0.0 or segment.turning:
-            known = segment.feed is not None and segment.length > 0.0
-            time = inf
-            if segment.feed is not None and known:
-                time = max(
-                    segment.length / segment.feed,
-                    rest_to_rest(segment.start, segment.end, limits),
-                )
-            self.times.add_fixed('kept', time + settle)
 
 
 def schedule_program(program: Program, settings: ProgramSettings) -> ProgramSchedule:
