@@ -268,17 +268,20 @@ def _counted(
     held: dict[int, Block] = {}
 
     def noted() -> 'Iterator[tuple[Block, float | None]]':
-        time, moved = 0.0, 0
+        time, timed, moved = 0.0, 0, 0
         for count, (block, feed) in enumerate(scheduled, 1):
             held.setdefault(block.line, block)
             tally.take(block, feed)
-            if feed is not None and block.segment is not None:
-                time += block.segment.length / feed
+            if block.segment is not None:
                 moved += 1
-            if (time <= STRETCH and moved <= STRETCH_BLOCKS) or moved <= 1:
-                words.stretch = count
-            if (time + rest * moved <= STRETCH and moved <= STRETCH_BLOCKS) or moved <= 1:
-                words.begun.append((block, feed))
+                if own := feed or block.segment.feed:
+                    time += block.segment.length / own
+                    timed += 1
+            if moved <= STRETCH_BLOCKS:
+                if time <= STRETCH or timed <= 1:
+                    words.stretch = count
+                if time + rest * timed <= STRETCH or timed <= 1:
+                    words.begun.append((block, feed))
             yield block, feed
 
     for number, line in enumerate(write_blocks(noted()), 1):

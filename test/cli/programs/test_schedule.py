@@ -239,6 +239,16 @@ def test_of_a_long_program_the_report_drives_the_beginning_and_says_so(fuzzycnc,
     assert 30 < compared < 40
 
 
+@pytest.mark.parametrize(('words', 'most'), [('F60', 210), ('G93 F60', 2010)])
+def test_of_blocks_that_keep_their_feed_only_the_beginning_is_driven(fuzzycnc, words, most):
+    lines = [f'G1 X{x / 10} A{x} {words}' for x in range(1, 3000)]
+    Path('five.ngc').write_text('G0 X0 Y0 Z0 A0\n' + '\n'.join(lines) + '\n')
+    outcome = fuzzycnc('schedule', 'five.ngc', '--tolerance', '0.01mm', '--out', 'out.ngc')
+    assert outcome.code == 0, outcome.err
+    (driven,) = re.findall(r'lines 1 to ([\d,]+) of 3,000', outcome.out)
+    assert int(driven.replace(',', '')) <= most
+
+
 @pytest.mark.parametrize(
     ('written', 'units', 'value'),
     [

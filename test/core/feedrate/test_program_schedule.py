@@ -15,6 +15,7 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
     FeedrateSchedulerConfig,
     make_scheduler,
 )
+from fuzzycnc_ros.components.motion.program_request import program_settings
 from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, read_program
 from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment
 from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
@@ -291,6 +292,44 @@ def test_the_shortest_time_with_jerk_covers_its_way(length, speed, rise, jolt):
     cruise = (length - way) / reached
     assert cruise >= -1e-9 * time
     assert time == pytest.approx(2.0 * (2.0 * build + hold) + cruise, rel=1e-6)
+
+
+def lone_lines(count):
+    """A program of lines between rapids and waits, some of which go on."""
+    rng = np.random.default_rng(count)
+    lines = ['G0 X0 Y0 Z0', 'G91']
+    for before in rng.choice(['G0 X1 Z-1', 'G4 P0.1', 'M3', '(text)', 'G1 X0.3 F900'], count):
+        way = 10.0 ** rng.uniform(-3.0, 2.0) * rng.choice([0.0, 1.0, -0.4], 3)
+        x, y, z = way.round(4).tolist()
+        lines += [str(before), f'G1 X{x} Y{y} Z{z} F{rng.choice([100, 3000, 60000])}']
+    return [f'{line}\n' for line in lines]
+
+
+@pytest.mark.parametrize('blend', [0.0, 1e-5])
+@pytest.mark.parametrize('override', [0.5, 1.3])
+@pytest.mark.parametrize('method', ['log_fuzzy', 'fuzzy', 'constant', 'jerk_limited'])
+def test_lines_alone_are_scheduled_as_paths_are(method, override, blend):
+    config = FeedrateSchedulerConfig(
+        method=method, tolerance=20e-6, blend=blend, feed_override=override
+    )
+    found = []
+    for observe in (None, [].append):  # who observes is told of paths, so that all become some
+        scheduler = ProgramScheduler(program_settings(config), observe)
+        blocks = ProgramReader().blocks(lone_lines(60))
+        found.append([feed or math.nan for _, feed in scheduler.schedule(blocks)])
+        found.append(scheduler.times.document())
+    # a path bends by rounding, which the published rules answer
+    assert found[0] == pytest.approx(found[2], rel=1e-8, nan_ok=True)
+    assert found[1] == pytest.approx(found[3], rel=1e-8)
+    assert found[1]['stops'] > 20
+
+
+def test_a_move_below_rounding_keeps_its_feed():
+    lines = ['G0 X0 Y0\n', 'G1 X0.000001 F600\n', 'G0 Y1\n', 'G1 X5\n']
+    scheduler = ProgramScheduler(made())
+    feeds = [feed for _, feed in scheduler.schedule(ProgramReader().blocks(lines))]
+    assert math.isnan(feeds[1])
+    assert feeds[3] == pytest.approx(0.01)
 
 
 def test_rapids_heed_the_axes_and_not_the_path():

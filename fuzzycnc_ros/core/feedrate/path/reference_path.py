@@ -780,6 +780,11 @@ class PathBuilder:
         self._end = end
         return part
 
+    @property
+    def moved(self) -> bool:
+        """Whether a segment has moved so far."""
+        return self._kept is not None
+
     def finish(self) -> ReferencePath | None:
         """End the path, and return what is left of it.
 

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
-from math import inf, nan
+from math import inf, isnan, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -100,6 +100,8 @@ class _BlockFeeds:
             found += self._settle(index, self._feeds(index, sums))
             self._open = None
         rest = count - self._next
+        if rest and isnan(self._last):  # all of them are too short: they keep their own feeds
+            return [nan] * rest
         if rest:  # too short for pieces of their own
             found += self._settle(np.array([count - 1]), np.array([self._last]))
         return found + self._merged()
@@ -251,22 +253,33 @@ Observer = Callable[[ScheduledPath], None]
 
 
 class Source:
-    """Blocks one by one, of which the next may be looked at."""
+    """Blocks one by one, of which the next two may be looked at."""
 
     def __init__(self, blocks: Iterable[Block]) -> None:
         self._blocks = iter(blocks)
         self._next: Block | None = next(self._blocks, None)
+        self._after: Block | None = next(self._blocks, None)
 
     @property
     def next(self) -> Block | None:
         """The next block, None after the last one."""
         return self._next
 
+    @property
+    def lone_line(self) -> LineSegment | None:
+        """The line of the next block if it is a run of its own, None if not or not for sure."""
+        segment = None if self._next is None else self._next.segment
+        if not isinstance(segment, LineSegment) or not segment.schedulable:
+            return None
+        after = None if self._after is None else self._after.segment
+        over = self._after is None or (after is not None and after.run != segment.run)
+        return segment if over else None
+
     def take(self) -> Block:
         """Return the next block and go on."""
         block = self._next
         assert block is not None
-        self._next = next(self._blocks, None)
+        self._next, self._after = self._after, next(self._blocks, None)
         return block
 
 
@@ -346,7 +359,7 @@ class ProgramRun:
         builder = PathBuilder(blend=self._settings.blend)
         for chunk, more in self._chunks():
             parts = [builder.push(chunk)]
-            if not more:
+            if not more and builder.moved:  # not where the run is shorter than rounding
                 parts.append(builder.finish())
             found = [part for part in parts if part is not None]
             if found:

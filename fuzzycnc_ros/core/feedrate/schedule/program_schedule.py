@@ -14,12 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program
-from fuzzycnc_ros.core.feedrate.gcode.segments import DwellSegment, NurbsSegment, Segment
+from fuzzycnc_ros.core.feedrate.gcode.segments import (
+    DwellSegment,
+    LineSegment,
+    NurbsSegment,
+    Segment,
+)
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.stream import MotionPart, MotionStream
 from fuzzycnc_ros.core.feedrate.path.nodes import own_curvature, with_ramps
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath
+from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.schedule.program_run import (
     Observer,
     ProgramRun,
@@ -80,6 +86,11 @@ class _ProgramMotion:
         self._pieces += len(speed)
         if self._pieces >= _GATHERED:
             self._drive()
+
+    def push_lines(self, way: Array, speed: Array) -> None:
+        """Take lines from rest to rest, ways (k, 3) [m] and speeds wanted (k,) [m/s]."""
+        time = straight_time(way, np.minimum(speed, self._speed_max), self._settings.limits)
+        self.duration += self._settings.settle * len(way) + float(time.sum())
 
     def finish(self) -> None:
         """Come to rest."""
@@ -374,6 +385,79 @@ class _FixedMotions:
                 self._times.add_fixed('kept', max(own, time) + settle)
 
 
+_SHORTEST = 1e-7
+"""Length from which a line surely is a piece of a path [m]."""
+
+_FEEDS_MOST = 1000
+"""Programmed feeds whose answers are kept."""
+
+
+class _LoneLines:
+    """Schedules lines that are runs of their own, between rapids or waits, without a path.
+
+    Nothing bends, so that the feed is one for all lines with the same feed of the program.  The
+    path of a single line takes as long to make as that of hundreds.
+    """
+
+    def __init__(
+        self, settings: ProgramSettings, times: ProgramTimes, motions: tuple[_ProgramMotion, ...]
+    ) -> None:
+        self._settings = settings
+        self._times = times
+        self._motions = motions
+        self._velocity: list[float] = settings.limits.table(AXIS_COUNT)[0].tolist()
+        self._wanted: dict[float, float] = {}
+        self._gathered: list[tuple[LineSegment, float]] = []
+
+    def next_of(self, source: Source) -> LineSegment | None:
+        """Return the line that comes next, None if it is none, or a path has to be made of it."""
+        settings = self._settings
+        line = source.lone_line
+        if line is None or line.length < _SHORTEST:
+            return None
+        plain = settings.scheduler.reach.bounded and not settings.limits.limits_jerk
+        return line if plain else None
+
+    def feed(self, line: LineSegment) -> float:
+        """Return the feed of a line [m/s], and count it."""
+        length = line.length
+        feed = min(self._wanted_at(line.feed or nan), self._velocity[0])
+        for start, end, most in zip(line.start, line.end, self._velocity[1:], strict=True):
+            if start != end:
+                feed = min(feed, most / (abs(end - start) / length))
+        self._gathered.append((line, feed))
+        self._times.chosen += 1
+        self._times.stops += 1
+        self._times.length += length
+        if len(self._gathered) == _GATHERED:
+            self.count()
+        return feed
+
+    def count(self) -> None:
+        """Count the times of what was gathered."""
+        gathered, self._gathered = self._gathered, []
+        if not gathered:
+            return
+        way = np.subtract([one.end for one, _ in gathered], [one.start for one, _ in gathered])
+        speeds = [feed for _, feed in gathered], [one.feed for one, _ in gathered]
+        for motion, speed in zip(self._motions, speeds, strict=True):
+            motion.push_lines(way, np.array(speed))
+
+    def _wanted_at(self, programmed: float) -> float:
+        """Return the feed of a straight path without limits of the axes [m/s]."""
+        found = self._wanted.get(programmed)
+        if found is None:
+            settings = self._settings
+            bound = settings.bound(np.full(2, programmed))
+            path = SampledPath(np.array([0.0, 1.0]), np.zeros(2), programmed=bound)
+            ratio = settings.scheduler.bounded_ratio(path)
+            found = float(settings.wanted(ratio, bound).min())
+            if len(self._wanted) == _FEEDS_MOST:
+                self._wanted.clear()
+            self._wanted[programmed] = found
+        return found
+
+
 @dataclass(frozen=True, eq=False)
 class ProgramSchedule:
     """A scheduled program.
@@ -448,6 +532,7 @@ class ProgramScheduler:
         self._own_motion = _ProgramMotion(settings)
         self.times = ProgramTimes()
         self._fixed = _FixedMotions(settings, self.times)
+        self._lines = _LoneLines(settings, self.times, (self._motion, self._own_motion))
 
     def schedule(self, blocks: Iterable[Block]) -> Iterator[tuple[Block, float | None]]:
         """Yield the blocks of a program, each with its feed.
@@ -477,12 +562,19 @@ class ProgramScheduler:
                     self._fixed.take(block.segment)
                 yield block, None
                 continue
+            # Who observes is told of paths.
+            line = self._lines.next_of(source) if self._observe is None else None
+            if line is not None:
+                times.blocks += 1
+                yield source.take(), self._lines.feed(line)
+                continue
             for item in ProgramRun(self._settings, source, self._drive).schedule():
                 times.blocks += 1
                 times.chosen += item[1] is not None
                 times.curves += isinstance(item[0].segment, NurbsSegment)
                 yield item
         self._fixed.count()
+        self._lines.count()
         for motion in (self._motion, self._own_motion):
             motion.finish()
         constant = self._settings.machine_constant
