@@ -37,6 +37,9 @@ NOT_STATED = 'not stated'
 
 STATED, BAG = 'stated', 'bag'
 
+STEADY = 0.02
+"""Share of the usual spindle speed within which a speed is one [-]."""
+
 _AIR = re.compile(r'(^|[^a-z])(ambient|room|air|hall|shop)([^a-z]|$)')
 """Names of sensors that read the air."""
 
@@ -252,13 +255,21 @@ def phases_table(test: ThermalTest) -> Table:
 
 
 def _speed_cell(test: ThermalTest, item: JudgedPhase) -> str:
-    """Return the median speed of a phase [rpm]."""
+    """Return the speed of a phase, or from where to where it goes in nine tenths of it [rpm].
+
+    The median of a spindle that turns half of the time may be a speed that it never had.
+    """
     speed, phase = test.recording.speed, item.phase
     if speed is None:
         return 'not known'
     time = test.recording.time
     inside = speed[(time >= phase.start) & (time < phase.end) & np.isfinite(speed)]
-    return f'{60.0 * float(np.median(inside)) / (2.0 * pi):.0f}' if inside.size else 'not known'
+    if not inside.size:
+        return 'not known'
+    share = np.quantile(inside, (0.05, 0.5, 0.95), method='nearest')
+    low, usual, high = (60.0 * share / (2.0 * pi)).tolist()
+    steady = high - low <= STEADY * abs(usual)
+    return f'{usual:.0f}' if steady else f'{low:.0f} to {high:.0f}'
 
 
 def _ambient_cell(test: ThermalTest, item: JudgedPhase) -> str:

@@ -27,7 +27,7 @@ from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.thermal_test.phases import Phase, find_phases, kind_of
 from fuzzycnc_ros.studies.thermal_test.recording import read_test
-from fuzzycnc_ros.studies.thermal_test.report import judge_test, phase_table
+from fuzzycnc_ros.studies.thermal_test.report import judge_test, phase_table, phases_table
 from fuzzycnc_ros.studies.thermal_test.set_up import TestSetUp, probe_channels
 
 pytest.importorskip('mcap', reason="bags need pip install 'fuzzycnc_ros[bags]'")
@@ -265,6 +265,13 @@ def test_phases_that_somebody_names_go_first_and_kinds_by_their_names(plain):
         ('B', 'axis', 3 * HOUR),
         ('rest', 'cooling', 8 * HOUR),
     ]
+
+
+def test_a_speed_that_changes_within_a_phase_is_no_single_speed(tmp_path):
+    bag = write_test(tmp_path / 'test', speed=True)
+    given = [Phase('half', 'other', HOUR, 3 * HOUR), Phase('full', 'spindle', 3 * HOUR, 6 * HOUR)]
+    rows = phases_table(judged(bag, given=given)).rows
+    assert [row[5] for row in rows] == ['0 to 3000', '3000']
 
 
 @pytest.mark.parametrize(
