@@ -37,7 +37,7 @@ NOT_STATED = 'not stated'
 
 STATED, BAG = 'stated', 'bag'
 
-STEADY = 0.02
+_ONE_SPEED = 0.02
 """Share of the usual spindle speed within which a speed is one [-]."""
 
 _AIR = re.compile(r'(^|[^a-z])(ambient|room|air|hall|shop)([^a-z]|$)')
@@ -268,7 +268,7 @@ def _speed_cell(test: ThermalTest, item: JudgedPhase) -> str:
         return 'not known'
     share = np.quantile(inside, (0.05, 0.5, 0.95), method='nearest')
     low, usual, high = (60.0 * share / (2.0 * pi)).tolist()
-    steady = high - low <= STEADY * abs(usual)
+    steady = high - low <= _ONE_SPEED * abs(usual)
     return f'{usual:.0f}' if steady else f'{low:.0f} to {high:.0f}'
 
 
