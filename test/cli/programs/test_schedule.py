@@ -239,6 +239,13 @@ def test_of_a_long_program_the_report_drives_the_beginning_and_says_so(fuzzycnc,
     assert 30 < compared < 40
 
 
+def test_a_move_below_rounding_does_not_end_what_is_driven(fuzzycnc):
+    Path('tiny.ngc').write_text('G0 X0 Y0 Z0\nG1 X0.000001 F600\nG0 Y1\nG1 X5\nY9\nM2\n')
+    outcome = fuzzycnc('schedule', 'tiny.ngc', '--tolerance', '0.01mm', '--out', 'out.ngc')
+    assert outcome.code == 0, outcome.err
+    assert 'the whole program' in outcome.out
+
+
 @pytest.mark.parametrize(('words', 'most'), [('F60', 210), ('G93 F60', 2010)])
 def test_of_blocks_that_keep_their_feed_only_the_beginning_is_driven(fuzzycnc, words, most):
     lines = [f'G1 X{x / 10} A{x} {words}' for x in range(1, 3000)]

@@ -315,7 +315,8 @@ class ProgramRun:
         settings = self._settings
         for path, ratio in self._rated():
             wanted = settings.wanted(np.minimum(ratio[:-1], ratio[1:]), settings.bound(path.feed))
-            feed = np.minimum(wanted, settings.reachable(path.geometry))
+            tangent = np.abs(path.geometry.derivative(1)).max(axis=1)
+            feed = np.minimum(wanted, settings.reachable(tangent))
             self._feed.extend(self._feeds.take(path, feed))
             self._waiting.append(path)
             yield from self._release()

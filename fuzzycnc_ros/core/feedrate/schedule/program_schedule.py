@@ -405,26 +405,21 @@ class _LoneLines:
         self._settings = settings
         self._times = times
         self._motions = motions
-        self._velocity: list[float] = settings.limits.table(AXIS_COUNT)[0].tolist()
+        self._plain = settings.scheduler.reach.bounded and not settings.limits.limits_jerk
         self._wanted: dict[float, float] = {}
         self._gathered: list[tuple[LineSegment, float]] = []
 
     def next_of(self, source: Source) -> LineSegment | None:
         """Return the line that comes next, None if it is none, or a path has to be made of it."""
-        settings = self._settings
-        line = source.lone_line
-        if line is None or line.length < _SHORTEST:
-            return None
-        plain = settings.scheduler.reach.bounded and not settings.limits.limits_jerk
-        return line if plain else None
+        line = source.lone_line if self._plain else None
+        return None if line is None or line.length < _SHORTEST else line
 
     def feed(self, line: LineSegment) -> float:
         """Return the feed of a line [m/s], and count it."""
         length = line.length
-        feed = min(self._wanted_at(line.feed or nan), self._velocity[0])
-        for start, end, most in zip(line.start, line.end, self._velocity[1:], strict=True):
-            if start != end:
-                feed = min(feed, most / (abs(end - start) / length))
+        tangent = np.abs(np.subtract(line.end, line.start)) / length
+        reachable = float(self._settings.reachable(tangent[np.newaxis])[0])
+        feed = min(self._wanted_at(line.feed or nan), reachable)
         self._gathered.append((line, feed))
         self._times.chosen += 1
         self._times.stops += 1

@@ -11,7 +11,6 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.schedule.feeds import desired_feed
 from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
 
@@ -114,10 +113,15 @@ class ProgramSettings:
         scheduled = self.scheduler.feed_max * ratio
         return desired_feed(self.scheduler, scheduled, bound, self.override)
 
-    def reachable(self, geometry: PathGeometry) -> Array:
-        """Return the feed that the velocity limits admit on each piece, shape (m,) [m/s]."""
-        velocity = self.limits.table(geometry.axes)[0]
-        tangent = np.abs(geometry.derivative(1)).max(axis=1)
+    def reachable(self, tangent: Array) -> Array:
+        """Return the feeds that the velocity limits admit, shape (m,) [m/s].
+
+        Parameters
+        ----------
+        tangent : ndarray, shape (m, d)
+            Largest share of each axis in the way of each piece [-].
+        """
+        velocity = self.limits.table(tangent.shape[1])[0]
         with np.errstate(divide='ignore'):
             axes = (velocity[1:] / tangent).min(axis=1)
         return np.asarray(np.minimum(axes, velocity[0]))
