@@ -27,8 +27,14 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
         # reported; asyncio would write a traceback for each.
         self.set_exception_handler(lambda loop, context: None)
 
-    def _make_socket_transport(self, *args: Any, **options: Any) -> asyncio.Transport:
-        made: asyncio.Transport = super()._make_socket_transport(*args, **options)  # type: ignore[misc]
+    def _make_socket_transport(
+        self, sock: socket.socket, *args: Any, **options: Any
+    ) -> asyncio.Transport:
+        server = options.get('server')
+        if server is not None and not server.sockets:
+            sock.close()  # asyncio would leave it open where the server closed since it accepted
+            raise ConnectionAbortedError
+        made: asyncio.Transport = super()._make_socket_transport(sock, *args, **options)  # type: ignore[misc]
         # One that is closing is open as long as nobody takes what was written to it.
         self._connections = [item for item in self._connections if _is_open(item)]
         self._connections.append(made)

@@ -4,7 +4,9 @@
 
 import asyncio
 import contextlib
+import gc
 import socket
+import warnings
 
 from fuzzycnc_ros.adapters.loops import ConnectionLoop
 
@@ -56,3 +58,30 @@ def test_who_connects_while_the_loop_ends_is_dropped():
             client.settimeout(10.0)
             with contextlib.suppress(ConnectionResetError):
                 assert client.recv(1) == b''
+
+
+def test_who_was_accepted_by_a_server_that_closes_is_dropped():
+    """Between a client's acceptance and its connection is a turn of the loop."""
+    loop = ConnectionLoop()
+
+    async def serve(reader, writer):
+        raise AssertionError('expected nobody to be served')
+
+    async def accept(clients):
+        server = await asyncio.start_server(serve, '127.0.0.1', 0)
+        clients.append(socket.create_connection(server.sockets[0].getsockname()))
+        while len(asyncio.all_tasks()) == 1:
+            await asyncio.sleep(0)
+        server.close()
+        await asyncio.sleep(0)
+
+    clients = []
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter('always')
+        loop.run_until_complete(accept(clients))
+        with clients.pop() as client:
+            client.settimeout(10.0)
+            assert client.recv(1) == b''
+        loop.close()
+        gc.collect()
+    assert not [str(item.message) for item in told]

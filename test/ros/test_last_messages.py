@@ -66,6 +66,14 @@ run.main({'reader': Reader, 'writer': Writer}[sys.argv[1]], sys.argv[:1])
 """
 
 
+def said(process):
+    """Return the next line that a process printed itself: its middleware prints what it meets."""
+    for line in process.stdout:
+        if 'RTPS_' not in line:
+            return line
+    return ''
+
+
 @pytest.fixture
 def pair(domain, root):
     """Start a reader, and a writer that ends in one of two ways; yield both as they match."""
@@ -79,15 +87,15 @@ def pair(domain, root):
             pipes = {'stdin': subprocess.PIPE, 'stdout': subprocess.PIPE}
             begun.append(start(line, env=environment, text=True, **pipes))
         reader, writer = begun
-        assert reader.stdout.readline() == 'reads\n'
-        assert writer.stdout.readline() == 'matched\n'
+        assert said(reader) == 'reads\n'
+        assert said(writer) == 'matched\n'
         reader.send_signal(signal.SIGSTOP)
         writer.stdin.write('\n')
         writer.stdin.flush()
-        assert writer.stdout.readline() == 'sent\n'
+        assert said(writer) == 'sent\n'
         if end == 'asked':
             writer.send_signal(signal.SIGTERM)
-        assert writer.stdout.readline() == 'waits\n'
+        assert said(writer) == 'waits\n'
         return reader, writer
 
     yield begin
@@ -101,7 +109,7 @@ def test_a_node_that_ends_waits_for_what_it_has_published(pair, end):
     reader, writer = pair(end, HANG)
     reader.send_signal(signal.SIGCONT)
     assert writer.wait(HANG) == 0
-    assert reader.stdout.readline() == '500\n'
+    assert said(reader) == '500\n'
     assert reader.wait(HANG) == 0
 
 
