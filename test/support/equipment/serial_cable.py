@@ -63,9 +63,9 @@ class Cable:
     fault : str
         `` none; `unplugged` the adapter is pulled out and its file gone; `held` it is plugged in
         anew and another program has its port; `silent` nothing comes back; `garbled` answers come
-        as with another baud rate or parity; `noise` bytes come all the time; `late` answers
-        come after `LATE`; `master` another master asks too, and everybody hears it
-        and its answers.
+        as with another baud rate or parity; `noise` bytes come all the time; `glitch` a
+        byte follows each answer; `late` answers come after `LATE`; `master` another master asks
+        too, and everybody hears it and its answers.
     """
 
     def __init__(self, port: Path, words: dict[int, int], units: tuple[int, ...] = (1,)) -> None:
@@ -126,6 +126,8 @@ class Cable:
             return
         if self.fault == 'garbled':
             data = bytes(self._random.randrange(256) for _ in data)
+        if self.fault == 'glitch':
+            data += b'\0'
         self._pass(data)
 
     def _pass(self, data: bytes) -> None:
