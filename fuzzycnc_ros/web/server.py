@@ -3,6 +3,7 @@
 """The server of the live page, in a thread of its own with an event loop of its own."""
 
 import asyncio
+import contextlib
 import json
 import socket
 import threading
@@ -99,8 +100,8 @@ class PageServer:
 
     def stop(self) -> None:
         """Serve no more."""
-        self._server.should_exit = True
         if self._thread.is_alive():
+            self._tell(self._server.end)
             self._thread.join(STOPPED_WITHIN)
         else:
             self._loop.close()
@@ -121,7 +122,7 @@ class PageServer:
         self._tell(self._frames.put, machine, json.dumps(frame, allow_nan=False))
 
     def _tell(self, call: Callable[..., None], *arguments: Any) -> None:
-        if not self._loop.is_closed():
+        with contextlib.suppress(RuntimeError):  # it has ended
             self._loop.call_soon_threadsafe(call, *arguments)
 
     def _run(self) -> None:
@@ -133,7 +134,16 @@ class PageServer:
 
 
 class _Server(uvicorn.Server):
-    """Uvicorn's server, which looks twice a second whether to end."""
+    """Uvicorn's server, which ends at once when it is told to."""
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self._told = asyncio.Event()
+
+    def end(self) -> None:
+        """End, from within the loop."""
+        self.should_exit = True
+        self._told.set()
 
     async def main_loop(self) -> None:
         """Tell the server's ticks.
@@ -142,7 +152,8 @@ class _Server(uvicorn.Server):
         """
         tick = 0
         while not await self.on_tick(tick):  # each tenth renews the date of all answers
-            await asyncio.sleep(0.1 * _TICKS)
+            with contextlib.suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._told.wait(), 0.1 * _TICKS)
             tick = (tick + _TICKS) % 864_000
 
 
