@@ -6,6 +6,7 @@ import hashlib
 import json
 import sys
 import threading
+from functools import partialmethod
 from pathlib import Path
 from typing import ClassVar
 
@@ -58,6 +59,12 @@ def failing():
     Failing.uploads.clear()
     Failing.gate.set()
     return Failing
+
+
+@pytest.fixture
+def hasty(monkeypatch):
+    """Whoever closes a recording waits for hardly anything: it would not arrive."""
+    monkeypatch.setattr(Shipper, 'close', partialmethod(Shipper.close, 0.1))
 
 
 def payload(number):
@@ -157,7 +164,7 @@ def test_what_arrived_as_something_else_is_sent_again(tmp_path, failing):
     assert len(ledger(tmp_path / 'bag')) == 10
 
 
-def test_what_is_there_already_is_not_overwritten(tmp_path, failing):
+def test_what_is_there_already_is_not_overwritten(tmp_path, failing, hasty):
     system, root = fsspec.url_to_fs('failing://shop/bag/bag_0.mcap')
     system.pipe_file(root, b'of last year')
     thread = record(tmp_path / 'bag', 'failing://shop')
@@ -170,7 +177,7 @@ def test_what_is_there_already_is_not_overwritten(tmp_path, failing):
     assert '10 parts of' in notice.text
 
 
-def test_what_did_not_arrive_is_named_at_the_end(tmp_path, failing):
+def test_what_did_not_arrive_is_named_at_the_end(tmp_path, failing, hasty):
     failing.plan += [PermissionError('denied')] * 1000
     thread = record(tmp_path / 'bag', 'failing://shop', 100)
     until(lambda: thread.progress().waiting)
@@ -240,7 +247,7 @@ def test_url_with_a_secret_is_refused_and_not_repeated(tmp_path, url):
     assert 'AKIAXX' not in str(caught.value)
 
 
-def test_no_secret_reaches_a_text_or_the_bag(tmp_path, failing, monkeypatch):
+def test_no_secret_reaches_a_text_or_the_bag(tmp_path, failing, hasty, monkeypatch):
     monkeypatch.setenv('AWS_SECRET_ACCESS_KEY', 's3same-street')
     monkeypatch.setitem(fsspec.config.conf, 'failing', {'token': 'open-s3same'})
     failing.plan += [OSError('s3same-street and open-s3same are unknown')] * 1000

@@ -3,12 +3,18 @@
 """Real Modbus TCP and OPC UA servers on loopback, and a route to them that fails on demand."""
 
 import asyncio
+import atexit
 import ssl
+import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Coroutine
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 from asyncua import Server, ua
+from asyncua.server.address_space import AddressSpace, NodeManagementService
+from asyncua.server.standard_address_space.standard_address_space import fill_address_space
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
@@ -81,6 +87,25 @@ class ModbusServer:
         await self._server.shutdown()
 
 
+@cache
+def _standard() -> Path:
+    """Return a file with the address space of the standard, which takes seconds to make."""
+    folder = tempfile.TemporaryDirectory()
+    atexit.register(folder.cleanup)
+    space = AddressSpace()
+    fill_address_space(NodeManagementService(space))
+    path = Path(folder.name, 'address_space')
+    space.make_aspace_shelf(path)
+    return path
+
+
+async def new_opcua() -> Server:
+    """Return a server that has nothing yet but the address space of the standard."""
+    server = Server()
+    await server.init(shelf_file=_standard())
+    return server
+
+
 async def stop_opcua(server: Server) -> None:
     """Stop a server, and drop the clients that have come back while it stopped."""
     await server.stop()
@@ -104,8 +129,7 @@ class OpcUaServer:
         self.port = 0
 
     async def start(self) -> None:
-        self.server = Server()
-        await self.server.init()
+        self.server = await new_opcua()
         self.server.set_endpoint(f'opc.tcp://{LOCAL}:{self.port}/')
         if self._secure is not None:
             await self._secure(self.server)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from asyncua import Server, ua
 from benches.line_control import LineControl
-from equipment.field_servers import LOCAL, NAMESPACE, stop_opcua
+from equipment.field_servers import LOCAL, NAMESPACE, new_opcua, stop_opcua
 
 AXES = ('X', 'Z')
 SCAN = 0.02
@@ -112,8 +112,7 @@ class ControlServer:
         self.port = 0
 
     async def start(self) -> None:
-        self.server = Server()
-        await self.server.init()
+        self.server = await new_opcua()
         self.server.set_endpoint(f'opc.tcp://{LOCAL}:{self.port}/')
         if self._secure is not None:
             await self._secure(self.server)
