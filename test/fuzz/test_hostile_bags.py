@@ -88,6 +88,9 @@ SLOW = (
     'chunk_of_the_smallest_messages',
     'chunks_that_overlap',
     'database_of_large_messages',
+    'metadata_of_a_million_values',
+    'one_topic_of_many_qos',
+    'run_of_very_many_sensors',
     'very_many_topics',
 )
 CASES = [
@@ -155,6 +158,7 @@ def test_a_chunk_of_another_size_than_it_states_is_damaged(tmp_path):
         read_all(file, True)
 
 
+@pytest.mark.slow
 def test_large_messages_are_read_a_few_at_a_time(tmp_path):
     bag = hostile_files.database_of_large_messages(tmp_path / 'a')
 

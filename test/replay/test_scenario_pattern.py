@@ -98,6 +98,7 @@ def test_the_bag_gives_the_same(recorded, name):
     assert not report.notes
 
 
+@pytest.mark.slow
 @pytest.mark.replay
 def test_learnt_offsets_are_stitched_and_replayed(recorded, tmp_path):
     """The second cycle of learning; the bag holds the offsets."""
@@ -114,6 +115,7 @@ def test_learnt_offsets_are_stitched_and_replayed(recorded, tmp_path):
     assert report.identical, report.topics
 
 
+@pytest.mark.slow
 @pytest.mark.replay
 def test_calibration_calls_for_what_the_samples_say():
     """Single primitives, each from a fresh start on its own sheet."""
@@ -132,6 +134,7 @@ def test_calibration_calls_for_what_the_samples_say():
         np.testing.assert_allclose(needed, true_compensation([row])[0], atol=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.replay
 def test_patterns_follow_each_other_on_their_sheets(model):
     """Scatter differs from path to path; the same track again has a number."""
@@ -145,6 +148,7 @@ def test_patterns_follow_each_other_on_their_sheets(model):
     assert all(item.quality().max_deviation < 2e-3 for item in found)
 
 
+@pytest.mark.slow
 @pytest.mark.replay
 def test_a_compensated_path_stops_at_its_stitches_without_a_blend(model):
     fast, slow = (

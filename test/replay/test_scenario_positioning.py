@@ -119,6 +119,7 @@ def test_ballscrew_arrives():
     assert move.overshoot < 2e-5
 
 
+@pytest.mark.slow
 @pytest.mark.replay
 def test_path_of_the_scheduler_is_followed_by_driven_axes():
     """Scheduler, controller and machine: the machine says what became of the trajectory."""

@@ -44,6 +44,7 @@ def three_runs(calibration):
     return train_model(calibration.runs, candidates=CANDIDATES).to_json()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('kind', rest_slow(['offset', 'kalman'], 1))
 def test_half_hourly_probes_correct_a_model_of_one_run(one_run, kind):
     probing = {'probing': kind, 'probe_interval_min': 1800.0}
@@ -100,6 +101,7 @@ def run_with_swap(first, second, sink, *, swap_time=600.0, ticks=1000, swap_at=5
     return np.array(applied)
 
 
+@pytest.mark.slow
 @pytest.mark.replay
 def test_models_change_in_the_middle_of_a_shift_without_a_step(one_run, three_runs, tmp_path):
     errors = []

@@ -70,6 +70,7 @@ def test_calibration_without_bags_gives_the_same_runs(calibration):
         assert same(run.temperature, other.temperature)
 
 
+@pytest.mark.slow
 def test_noise_differs_between_seeds_duties_and_shift(calibration, shift):
     other = record_calibration(('D0',), seed=1).runs[0]
     noise = calibration.runs[0].temperature - other.temperature
@@ -168,6 +169,7 @@ def test_the_bag_replays_to_the_same_outputs(shift):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.replay
 def test_the_bag_replays_with_faults_and_other_parameters(calibration, model_text, tmp_path):
     model = load_model(model_text)
@@ -191,6 +193,7 @@ def test_the_bag_replays_with_faults_and_other_parameters(calibration, model_tex
     assert report.identical, [item for item in report.topics if not item.equal]
 
 
+@pytest.mark.slow
 def test_equal_runs_give_equal_bags(calibration, model_text, tmp_path):
     for name in ('a', 'b'):
         (tmp_path / name).mkdir()

@@ -24,6 +24,8 @@ from fuzzycnc_ros.studies.shift.whole_shift import (
 from fuzzycnc_ros.studies.shift.whole_shift_log import ShiftLogs
 from fuzzycnc_ros.studies.shift.whole_shift_page import job_table
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = ShiftSettings(
     jobs=('1200:path:trident', '1800:move:X:0.01,Z:-0.005', '2400:path:infinity'), duration=3000.0
 )
@@ -75,7 +77,6 @@ def test_compensation_is_what_makes_the_difference(shift, model):
     assert table.rows[1][0] == 'X:0.01,Z:-0.005'
 
 
-@pytest.mark.slow
 @pytest.mark.replay
 def test_bag_and_second_run_are_the_same(shift, model, tmp_path):
     after, bag = shift
@@ -125,7 +126,6 @@ M2
 """What the jobs of a shift do not have: sharp corners, tight arcs at full feed, a spline."""
 
 
-@pytest.mark.slow
 @pytest.mark.replay
 def test_another_program_keeps_its_tolerance(model):
     check_program(CURVES)

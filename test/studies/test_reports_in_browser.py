@@ -92,6 +92,7 @@ return word.getBoundingClientRect().left - bar.right;
 DOTS = Series('found', [5.0, 2.0, 4.0], AFTER, kind='dots')
 
 
+@pytest.mark.slow
 def test_the_report_of_a_day_is_small_and_fits_all_screens(reader, day):
     assert day.stat().st_size <= SIZE_MAX
     check(reader, day)

@@ -103,6 +103,7 @@ def test_train_on_a_table(fuzzycnc, tmp_path, samples):
     assert '<svg' in (tmp_path / 'p.html').read_text()
 
 
+@pytest.mark.slow
 def test_samples_of_one_sheet_stay_together(fuzzycnc, tmp_path, samples):
     x, s = samples.x[:106:2], samples.s[:106:2]
     write_samples(tmp_path / 's.csv', x, s, [f's{number % 7}' for number in range(len(x))])
@@ -303,6 +304,7 @@ def test_lengths_in_other_units_are_suspected(refused, tmp_path, samples, factor
     refused('foam', 'train', 's.csv', '--out', 'm.json', naming=naming)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('factor', [1e-3, pytest.param(1e3, marks=pytest.mark.slow)])
 def test_compensations_in_other_units_are_doubted(fuzzycnc, tmp_path, samples, factor):
     x, s = samples

@@ -9,6 +9,8 @@ import pytest
 
 from fuzzycnc_ros.cli.main import run
 
+pytestmark = [pytest.mark.paper, pytest.mark.slow]
+
 CHANNELS = ('ch1', 'ch2', 'ch3', 'ch4', 'ch5')
 LAST_TRAINING_ROW = 5790
 INTERVAL = 15  # s between rows
@@ -43,7 +45,6 @@ def figures(data, tmp_path_factory):
         yield {name: json.loads(Path(f'{name}.json').read_text()) for name in names}
 
 
-@pytest.mark.paper
 def test_the_whole_recording_is_imported(figures):
     assert figures['import']['samples'] == 7711
     assert figures['import']['interval_s'] == pytest.approx(INTERVAL)
@@ -51,7 +52,6 @@ def test_the_whole_recording_is_imported(figures):
     assert len(figures['import']['sensors']) == 16
 
 
-@pytest.mark.paper
 def test_only_training_rows_are_trained_on_and_only_unseen_ones_judged(figures):
     assert figures['train']['interval_s'] == pytest.approx(60.0)
     # Rows 5791 to 7710 at one a quarter of a minute.
@@ -59,7 +59,6 @@ def test_only_training_rows_are_trained_on_and_only_unseen_ones_judged(figures):
     assert figures['evaluate']['judged']['spindle']['trained_on'] == {}
 
 
-@pytest.mark.paper
 def test_a_held_out_stretch_is_as_far_from_the_training_as_one_that_was_left_outside(figures):
     (held_out,) = figures['compare']['held_out'].values()
     judged = figures['evaluate']['judged']['spindle']
@@ -67,14 +66,12 @@ def test_a_held_out_stretch_is_as_far_from_the_training_as_one_that_was_left_out
     assert held_out['samples'] == judged['samples']
 
 
-@pytest.mark.paper
 def test_rows_that_were_trained_on_are_recognised(figures):
     judged = figures['trained']['judged']['spindle']
     # Two thirds of 60000 to 100000 s lie before the end of the training at 86850 s.
     assert judged['trained_on'] == pytest.approx({'spindle': 0.67}, abs=0.1)
 
 
-@pytest.mark.paper
 def test_the_default_beats_static_ridge_on_the_unseen_cycle(figures):
     rows = figures['evaluate']['runs']['spindle']
     assert set(rows) >= {'uncompensated', 'least_squares', 'static_ridge', 'default'}
@@ -83,7 +80,6 @@ def test_the_default_beats_static_ridge_on_the_unseen_cycle(figures):
     assert max(ratio) <= 1.2, ratio
 
 
-@pytest.mark.paper
 def test_the_default_leaves_less_than_half_of_the_error(figures):
     rows = figures['evaluate']['runs']['spindle']
     for channel in CHANNELS:
@@ -91,7 +87,6 @@ def test_the_default_leaves_less_than_half_of_the_error(figures):
         assert left < 0.5, channel
 
 
-@pytest.mark.paper
 def test_an_hourly_probe_leaves_less_with_the_model_than_without_it(figures):
     probed = figures['evaluate']['probed']
     assert probed['samples']['spindle'] == dict.fromkeys(CHANNELS, 479)

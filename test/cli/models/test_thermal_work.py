@@ -256,6 +256,7 @@ def test_median_counts_divergence_as_worst(values, expected):
     assert median_figures([document(value) for value in values]) == document(expected)
 
 
+@pytest.mark.slow
 def test_simulate_twice_gives_the_same_bag_and_replay_gives_the_same_outputs(fuzzycnc):
     for name in ('a', 'b'):
         outcome = fuzzycnc('simulate', *SHORT, '--seed', '2', '--out', f'{name}/shift')
@@ -324,6 +325,7 @@ def test_replay_accepts_the_rounding_of_another_processor_and_says_so(fuzzycnc):
     assert fuzzycnc('replay', 'rounded', '--exact').code == 1
 
 
+@pytest.mark.slow
 def test_simulate_with_a_model_file(fuzzycnc):
     assert fuzzycnc('simulate', *SHORT, '--out', 'shift', '--json', 'a.json').code == 0
     with BagReader('shift') as reader:

@@ -54,6 +54,7 @@ def test_the_oldest_is_dropped():
     assert series.rows(0.0, 1e9, 600).time[0] == series.begin
 
 
+@pytest.mark.slow
 def test_a_day_of_76_sensors_at_1_hz_stays_within_150_mib():
     history = History()
     names = [f't{number}' for number in range(76)]

@@ -229,6 +229,7 @@ def test_butterfly_is_what_the_contouring_machine_makes_of_it():
     np.testing.assert_allclose(error, expected.error, rtol=0, atol=5e-8)
 
 
+@pytest.mark.slow
 def test_a_duty_warms_the_machine_alike_whether_its_axes_move():
     plain, moved = (Machine(duties=('T2',), paths=(), duty_duration=240.0) for _ in range(2))
     moved.run_to(START + 24 * SECOND)

@@ -68,7 +68,7 @@ def test_compensator_without_a_valid_error_ramps_to_zero(step):
     assert rig.largest_step <= SLEW * CYCLE + SCALE
 
 
-@pytest.mark.parametrize('epoch', [5000, 2**61])
+@pytest.mark.parametrize('epoch', rest_slow([5000, 2**61], 0))
 def test_forged_read_back_does_not_end_compensation(epoch):
     rig = Rig()
     compensated = Compensated(rig)
@@ -82,7 +82,7 @@ def test_forged_read_back_does_not_end_compensation(epoch):
     assert rig.at(-1e6 * np.array([0.0, *ERROR]))
 
 
-@pytest.mark.parametrize('epoch', rest_slow([5000, 2**61, 2**62], 0, 2))
+@pytest.mark.parametrize('epoch', rest_slow([5000, 2**61, 2**62], 0))
 def test_first_read_back_may_be_forged(epoch):
     """A compensator that has just begun believes it, until the machine shows what is true."""
     rig = Rig()

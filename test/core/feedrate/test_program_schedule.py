@@ -307,7 +307,9 @@ def lone_lines(count):
 
 @pytest.mark.parametrize('blend', [0.0, 1e-5])
 @pytest.mark.parametrize('override', [0.5, 1.3])
-@pytest.mark.parametrize('method', ['log_fuzzy', 'fuzzy', 'constant', 'jerk_limited'])
+@pytest.mark.parametrize(
+    'method', rest_slow(['log_fuzzy', 'fuzzy', 'constant', 'jerk_limited'], 0)
+)
 def test_lines_alone_are_scheduled_as_paths_are(method, override, blend):
     config = FeedrateSchedulerConfig(
         method=method, tolerance=20e-6, blend=blend, feed_override=override

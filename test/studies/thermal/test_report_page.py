@@ -99,6 +99,7 @@ def test_svg_follows_the_theme_of_the_page(page):
     assert 'fill: var(--ink)' in svg
 
 
+@pytest.mark.slow
 def test_same_data_same_page(page):
     assert render_page(report_page(report())) == page
 

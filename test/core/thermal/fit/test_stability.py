@@ -119,6 +119,7 @@ def test_what_training_chooses_stays_near_too(mill):
     assert largest_output(lambda rise: model.predict(rise) / mill.range, streams) <= FACTOR
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     'model', [LagRidge(), GreyAnfis(), HybridFilterNetwork(), *OTHERS], ids=repr
 )

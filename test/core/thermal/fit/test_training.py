@@ -220,6 +220,7 @@ def test_faster_runs_are_averaged(runs):
     assert evaluate(model, fast[0]).samples == (150, 150)
 
 
+@pytest.mark.slow
 def test_slower_runs_are_refused():
     slow = [machine_run('slow', 0, interval=600.0)]
     with pytest.raises(ThermalDataError, match=r'every 60 s.*one every 600 s.*interval=600'):
