@@ -52,13 +52,15 @@ class Failing(MemoryFileSystem):
 
 @pytest.fixture
 def failing():
-    """The place, which lets everything through."""
+    """The place, which lets all through; who was given up has ended before the next test."""
     fsspec.register_implementation('failing', Failing, clobber=True)
     Failing.store.clear()
     Failing.plan.clear()
     Failing.uploads.clear()
     Failing.gate.set()
-    return Failing
+    yield Failing
+    Failing.gate.set()
+    until(lambda: 'bag-shipper' not in {thread.name for thread in threading.enumerate()})
 
 
 @pytest.fixture
