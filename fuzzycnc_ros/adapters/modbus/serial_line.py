@@ -46,6 +46,8 @@ class _Line:
         self._opening, self._lock = asyncio.Lock(), asyncio.Lock()
         self.gone = self._opened = self._asking = False
         self._buffer = b''
+        self._unit = b''  # who is asked, as its answer begins
+        self._glitch = 0  # bytes before that
         # Bytes since the last request, and how many of them are accounted for
         self._heard = self._due = 0
         self._heard_at = 0.0
@@ -86,6 +88,7 @@ class _Line:
             if self.gone:
                 raise LinkError(self._lost())
             self._heard, self._due, self._asking = 0, 0, True
+            self._unit = bytes([device.unit])
             try:
                 return await self._answer(device, block)
             finally:
@@ -122,11 +125,20 @@ class _Line:
             else:
                 text += '; is it on, is the unit right, are A and B of the line exchanged?'
             raise LinkError(text) from error
+        # The client has used up as many bytes as it got, so this many are left there.
+        self._buffer = self._buffer[len(self._buffer) - self._glitch :]
         self._due = FRAME_EXTRA + (0 if answer.isError() else 2 * len(answer.registers))
         return answer
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
-        """Count what is heard; `data` is all that the client has not used yet."""
+        """Count what is heard; `data` is all that the client has not used yet.
+
+        Returns
+        -------
+        bytes
+            What the client gets: an answer without the glitch before it, which the client would
+            take for the beginning of a frame.
+        """
         if sending:
             self._buffer = b''
             return data
@@ -135,7 +147,10 @@ class _Line:
         self._buffer, self._heard_at = data, time.monotonic()
         if not self._asking:
             self._look()
-        return data
+            return data
+        begin = data.find(self._unit)
+        self._glitch = begin if 0 < begin < FRAME_MIN else 0
+        return data[self._glitch :]
 
     def _look(self) -> None:
         """Note if more was heard than was asked for."""

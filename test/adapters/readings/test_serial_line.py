@@ -181,10 +181,11 @@ def test_an_answer_that_comes_too_late_is_never_taken_for_another(lay, monkeypat
     line.wait(good)
 
 
-def test_a_short_glitch_between_frames_costs_nothing(lay):
+@pytest.mark.parametrize('place', ['before', 'behind', 'around'])
+def test_a_short_glitch_between_frames_costs_nothing(lay, place):
     line = lay(timeout=5.0)  # also where the computer has others to serve
     line.wait(good)
-    line.set('glitch')
+    line.set(f'glitch {place}')
     for _ in range(5):
         assert good(line.wait(lambda polled: True))
 

@@ -46,6 +46,10 @@ class SerialServer(ModbusServer):
         await self._server.serve_forever(background=True)
 
 
+GLITCH = b'\0\xff'
+"""What a driver makes of a line that it takes or leaves."""
+
+
 class Cable:
     """A line between the port of a master and a server; both ends hear all that is on it.
 
@@ -63,9 +67,9 @@ class Cable:
     fault : str
         `` none; `unplugged` the adapter is pulled out and its file gone; `held` it is plugged in
         anew and another program has its port; `silent` nothing comes back; `garbled` answers come
-        as with another baud rate or parity; `noise` bytes come all the time; `glitch` a
-        byte follows each answer; `late` answers come after `LATE`; `master` another master asks
-        too, and everybody hears it and its answers.
+        as with another baud rate or parity; `noise` bytes come all the time; `glitch before`,
+        `glitch behind` and `glitch around` bytes stand there at each answer; `late` answers come
+        after `LATE`; `master` another master asks too, and everybody hears it and its answers.
     """
 
     def __init__(self, port: Path, words: dict[int, int], units: tuple[int, ...] = (1,)) -> None:
@@ -126,8 +130,10 @@ class Cable:
             return
         if self.fault == 'garbled':
             data = bytes(self._random.randrange(256) for _ in data)
-        if self.fault == 'glitch':
-            data += b'\0'
+        if self.fault in ('glitch before', 'glitch around'):
+            data = GLITCH[:1] + data
+        if self.fault in ('glitch behind', 'glitch around'):
+            data += GLITCH
         self._pass(data)
 
     def _pass(self, data: bytes) -> None:
