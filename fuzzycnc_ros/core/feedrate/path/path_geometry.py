@@ -17,7 +17,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 from fuzzycnc_ros.core.arrays import Array, dot_products, vector_lengths
 
@@ -311,6 +310,9 @@ def _checked(values: ArrayLike, name: str) -> Array:
 
 def _spline_shape(point: Array) -> tuple[Array, Array]:
     """Return directions and curvature vectors of the cubic spline through points, (n, d) each."""
+    # Here, since programs of lines and arcs need no splines: they start half a second sooner.
+    from scipy.interpolate import CubicSpline
+
     chord = vector_lengths(np.diff(point, axis=0))
     if not (chord > 0.0).all():
         raise ValueError(

@@ -13,7 +13,6 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter1d
-from scipy.optimize import brentq
 
 from fuzzycnc_ros.core.arrays import Array
 
@@ -167,6 +166,9 @@ def knob_at_error(
         at = edge if reach < log(_BRACKET) else at + copysign(reach, edge - at)
         value = excess(at)
     if value != 0.0 and last_value != 0.0:
+        # Here, since programs that are scheduled look for no equal error: they start sooner.
+        from scipy.optimize import brentq
+
         root = brentq(excess, at, last, xtol=0.25 * precision, rtol=1e-12)
         while best is None or log(best[0]) < root - precision:
             # the solver may have come from above only
