@@ -209,6 +209,7 @@ class Adviser:
         self._limits, self._machine, self._settings = limits, machine, settings
         self._moves = program_moves(program.blocks, before)
         self._path = ProgramPath(self._moves)
+        self._quickest = np.inf  # time of what keeps the tolerance so far [s]
         self._modes = [
             PathMode(share * tolerance, min(share, SHARES[1]) * tolerance) for share in SHARES
         ]
@@ -245,7 +246,12 @@ class Adviser:
         for number, step in enumerate(steps):
             progress(step.__name__.strip('_').replace('_', ' '), number, len(steps))
             found += [one for one in step() if one is not None]
+            self._quickest = self._quickest_kept(found)
         return Advice(self._tolerance, tuple(found), self._best(found))
+
+    def _quickest_kept(self, found: Sequence[Remedy]) -> float:
+        times = (one.judged.duration for one in found if one.judged.error <= self._tolerance)
+        return min(times, default=np.inf)
 
     def _best(self, found: Sequence[Remedy]) -> int:
         return best_of([one.judged for one in found], self._tolerance)
@@ -326,7 +332,15 @@ class Adviser:
         for share in REFINED:
             limits = self._slowed(share)
             for aim in (1.0, 0.9):
-                known = refine(path, moves, aim * self._tolerance, limits, self._machine)
+                quickest = min(self._quickest, self._quickest_kept(found))
+                known = refine(
+                    path,
+                    moves,
+                    aim * self._tolerance,
+                    limits,
+                    self._machine,
+                    longest=LOST * quickest,
+                )
                 text = self._written(program, moves, known.feed)
                 # judged as it was written, by the path as it was given
                 written = with_mode(program_moves(read_program(text, self._units).blocks), mode)
@@ -334,6 +348,8 @@ class Adviser:
                 found.append(self._remedy(name, share, mode, judged, text))
                 if judged.error <= self._tolerance:
                     break
+            if judged.error <= self._tolerance and np.array_equal(known.feed, moves.moves.feed):
+                break  # lower accelerations would only take longer
         return min(found, key=lambda one: self._order(one.judged))
 
     def _schedule(self, settings: ProgramSettings) -> tuple[ProgramMoves, str]:
@@ -429,6 +445,9 @@ SETTLED = 0.95
 """Error over tolerance from which feeds no longer rise [-]."""
 AIM = 0.97
 """Share of the tolerance that is aimed at [-]."""
+LOST = 4.0
+"""Feeds are refined no further where they take that many times as long as what keeps the tolerance
+already: a round lowers them to `FALL_MOST` at most, and raises them by less [-]."""
 ROUNDS, ROUNDS_DOWN = 24, 8
 """Rounds, and those at the end in which no feed rises."""
 CUTS = (1e-4, 4e-4)
@@ -462,6 +481,7 @@ def refine(
     tolerance: float,
     limits: ControllerLimits,
     machine: ContouringConfig,
+    longest: float = np.inf,
 ) -> Refined:
     """Lower the feed of each block until the contour error keeps a tolerance, and not further.
 
@@ -478,6 +498,8 @@ def refine(
         Largest contour error wanted [m].
     limits, machine
         The controller and the lags of the axes.
+    longest : float
+        Time from which on nobody wants it [s]: the search ends there.
 
     Returns
     -------
@@ -495,13 +517,18 @@ def refine(
         now = Refined(feed, judged.duration, judged.error)
         if best is None or _rank(now, tolerance) < _rank(best, tolerance):
             best = now
+        if judged.duration > longest:
+            break
         over, pace = _by_move(found, plain.place[:, 1], machine, AIM * tolerance)
         known = np.maximum(over, 1e-3)
         slower = np.minimum(feed, pace) * np.maximum(known**-FALL, FALL_MOST)
         faster = np.minimum(feed * np.minimum(known**-RISE, RISE_MOST), own)
         rises = (over > 0.0) & (over < SETTLED) & (number < ROUNDS - ROUNDS_DOWN)
-        feed = np.where(over > 1.0, slower, np.where(rises, faster, feed))
-        feed = np.where(plain.rapid, plain.feed, feed)
+        wanted = np.where(over > 1.0, slower, np.where(rises, faster, feed))
+        wanted = np.where(plain.rapid, plain.feed, wanted)
+        if np.array_equal(wanted, feed):
+            break  # so it would be in all rounds that are left
+        feed = wanted
     assert best is not None
     return best
 

@@ -14,6 +14,7 @@ from fuzzycnc_ros.core.feedrate.gcode.split_program import check_same_path
 from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 from fuzzycnc_ros.core.feedrate.schedule.controller_program import program_moves
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.studies.programs import advice
 from fuzzycnc_ros.studies.programs.program_judge import ProgramPath
 
 PART = """(part)
@@ -110,6 +111,20 @@ def test_a_program_that_is_good_is_left_alone(fuzzycnc, part):
     assert outcome.code == 0
     assert 'leave it as it is' in outcome.out
     assert Path('out.ngc').read_text() == part.read_text()
+
+
+def test_feeds_are_refined_no_further_than_somebody_wants(fuzzycnc, part, monkeypatch):
+    """As it is the program keeps the tolerance; with a path mode its corners had to creep."""
+    part.write_text('G21 G90 G17\nF800\nG0 X2 Y0 Z0\nG2 X2 Y0 I-2 J0 Z-1\nG1 X0\nG1 Y3\nM2\n')
+    tried = []
+    simulate = advice.simulate
+    monkeypatch.setattr(advice, 'simulate', lambda *given: tried.append(1) or simulate(*given))
+    outcome = fuzzycnc('advise', part, '--tolerance', '20um', '--json', 'a.json')
+    assert outcome.code == 0, outcome.err
+    found = json.loads(Path('a.json').read_text())
+    durations = [one['simulated']['duration'] for one in found['remedies']]
+    assert durations[-1] > advice.LOST * durations[found['best']]
+    assert len(tried) <= 12  # of 48
 
 
 @pytest.mark.parametrize(
