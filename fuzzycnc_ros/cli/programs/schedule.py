@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import nullcontext, redirect_stdout
 from dataclasses import dataclass, field, replace
 from itertools import islice
-from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -275,7 +274,7 @@ def _counted(
             tally.take(block, feed)
             if block.segment is not None:
                 moved += 1
-                own = block.segment.feed if feed is None or isnan(feed) else feed
+                own = block.segment.feed if feed is None else feed
                 if own:
                     time += block.segment.length / own
                     timed += 1

@@ -244,6 +244,7 @@ def test_a_move_below_rounding_does_not_end_what_is_driven(fuzzycnc):
     outcome = fuzzycnc('schedule', 'tiny.ngc', '--tolerance', '0.01mm', '--out', 'out.ngc')
     assert outcome.code == 0, outcome.err
     assert 'the whole program' in outcome.out
+    assert 'the feeds of 2 chosen' in outcome.out  # that of the first move stays its own
 
 
 @pytest.mark.parametrize(('words', 'most'), [('F60', 210), ('G93 F60', 2010)])

@@ -416,7 +416,8 @@ class ProgramRun:
                 self._feed.popleft()
                 self._base += 1
             self._bends.pop(index, None)
-            yield block, self._feed[0]
+            feed = self._feed[0]
+            yield block, None if isnan(feed) else feed
 
     def _settle(self, path: ReferencePath) -> None:
         """Tell of a stretch whose blocks have their feeds: a block has one, all along."""
