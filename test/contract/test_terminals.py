@@ -25,16 +25,15 @@ CONSOLES = {'Console', 'TextColumn', 'echo', 'secho'}
 @cache
 def called() -> list[tuple[str, str]]:
     """Return the file and the function of every call: its name, a method's behind a dot."""
-    found = []
-    for path in PACKAGE.rglob('*.py'):
-        name = path.relative_to(PACKAGE).as_posix()
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Call):
-                if isinstance(node.func, ast.Name):
-                    found.append((name, node.func.id))
-                elif isinstance(node.func, ast.Attribute):
-                    found.append((name, f'.{node.func.attr}'))
-    return found
+    return [
+        (
+            path.relative_to(PACKAGE).as_posix(),
+            node.func.id if isinstance(node.func, ast.Name) else f'.{node.func.attr}',
+        )
+        for path in PACKAGE.rglob('*.py')
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute)
+    ]
 
 
 def test_only_known_places_print():

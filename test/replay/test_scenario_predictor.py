@@ -4,7 +4,6 @@
 
 import numpy as np
 import pytest
-from tiers import rest_slow
 
 from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.simulated_machine import (
@@ -45,7 +44,7 @@ def three_runs(calibration):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('kind', rest_slow(['offset', 'kalman'], 1))
+@pytest.mark.parametrize('kind', ['offset', 'kalman'])
 def test_half_hourly_probes_correct_a_model_of_one_run(one_run, kind):
     probing = {'probing': kind, 'probe_interval_min': 1800.0}
     (plain,), (probed,) = (

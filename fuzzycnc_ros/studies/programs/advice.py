@@ -209,7 +209,6 @@ class Adviser:
         self._limits, self._machine, self._settings = limits, machine, settings
         self._moves = program_moves(program.blocks, before)
         self._path = ProgramPath(self._moves)
-        self._quickest = np.inf  # time of what keeps the tolerance so far [s]
         self._modes = [
             PathMode(share * tolerance, min(share, SHARES[1]) * tolerance) for share in SHARES
         ]
@@ -242,16 +241,12 @@ class Adviser:
             steps.append(self._refined)
         if corners == 'split':
             steps.append(self._split)
+        self._quickest = np.inf  # time of what keeps the tolerance so far [s]
         found: list[Remedy] = []
         for number, step in enumerate(steps):
             progress(step.__name__.strip('_').replace('_', ' '), number, len(steps))
             found += [one for one in step() if one is not None]
-            self._quickest = self._quickest_kept(found)
         return Advice(self._tolerance, tuple(found), self._best(found))
-
-    def _quickest_kept(self, found: Sequence[Remedy]) -> float:
-        times = (one.judged.duration for one in found if one.judged.error <= self._tolerance)
-        return min(times, default=np.inf)
 
     def _best(self, found: Sequence[Remedy]) -> int:
         return best_of([one.judged for one in found], self._tolerance)
@@ -270,6 +265,8 @@ class Adviser:
         self, name: str, share: float, mode: PathMode | None, judged: Judged,
         program: str | None = None,
     ) -> Remedy:  # fmt: skip
+        if judged.error <= self._tolerance:
+            self._quickest = min(self._quickest, judged.duration)
         return Remedy(name, self._slowed(share).acceleration, mode, program, judged)
 
     def _as_it_is(self) -> list[Remedy]:
@@ -332,14 +329,13 @@ class Adviser:
         for share in REFINED:
             limits = self._slowed(share)
             for aim in (1.0, 0.9):
-                quickest = min(self._quickest, self._quickest_kept(found))
                 known = refine(
                     path,
                     moves,
                     aim * self._tolerance,
                     limits,
                     self._machine,
-                    longest=LOST * quickest,
+                    longest=LOST * self._quickest,
                 )
                 text = self._written(program, moves, known.feed)
                 # judged as it was written, by the path as it was given
@@ -348,8 +344,6 @@ class Adviser:
                 found.append(self._remedy(name, share, mode, judged, text))
                 if judged.error <= self._tolerance:
                     break
-            if judged.error <= self._tolerance and np.array_equal(known.feed, moves.moves.feed):
-                break  # lower accelerations would only take longer
         return min(found, key=lambda one: self._order(one.judged))
 
     def _schedule(self, settings: ProgramSettings) -> tuple[ProgramMoves, str]:

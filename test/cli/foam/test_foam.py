@@ -305,7 +305,7 @@ def test_lengths_in_other_units_are_suspected(refused, tmp_path, samples, factor
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('factor', [1e-3, pytest.param(1e3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize('factor', [1e-3, 1e3])
 def test_compensations_in_other_units_are_doubted(fuzzycnc, tmp_path, samples, factor):
     x, s = samples
     write_samples(tmp_path / 's.csv', x, s * factor)
