@@ -30,14 +30,18 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
     def _make_socket_transport(
         self, sock: socket.socket, *args: Any, **options: Any
     ) -> asyncio.Transport:
-        server = options.get('server')
-        if server is not None and not server.sockets:
-            sock.close()  # asyncio would leave it open where the server closed since it accepted
-            raise ConnectionAbortedError
+        _check_serving(sock, options.get('server'))
         made: asyncio.Transport = super()._make_socket_transport(sock, *args, **options)  # type: ignore[misc]
         # One that is closing is open as long as nobody takes what was written to it.
         self._connections = [item for item in self._connections if _is_open(item)]
         self._connections.append(made)
+        return made
+
+    def _make_ssl_transport(
+        self, rawsock: socket.socket, *args: Any, **options: Any
+    ) -> asyncio.Transport:
+        _check_serving(rawsock, options.get('server'))
+        made: asyncio.Transport = super()._make_ssl_transport(rawsock, *args, **options)  # type: ignore[misc]
         return made
 
     def _start_serving(
@@ -66,6 +70,13 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
         for connection in self._connections:
             connection.abort()
         await asyncio.sleep(0)  # a connection ends in the next turn of the loop
+
+
+def _check_serving(sock: socket.socket, server: asyncio.Server | None) -> None:
+    """Drop who was accepted by a server that has closed since: asyncio would leave it open."""
+    if server is not None and not server.sockets:
+        sock.close()
+        raise ConnectionAbortedError
 
 
 def _is_open(connection: asyncio.Transport) -> bool:

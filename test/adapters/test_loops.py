@@ -6,7 +6,10 @@ import asyncio
 import contextlib
 import gc
 import socket
+import ssl
 import warnings
+
+import pytest
 
 from fuzzycnc_ros.adapters.loops import ConnectionLoop
 
@@ -60,7 +63,10 @@ def test_who_connects_while_the_loop_ends_is_dropped():
                 assert client.recv(1) == b''
 
 
-def test_who_was_accepted_by_a_server_that_closes_is_dropped():
+@pytest.mark.parametrize(
+    'tls', [None, ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)], ids=['plain', 'TLS']
+)
+def test_who_was_accepted_by_a_server_that_closes_is_dropped(tls):
     """Between a client's acceptance and its connection is a turn of the loop."""
     loop = ConnectionLoop()
 
@@ -68,7 +74,7 @@ def test_who_was_accepted_by_a_server_that_closes_is_dropped():
         raise AssertionError('expected nobody to be served')
 
     async def accept(clients):
-        server = await asyncio.start_server(serve, '127.0.0.1', 0)
+        server = await asyncio.start_server(serve, '127.0.0.1', 0, ssl=tls)
         clients.append(socket.create_connection(server.sockets[0].getsockname()))
         while len(asyncio.all_tasks()) == 1:
             await asyncio.sleep(0)
