@@ -8,6 +8,7 @@ dates and times of day.
 
 import codecs
 import csv
+import itertools
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -64,6 +65,9 @@ _WIDE = ('utf-16', 'utf-32')  # encodings with zero bytes in plain text
 
 _DELIMITERS = (';', '\t', ',')
 _EXCEL = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # it takes this line for an instruction
+
+_MARK = re.compile(r'#+ *(?=\w)')
+"""Mark of a comment before a name; a column may be called # itself."""
 
 _SAMPLE = 20
 """Last lines of a file that tell what stands between columns."""
@@ -340,6 +344,9 @@ def read_table(
 ) -> Table:
     """Read the rows of a CSV file.
 
+    Lines that begin with # above the table are notes; the last of them names the columns where
+    values follow at once.
+
     Parameters
     ----------
     path : Path
@@ -385,8 +392,15 @@ def _read_rows(
         lines[filled.pop(0)] = '\n'
     if not filled:
         raise CsvError(f'{path}: expected a header and rows but the file is empty')
+    notes = list(itertools.takewhile(lambda number: lines[number].startswith('#'), filled[:-1]))
+    first = filled[len(notes)]
     sample = [lines[number] for number in filled[-_SAMPLE:]]
-    delimiter = delimiter or _delimiter_of(lines[filled[0]], sample)
+    delimiter = delimiter or _delimiter_of(lines[first], sample)
+    if notes and named and all(map(_is_value, _cells(lines[first], delimiter))):
+        names = notes.pop()  # as `numpy.savetxt` marks them
+        lines[names] = _MARK.sub('', lines[names])
+    for number in notes:
+        lines[number] = '\n'
     numbers, rows = _split(path, lines, delimiter)
     _check_lengths(path, numbers, rows, delimiter)
     if len(rows[0]) < 2:
@@ -416,21 +430,21 @@ def _delimiter_of(head: str, sample: Sequence[str]) -> str:
     A comma may be the decimal sign too: the others go first, if all lines are alike with them.
     """
     widths = {
-        sign: Counter(_width(line, sign) for line in sample).most_common(1)[0][0]
+        sign: Counter(len(_cells(line, sign)) for line in sample).most_common(1)[0][0]
         for sign in _DELIMITERS
     }
     found = [sign for sign in _DELIMITERS if widths[sign] > 1]
-    alike = [sign for sign in found if _width(head, sign) == widths[sign]]
+    alike = [sign for sign in found if len(_cells(head, sign)) == widths[sign]]
     likely = max(_DELIMITERS[::-1], key=head.count)
     return (alike or found or [likely])[0]
 
 
-def _width(line: str, delimiter: str) -> int:
-    """Return how many columns a line has; 1 if it is no CSV, which is refused where it is read."""
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line; one if it is no CSV, which is refused where it is read."""
     try:
-        return len(next(csv.reader([line], delimiter=delimiter)))
+        return next(csv.reader([line], delimiter=delimiter))
     except csv.Error:
-        return 1
+        return [line]
 
 
 def _split(path: Path, lines: list[str], delimiter: str) -> tuple[list[int], list[list[str]]]:

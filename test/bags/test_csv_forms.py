@@ -332,6 +332,28 @@ def test_what_excel_writes_above_the_header_names_the_separator(importing, head)
     assert importing(head + german(), **GERMAN).samples == COUNT
 
 
+@pytest.mark.parametrize(
+    ('notes', 'head'),
+    [
+        ('### printer; K3\r\n# coeff=23.4\r\n\r\n# end\r\n', 't;a;b;ch'),
+        ('# made by; a logger; of 4; channels\r\n', 't;a;b;ch'),
+        ('# saved by NumPy\r\n', '# t;a;b;ch'),
+        ('#t;a;b;ch\r\n', ''),
+        ('', '#;t;a;b;ch'),
+    ],
+)
+def test_notes_above_the_table_are_passed_over(importing, tmp_path, notes, head):
+    text = table(head=head)
+    if head.startswith('#;'):
+        text = re.sub(r'^(?=\d)', '1;', text, flags=re.MULTILINE)
+    importing(notes + text)
+    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
+
+
+def test_a_file_of_notes_alone_holds_no_rows(complaint):
+    assert 'found one' in complaint('# t;a\n# 1;2\n# 3\n')
+
+
 def test_commas_are_decimal_signs_where_other_signs_separate(importing, tmp_path):
     plain = table([f'{second:.1f}' for second in SECONDS], head='').replace('.', ',')
     assert plain.count(',') > plain.count(';')

@@ -8,7 +8,7 @@ import subprocess
 import sys
 
 import pytest
-from processes import HANG, start
+from processes import HANG, said, start
 
 pytestmark = pytest.mark.ros
 
@@ -64,14 +64,6 @@ wait, Publisher.wait_for_all_acked = Publisher.wait_for_all_acked, waits
 run.DELIVERING = float(sys.argv[3])
 run.main({'reader': Reader, 'writer': Writer}[sys.argv[1]], sys.argv[:1])
 """
-
-
-def said(process):
-    """Return the next line that a process printed itself: its middleware prints what it meets."""
-    for line in process.stdout:
-        if 'RTPS_' not in line:
-            return line
-    return ''
 
 
 @pytest.fixture

@@ -48,6 +48,15 @@ def start(
     return subprocess.Popen(command, preexec_fn=set_up, **options)
 
 
+def said(process: 'subprocess.Popen[str]') -> str:
+    """Return the next line that a process printed itself: its middleware prints what it meets."""
+    assert process.stdout
+    for line in iter(process.stdout.readline, ''):
+        if 'RTPS_' not in line:
+            return line
+    return ''
+
+
 def wait_for(condition: Callable[[], Any], what: str) -> None:
     """Wait until a condition holds.
 
