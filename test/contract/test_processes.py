@@ -30,6 +30,18 @@ def test_a_process_that_is_left_is_named_and_ended(monkeypatch):
     processes.wait_for(lambda: not processes.living(), 'it is killed')
 
 
+def test_a_process_that_takes_its_time_to_begin_is_found():
+    """On a busy machine it has no environment yet whenever somebody looks."""
+    begins = ['sh', '-c', f'read word; exec env {processes.MARK} cat']
+    pipes = {'stdin': subprocess.PIPE, 'text': True}
+    with processes.start(begins, env={}, **pipes) as process:
+        for _ in range(3):
+            assert process.pid not in processes.living()
+        print('go', file=process.stdin, flush=True)
+        processes.wait_for(lambda: process.pid in processes.living(), 'it is found')
+        process.stdin.close()
+
+
 @pytest.mark.parametrize('here', [signal.SIG_IGN, signal.default_int_handler])
 @pytest.mark.parametrize('interrupts', ['default', 'ignored'])
 def test_interrupts_are_as_the_test_needs_them(here, interrupts):

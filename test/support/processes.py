@@ -25,7 +25,6 @@ KEPT = 'FUZZYCNC_TEST_KEPT=1'
 """Environment of what a fixture of many tests ends, and no single test."""
 
 _strangers: set[int] = set()
-_seen_once: set[int] = set()
 
 
 def start(
@@ -82,14 +81,12 @@ def living() -> set[int]:
     """Return the processes that this one or its descendants have started and that still run."""
     pids = {int(name) for name in os.listdir('/proc') if name.isdigit()} - {os.getpid()}
     _strangers.intersection_update(pids)
-    found = {pid for pid in pids - _strangers if _ours(pid)}
-    found.discard(resource_tracker._resource_tracker._pid)  # lives as long as this process
-    # One that is about to begin has no environment yet: it is looked at a second time.
-    rest = pids - found - _strangers
-    _strangers.update(rest & _seen_once)
-    _seen_once.clear()
-    _seen_once.update(rest)
-    return found
+    ours = {pid: _is_ours(pid) for pid in pids - _strangers}
+    _strangers.update(pid for pid, known in ours.items() if known is False)
+    # The resource tracker lives as long as this process.
+    return {pid for pid, known in ours.items() if known} - {
+        resource_tracker._resource_tracker._pid
+    }
 
 
 def command_line(pid: int) -> str:
@@ -130,12 +127,18 @@ def nobody_left() -> Iterator[None]:
     assert not names, f'expected no process of this test to be left but found {names}'
 
 
-def _ours(pid: int) -> bool:
+def _is_ours(pid: int) -> bool | None:
+    """Return whether this process or a descendant has started one; None if that is to be seen.
+
+    One that is about to begin has no environment yet, on a busy machine for a while.
+    """
     try:
         environment = Path(f'/proc/{pid}/environ').read_bytes()
     except OSError:  # gone, or another user's
         return False
-    if not environment or KEPT.encode() in environment:
+    if not environment:
+        return None
+    if KEPT.encode() in environment:
         return False
     return MARK.encode() in environment or _parent(pid) == os.getpid()
 
