@@ -396,7 +396,7 @@ def _read_rows(
     first = filled[len(notes)]
     sample = [lines[number] for number in filled[-_SAMPLE:]]
     delimiter = delimiter or _delimiter_of(lines[first], sample)
-    if notes and named and all(map(_is_value, _cells(lines[first], delimiter))):
+    if notes and named and _is_row(_cells(lines[first], delimiter)):
         names = notes.pop()  # as `numpy.savetxt` marks them
         lines[names] = _MARK.sub('', lines[names])
     for number in notes:
@@ -495,7 +495,7 @@ def _check_lengths(path: Path, numbers: list[int], rows: list[list[str]], delimi
 def _check_header(path: Path, header: list[str], line: int) -> None:
     """Refuse a first line that holds a row, or names a column twice."""
     named = [name for name in header if name]
-    if all(map(_is_value, named)):
+    if _is_row(named):
         raise CsvError(
             f'{path}, line {line}: expected the names of the columns but found '
             f'{", ".join(header[:4])}; add a line of names, or import with --no-header, which '
@@ -507,6 +507,11 @@ def _check_header(path: Path, header: list[str], line: int) -> None:
             f'{path}, line {line}: expected each column once but found '
             f'{", ".join(repr(name) for name in repeated)} more than once; rename them in the file'
         )
+
+
+def _is_row(cells: Sequence[str]) -> bool:
+    """Return whether cells hold values, some of them missing, and no names."""
+    return all(_is_value(cell) or cell.strip().lower() in _EMPTY for cell in cells)
 
 
 def _is_value(cell: str) -> bool:

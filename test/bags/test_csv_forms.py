@@ -350,6 +350,12 @@ def test_notes_above_the_table_are_passed_over(importing, tmp_path, notes, head)
     np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
 
 
+@pytest.mark.parametrize('missing', ['', 'n/a'])
+def test_a_reading_that_is_missing_leaves_the_names_in_a_note(importing, missing):
+    text = table(head='').replace('20.500', missing, 1)
+    assert importing('# t;a;b;ch\r\n' + text).channels == ('ch',)
+
+
 def test_a_file_of_notes_alone_holds_no_rows(complaint):
     assert 'found one' in complaint('# t;a\n# 1;2\n# 3\n')
 

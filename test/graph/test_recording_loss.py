@@ -130,14 +130,11 @@ def test_publishers_that_end_before_their_recorder_are_told(graph, observer, tmp
     observer.node.destroy_publisher(publishers[-1])
     # A recorder hears of publishers in order: who takes from a later one knows of this end.
     later = observer.node.create_publisher(Header, topics[1], 10)
-
-    def later_is_heard():
-        later.publish(Header())
-        return told[-1].received > 3
-
-    observer.until(later_is_heard, 'the later publisher is heard')
+    observer.until(later.get_subscription_count, 'the recorder')
+    later.publish(Header())
+    observer.until(lambda: told[-1].received == 4, 'the later publisher is heard')
     graph.stop()
-    assert 'messages on 2 topics, 0 lost; 1 publishers ended meanwhile, on /mill/ended' in (
+    assert '4 messages on 2 topics, 0 lost; 1 publishers ended meanwhile, on /mill/ended' in (
         recorder.output
     )
     with BagReader(bag) as reader:
