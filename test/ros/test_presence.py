@@ -12,6 +12,7 @@ from contextlib import nullcontext
 
 import pytest
 
+from fuzzycnc_ros.ros import presence as presence_module
 from fuzzycnc_ros.ros.presence import HOLDERS, TAKEOVER, GraphError, Presence, check_alone, lives
 
 NOBODY = 65534
@@ -163,6 +164,20 @@ def test_of_many_that_claim_at_once_one_gets_it():
     for own in claims:
         own.leave()
     assert sorted(map(len, found)) == [0] + [2] * 7
+
+
+def test_who_claims_waits_while_another_looks():
+    wanted = [('mill', 'compensator')]
+    with Presence() as own:
+        found = []
+        thread = threading.Thread(target=lambda: found.append(own.claim(wanted, wanted)))
+        with presence_module._door():
+            thread.start()
+            thread.join(0.2)
+            assert thread.is_alive()
+        thread.join()
+        assert found == [set()]
+        assert lives('mill', 'compensator')
 
 
 def test_where_no_name_can_be_had_nobody_is_in_the_way(monkeypatch):

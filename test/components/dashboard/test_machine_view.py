@@ -191,6 +191,15 @@ def probe(value, at=0, compensated=True):
     )
 
 
+def test_a_probe_is_compared_also_before_an_offset_is_known():
+    view = MachineView('mill')
+    view.take('thermal_error', error(), 0.0)
+    view.take('displacement', probe(2.0e-7), 0.05)
+    history = view.history['error']
+    probed = history.rows(0.0, 1e12, 10).mean[-1, history.names.index('Y residual')]
+    assert probed == pytest.approx(-2.8e-6)
+
+
 def test_bad_and_substituted_sensors_are_named_with_their_cause():
     view = running()
     poor = temperatures(1, ('t1', 't2', 't3'), (20.0, np.nan, 90.0), [0, 1, Status.DRIFT])

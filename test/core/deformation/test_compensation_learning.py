@@ -110,5 +110,7 @@ def test_runs_that_tell_nothing_are_refused():
             identify_relaxation(TRACK.points, stitched, corners)
     with pytest.raises(ValueError, match='least residual between 80 and 200 mm'):
         identify_relaxation(TRACK.points, stitched, TRACK.corners, [80e-3, 100e-3, 200e-3])
+    with pytest.raises(ValueError, match='between 5 and 20 mm but found it at 20 mm'):
+        identify_relaxation(TRACK.points, stitched, TRACK.corners, [5e-3, 10e-3, 20e-3])
     with pytest.raises(ValueError, match='record a longer run with corners'):
         identify_relaxation(TRACK.points, TRACK.points, TRACK.corners)

@@ -141,3 +141,25 @@ def test_step_length_follows_the_costs():
     assert step_factor([5.0, 4.0, 3.0, 2.0]) == 1.0
     assert step_factor([5.0, 4.0, 3.0, 4.0, 3.0]) == 1.0
     assert step_factor([9.0, 9.0, 4.0, 3.0, 2.0]) == 1.0
+
+
+def test_a_step_grows_once_for_each_four_costs_that_fall():
+    """From far away the sets move straight on, so that they go as far as the steps are long."""
+    inputs = np.linspace(-2.0, 2.0, 200)[:, np.newaxis]
+    index = np.array([[0], [1]])
+    start = Premises(np.array([[-1.0], [1.0]]), np.array([[0.6], [0.6]]), index)
+    trained = train_rules(
+        inputs,
+        np.tanh(3.0 * inputs[:, 0] - 1.5),
+        start,
+        ridge=1e-3,
+        epochs=20,
+        step=1e-4,
+        width_min=0.05,
+    )
+    assert (np.diff(trained.cost) < 0.0).all()
+    way = np.hypot(
+        np.linalg.norm(trained.premises.center - start.center),
+        np.linalg.norm(trained.premises.width - start.width),
+    )
+    assert way == pytest.approx(1e-4 * sum(1.1 ** (n // 4) for n in range(20)), rel=1e-3)
