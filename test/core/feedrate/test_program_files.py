@@ -14,7 +14,7 @@ from programs.rs274 import check_against, interpreted
 from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, sample_path
+from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, ProgramError, sample_path
 from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
 
 # Name, segments that may be scheduled, arcs, runs.
@@ -131,3 +131,63 @@ def test_linuxcnc_reads_the_same_arcs(tmp_path):
     check_against(program, interpreted(program.text, tmp_path))
     written = write_program(program, slowed(program, 4))
     check_against(read_program(written), interpreted(written, tmp_path))
+
+
+LATHE = """G21 G18 G90 G7 F200
+G0 X24 Z3
+G2 X30 Z6 I0 K3
+G90.1 G3 X32 Z7 I15 K7
+G91.1 G3 X34 Z8 R1
+G91 G1 X4 Z1
+G90 X[2*#5420]
+X[20*#<_lathe_diameter_mode>] Z[10*#<_lathe_radius_mode>]
+G92 X12
+G1 X14
+G0 X40 Z2
+M70
+G8 X5
+M72
+X6
+G91 X2
+G90 G8 X3
+G7 X3
+M2
+"""
+
+
+def test_linuxcnc_reads_the_same_diameters(tmp_path):
+    program = read_program(LATHE)
+    check_against(program, interpreted(LATHE, tmp_path))
+
+
+def ends(text):
+    """Last X of each line that moves [mm]."""
+    return [round(1e3 * part.end[0], 6) for part in read_program(text).segments]
+
+
+def test_x_of_a_lathe_is_a_diameter():
+    assert ends('G18 G7 G0 X20\nG91 X4\nG8 X4\nG90 X20\n') == [10.0, 12.0, 16.0, 20.0]
+    # The words of Siemens' controls: relative ones are lengths with DIAM90.
+    said = 'DIAMON\nG0 X20\nG91 X4\nDIAM90\nX4\nG90 X20\nDIAMOF\nX20\n'
+    assert ends(said) == [10.0, 12.0, 16.0, 10.0, 20.0]
+    assert ends('G18 G7 G0 X20 Y0 Z5\nG81 Y-2 R1 X8 F100\nG98 X10\nG80\nG1 X4 Y1\n')[-1] == 2.0
+    arc = read_program('G18 G7 F100\nG0 X24 Z3\nG2 X30 Z6 I0 K3\n').segments[-1]
+    assert arc.length == pytest.approx(0.5e-3 * math.pi * 3.0)
+    curve = read_program('G7 F100\nG0 X0 Y0\nG5.2 X2 Y1\nX8 Y0\nX12 Y2\nG5.3\n').segments[-1]
+    assert curve.end == pytest.approx((6e-3, 2e-3, 0.0))
+
+
+@pytest.mark.parametrize(
+    ('text', 'remedy'),
+    [
+        ('G0 X-40 Y50\nG3 X-30 Y40 I-40 J40', 'write G90.1 above, if the control reads them so'),
+        ('G90.1 G0 X-40 Y50\nG3 X-30 Y40 I0 J-10', 'write G91.1 above, if the control reads'),
+        ('G0 X192.735 Z0\nG3 X193.84 Z-.366 I0 K-.6', 'K lies outside of the plane G17'),
+        ('G18 G0 X192.735 Z0\nG3 X193.84 Z-.366 I0 K-.6', 'X would fit as a diameter: write G7'),
+        ('G18 G90.1 G0 X4 Z3\nG3 X8 Z5 I4 K3', 'X would fit as a diameter: write G7'),
+        ('G0 X0 Y0\nG2 X10 Y0 I4 J0', 'check I and J, which are read as relative to the start'),
+    ],
+)
+def test_an_arc_that_does_not_fit_is_told_what_would(text, remedy):
+    with pytest.raises(ProgramError, match=f'line 2: .* the radius does not fit; .*{remedy}'):
+        read_program('F100 ' + text)

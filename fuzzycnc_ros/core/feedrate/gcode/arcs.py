@@ -24,8 +24,16 @@ POINT_ROUNDING = 1e-9
 """Points closer than this are one [m]: sums of relative moves are off by the last digits."""
 
 
+def fits(
+    start: tuple[float, float], end: tuple[float, float], centre: tuple[float, float]
+) -> bool:
+    """Whether two points [m] are equally far from a centre, but for rounding."""
+    first = math.dist(start, centre)
+    misfit = abs(first - math.dist(end, centre))
+    return first > 0.0 and misfit <= max(ABSOLUTE_MISFIT, RELATIVE_MISFIT * first)
+
+
 def centred(
-    line: int,
     start: tuple[float, float],
     end: tuple[float, float],
     centre: tuple[float, float],
@@ -36,8 +44,6 @@ def centred(
 
     Parameters
     ----------
-    line : int
-        Number of the line, for errors.
     start, end, centre : tuple of float, length 2
         In the plane [m]; start and end alike make a full circle.
     clockwise : bool
@@ -49,22 +55,7 @@ def centred(
     -------
     float
         Angle swept [rad], below 0 for G2.
-
-    Raises
-    ------
-    ProgramError
-        If start and end are not equally far from the centre.
     """
-    first = math.dist(start, centre)
-    last = math.dist(end, centre)
-    misfit = abs(first - last)
-    if first == 0.0 or misfit > max(ABSOLUTE_MISFIT, RELATIVE_MISFIT * first):
-        raise ProgramError(
-            line,
-            'expected start and end of the arc equally far from its centre but found '
-            f'{1e3 * first:.6g} mm and {1e3 * last:.6g} mm: the radius does not fit; '
-            'check I, J, K and whether they are relative (G91.1) or absolute (G90.1)',
-        )
     if math.dist(start, end) < POINT_ROUNDING:
         sweep = _FULL
     else:

@@ -437,12 +437,14 @@ class Interpreter:
             state.kind = ''
             self._say('modal call of a cycle (MCALL): passed through')
             return Role.SEALED
+        for name in names & modal.DIAMETER_NAMES.keys():
+            state.x_share = modal.DIAMETER_NAMES[name]
         if names & modal.FRAME_NAMES:
             state.lose()
             self._say(f'{sorted(names & modal.FRAME_NAMES)[0]}: new coordinates; {_LOST}')
             return Role.PLAIN
         calls = [call for call in line.calls if call not in modal.SILENT_CALLS]
-        unknown = names - modal.SILENT_NAMES - modal.MACHINE_NAMES
+        unknown = names - modal.SILENT_NAMES - modal.MACHINE_NAMES - modal.DIAMETER_NAMES.keys()
         for name in sorted((names & modal.SILENT_NAMES) | (set(line.calls) - set(calls))):
             self._say(f'{name}: passed through')
         if calls and all(call.startswith('CYCLE') for call in calls):
@@ -528,6 +530,8 @@ class _GWords:
             if code in modal.FEED_UNITS:
                 state.unit_said = True
                 state.feed_unit = state.length_unit / modal.MINUTE
+        elif code in modal.DIAMETER:
+            state.x_share = modal.DIAMETER[code]
         elif code in (900, 910):
             state.absolute = code == 900
         elif code in (901, 911):
@@ -597,7 +601,9 @@ class _GWords:
                 if value is None:
                     state.lose(letter)
                 else:
-                    state.position['XYZ'.index(letter)] = value * state.length_unit
+                    axis = 'XYZ'.index(letter)
+                    length = value * state.length_unit
+                    state.position[axis] = length if axis else length * state.x_share[0]
                     state.assumed.discard(letter)
             elif letter in 'ABCUVW':
                 state.others.pop(letter, None)

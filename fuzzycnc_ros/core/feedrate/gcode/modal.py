@@ -35,7 +35,7 @@ ELSEWHERE = frozenset({280, 300, 530, 1530, 382, 383, 384, 385, 750})
 
 HARMLESS = frozenset(
     {
-        *(150, 400, 490, 600, 601, 610, 611, 640, 800, 940, 970, 960, 90, 80, 70),
+        *(150, 400, 490, 600, 601, 610, 611, 640, 800, 940, 970, 960, 90),
         *(6010, 6020, 6030, 6410, 6420, 6430, 6440, 6450, 4500, 4510),
     }
 )
@@ -43,6 +43,12 @@ HARMLESS = frozenset(
 
 CUTTER = frozenset({410, 411, 420, 421})
 """Cutter compensation: the tool runs beside the path that is programmed."""
+
+DIAMETER = {70: (0.5, 0.5), 80: (1.0, 1.0)}
+"""G7 and G8 of lathes: what share of an absolute and a relative X is a length along the axis."""
+
+DIAMETER_NAMES = {'DIAMON': (0.5, 0.5), 'DIAM90': (0.5, 1.0), 'DIAMOF': (1.0, 1.0)}
+"""The same of Siemens' controllers."""
 
 PLANE = {170: 17, 180: 18, 190: 19}
 LENGTH_UNIT = {200: INCH, 210: MILLIMETRE, 700: INCH, 710: MILLIMETRE}
@@ -59,7 +65,7 @@ ENDS = frozenset({2, 30})
 # Names of Siemens controllers.
 SILENT_NAMES = frozenset(
     'FNORM FLIN FCUB COMPOF COMPON COMPCURV COMPCAD COMPSURF BRISK SOFT DRIVE FFWON FFWOF '
-    'ORIAXES ORIMKS ORIWKS ORIVECT ORIMACHAX UPATH SPATH STOPRE DIAMOF CFC CFTCP CFIN '
+    'ORIAXES ORIMKS ORIWKS ORIVECT ORIMACHAX UPATH SPATH STOPRE CFC CFTCP CFIN '
     'NORM KONT RTLION RTLIOF DYNNORM DYNPOS DYNROUGH DYNSEMIFIN DYNFINISH'.split()
 )
 """How to follow the path, not where it runs."""
@@ -80,7 +86,7 @@ MACHINE_NAMES = frozenset({'SUPA'})
 
 _SAVED = (
     *('plane', 'length_unit', 'feed_unit', 'unit_said', 'absolute', 'centre_absolute'),
-    *('feed_mode', 'retracts'),
+    *('feed_mode', 'retracts', 'x_share'),
 )
 
 
@@ -132,6 +138,8 @@ class State:
         Cycles end at their R (G99) and not where they began (G98); None until it is said.
     unit_said : bool
         The program has said its unit.
+    x_share : tuple of float, length 2
+        Length along the axis per absolute and per relative X: a half where X is a diameter.
     assumed : set of str
         Those of X, Y and Z that have not been named: the origin as their place is assumed.
     cutter : bool
@@ -175,6 +183,7 @@ class State:
         'run',
         'tool_length',
         'unit_said',
+        'x_share',
     )
 
     def __init__(self, length_unit: float) -> None:
@@ -192,6 +201,7 @@ class State:
         self.cycle: Cycle | None = None
         self.retracts: bool | None = None
         self.unit_said = False
+        self.x_share = (1.0, 1.0)
         self.assumed = set('XYZ')
         self.cutter = False
         self.offset: int | None = None
@@ -202,6 +212,11 @@ class State:
         self.kind = ''
         self.percents = 0
         self.ended = False
+
+    def length(self, axis: int, value: float) -> float:
+        """Return the length [m] along X, Y or Z that a word of this value means."""
+        length = value * self.length_unit
+        return length if axis else length * self.x_share[0 if self.absolute else 1]
 
     def lose(self, axes: str = 'XYZ') -> None:
         """Forget where axes are; the next segment starts a run."""

@@ -14,7 +14,7 @@ from math import isfinite, nan
 
 import numpy as np
 
-from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT, PLANES, by_radius, centred
+from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT, PLANES, by_radius, centred, fits
 from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, Word
 from fuzzycnc_ros.core.feedrate.gcode.modal import Cycle, State
 from fuzzycnc_ros.core.feedrate.gcode.segments import (
@@ -77,7 +77,7 @@ def move(line: Line, number: int, state: State) -> Segment | None:
             if assumed:
                 assumed.discard(letter)
             axis = _XYZ.index(letter)
-            target[axis] = _coordinate(value, start[axis], state)
+            target[axis] = _coordinate(axis, value, start[axis], state)
         elif letter in _OTHER_AXES:
             turning = _turn(letter, value, state) or turning
         elif letter in _CENTRES or letter == 'R':
@@ -116,10 +116,10 @@ def dwell(line: Line, number: int, state: State) -> DwellSegment:
     )
 
 
-def _coordinate(value: float | None, before: float, state: State) -> float:
+def _coordinate(axis: int, value: float | None, before: float, state: State) -> float:
     if value is None:
         return math.nan
-    length = value * state.length_unit
+    length = state.length(axis, value)
     return length if state.absolute else before + length
 
 
@@ -195,8 +195,49 @@ def _arc(
         offset = [(words.get(letter) or 0.0) * state.length_unit for letter in letters]
         base = (0.0, 0.0) if state.centre_absolute else start2
         centre = (base[0] + offset[0], base[1] + offset[1])
-        sweep = centred(number, start2, end2, centre, clockwise, _extra_turns(words, number))
+        if not fits(start2, end2, centre):
+            first, last = math.dist(start2, centre), math.dist(end2, centre)
+            raise ProgramError(
+                number,
+                'expected start and end of the arc equally far from its centre but found '
+                f'{1e3 * first:.6g} mm and {1e3 * last:.6g} mm: the radius does not fit; '
+                + _remedy(state, words, (start2, end2, (offset[0], offset[1]))),
+            )
+        sweep = centred(start2, end2, centre, clockwise, _extra_turns(words, number))
     return ArcSegment(number, begin, end, feed, False, turning, run, axes, centre, sweep)
+
+
+def _remedy(
+    state: State,
+    words: dict[str, float | None],
+    arc: tuple[tuple[float, float], tuple[float, float], tuple[float, float]],
+) -> str:
+    """Return what to do about a centre that does not fit: start, end, and what I, J, K say."""
+    start, end, offset = arc
+    axes = PLANES[state.plane]
+    letters = [_CENTRES[axes[0]], _CENTRES[axes[1]]]
+    named = ' and '.join(letters)
+    relative = (start[0] + offset[0], start[1] + offset[1])
+    read, other = ('relative to the start', 'absolute ones'), (offset, 'G90.1')
+    if state.centre_absolute:
+        read, other = (read[1], read[0]), (relative, 'G91.1')
+    if fits(start, end, other[0]):
+        return (
+            f'{named} are read as {read[0]} and would fit as {read[1]}: write {other[1]} above, '
+            'if the control reads them so'
+        )
+    outside = [letter for letter in _CENTRES if letter not in letters and words.get(letter)]
+    if outside:
+        return f'{outside[0]} lies outside of the plane G{state.plane}: write its plane above'
+    share = [1.0 if axis else 0.5 for axis in axes]
+    begin = (start[0] * share[0], start[1] * share[1])
+    if state.x_share[0] == 1.0 and fits(
+        begin,
+        (end[0] * share[0], end[1] * share[1]),
+        offset if state.centre_absolute else (begin[0] + offset[0], begin[1] + offset[1]),
+    ):
+        return 'X would fit as a diameter: write G7 above, if this is a program of a lathe'
+    return f'check {named}, which are read as {read[0]}'
 
 
 def _extra_turns(words: dict[str, float | None], number: int) -> int:
@@ -279,7 +320,7 @@ def _above(state: State, axis: int, value: dict[str, float | None]) -> float:
     number = value[_XYZ[axis]]
     if number is None:
         return nan
-    length = number * state.length_unit
+    length = state.length(axis, number)
     if state.absolute:
         return length
     repeats = nan if 'K' in value else value.get('L', 1.0)
@@ -389,7 +430,8 @@ class PlaneCurveBlock(CurveBlock):
         if first in number:
             point = list(self.start)
             for axis in (first, second):
-                point['XYZ'.index(axis)] = number[axis] * self.state.length_unit
+                index = 'XYZ'.index(axis)
+                point[index] = self.state.length(index, number[axis])
             self.control.append(point)
             self.weight.append(number.get('P', 1.0))
         elif 'P' in number and len(self.control) == 1:
@@ -450,7 +492,7 @@ class KnotCurveBlock(CurveBlock):
         point = list(self.control[-1] if self.control else self.start)
         for index, axis in enumerate('XYZ'):
             if axis in number:
-                point[index] = number[axis] * self.state.length_unit
+                point[index] = self.state.length(index, number[axis])
         if not self.control and math.dist(point, self.start) > ABSOLUTE_MISFIT:
             raise ProgramError(
                 line, 'expected the first control point of a G6.2 block where the tool stands'

@@ -148,6 +148,8 @@ class Parameters:
             '_units_per_minute': state.feed_mode == 94,
             '_units_per_rev': state.feed_mode == 95,
             '_ijk_absolute_mode': state.centre_absolute,
+            '_lathe_diameter_mode': state.x_share[0] != 1.0,
+            '_lathe_radius_mode': state.x_share[0] == 1.0,
             '_plane': 10 * state.plane,
             '_call_level': self.depth,
         }.get(name)
