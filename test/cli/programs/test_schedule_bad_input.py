@@ -16,7 +16,7 @@ PROGRAMS = {
         'G0 X0 Y0\nF60\nG2 X10 Y0 R2\n',
         ['line 3', 'radius', 'at least 5 mm'],
     ),
-    'centre that does not fit': ('G0 X0 Y0\nF60\nG2 X10 Y0 I7\n', ['line 3', 'I, J, K']),
+    'centre that does not fit': ('G0 X0 Y0\nF60\nG2 X10 Y0 I7\n', ['line 3', 'I and J']),
     'arc without an end': ('G0 X0 Y0\nF60\nG2 R5\n', ['line 3', 'end', 'X or Y']),
     'arc without a centre': ('G0 X0 Y0\nF60\nG2 X5\n', ['line 3', 'centre', 'radius']),
     'no feed': ('G0 X0 Y0 Z0\nG1 X10\n', ['line 2', 'feed above 0 (F)', 'none']),

@@ -11,6 +11,7 @@ import math
 import numpy as np
 import pytest
 from programs.rs274 import check_against, interpreted
+from programs.slowed import slowed
 from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
@@ -59,15 +60,6 @@ def shape(part):
     """All that a segment's path is made of."""
     bent = (part.centre, part.sweep) if isinstance(part, ArcSegment) else None
     return type(part), part.start, part.end, bent
-
-
-def slowed(program, seed):
-    """Random feeds from a tenth of the program's own on."""
-    share = np.random.default_rng(seed).uniform(0.1, 1.0, len(program.segments)).tolist()
-    return [
-        part * segment.feed if segment.schedulable else math.nan
-        for part, segment in zip(share, program.segments, strict=True)
-    ]
 
 
 @pytest.fixture(scope='module')

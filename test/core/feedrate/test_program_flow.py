@@ -11,6 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from programs.flow_programs import FlowProgram
 from programs.rs274 import check_against, interpreted
+from programs.slowed import slowed
 from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.core.feedrate.gcode import reader
@@ -28,15 +29,6 @@ def ends(text, **options):
     return [
         tuple(np.round(np.array(part.end) / MM, 6))
         for part in read_program(text, **options).segments
-    ]
-
-
-def slowed(program, seed):
-    """Random feeds from a tenth of the program's own on; NaN for what keeps its own."""
-    share = np.random.default_rng(seed).uniform(0.1, 1.0, len(program.segments)).tolist()
-    return [
-        part * segment.feed if segment.schedulable else math.nan
-        for part, segment in zip(share, program.segments, strict=True)
     ]
 
 

@@ -3,11 +3,14 @@
 """Programs with new feeds: nothing but feed words changes, and nothing runs faster than said."""
 
 import math
+import re
+from random import Random
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from programs.slowed import slowed
 from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Role
@@ -197,3 +200,93 @@ def test_many_lines_without_motion_are_not_held_back():
 def test_stripping_leaves_comments_dwells_and_names_alone():
     text = 'N1 G1 X1 F600 (F7)\nG4 F2\nF9\nFNORM G1 F=12. X3\nMSG("F100 G4")\n'
     assert strip_feeds(text) == ('N1 G1 X1 (F7)\nG4 F2\n\nFNORM G1 X3\nMSG("F100 G4")\n')
+
+
+CUT = 'G21 G90 G17\nG1 X0 Y0 Z0 F6000\nX10 Y0\nX10.1 Y0.1\n'
+
+
+@pytest.mark.parametrize('call', ['G65 P100', 'M98 P1000', 'MYMACRO', 'o<foo> call', 'GOTO 9'])
+@pytest.mark.parametrize('before', ['', 'o<bar> sub\no<bar> endsub\n'])
+def test_a_call_that_nobody_knows_finds_the_feed_of_the_program(call, before):
+    """It may run with the feed in effect, and so may what follows until the next feed word."""
+    text = f'{CUT}{before}G0 Z50\n{call}\nG1 X50 Y0\nX0 Y0 Z0\nX1 F500\nM30\n'
+    program = read_program(text)
+    feeds = [0.001 if part.schedulable else math.nan for part in program.segments]
+    written = write_program(program, feeds)
+    assert written.startswith('G21 G90 G17\nG1 X0 Y0 Z0 F6000\nX10 Y0 F60.\n')
+    assert f'G0 Z50 F6000.\n{call}\nG1 X50 Y0\nX0 Y0 Z0\nX1 F60.\n' in written
+
+
+def jumping(random):
+    """A program of lines that other lines jump to, on conditions that nobody knows."""
+    lines = ['G21 G90 G1 X0 Y0 Z0 F9000']
+    for number in range(1, 25):
+        name = f'N{number} ' if random.random() < 0.8 else ''
+        if random.random() < 0.15:
+            lines.append(f'{name}IF[#501LT5]GOTO{random.randint(1, 24)}')
+            continue
+        move = random.choice(['', '', '', 'G1 ', 'G1 ', 'G0 '])
+        place = f'X{random.randint(0, 9)} Y{random.randint(0, 9)}'
+        height = f' Z{random.randint(0, 2)}' if random.random() < 0.8 else ''
+        feed = f' F{random.randint(1, 90)}00' if random.random() < 0.35 else ''
+        lines.append(f'{name}{move}{place}{height}{feed}')
+    return '\n'.join([*lines, 'M30', ''])
+
+
+def driven(lines, decisions):
+    """Feeds in effect of the lines in the order in which a controller runs them, and the lines."""
+    feed, at, found = 0.0, 0, []
+    place = {match[1]: n for n, line in enumerate(lines) if (match := re.match(r'N(\d+) ', line))}
+    for jumps in decisions:
+        line = lines[at]
+        if word := re.search(r'F(\d+\.?\d*)', line.split('IF')[0]):
+            feed = float(word[1])
+        found.append((at, feed))
+        target = re.search(r'GOTO(\d+)', line)
+        at = place[target[1]] if target and jumps and target[1] in place else at + 1
+        if at == len(lines):
+            break
+    return found
+
+
+@pytest.mark.parametrize('seed', range(40))
+def test_no_jump_brings_a_feed_above_that_of_the_program(seed):
+    random = Random(seed)
+    text = jumping(random)
+    program = read_program(text)
+    written = write_program(program, slowed(program, seed))
+    assert strip_feeds(written) == strip_feeds(text)
+    for _ in range(20):
+        decisions = [random.random() < 0.5 for _ in range(200)]
+        own, new = (driven(lines.splitlines(), decisions) for lines in (text, written))
+        assert [at for at, _ in new] == [at for at, _ in own]
+        assert all(fast <= feed for (_, fast), (_, feed) in zip(new, own, strict=True))
+
+
+@pytest.mark.parametrize(
+    ('jump', 'kept'),
+    [
+        ('GOTO 20', 1),
+        ('IF[#1EQ0]GOTO20', 1),
+        ('IF R1<5 GOTOB N20', 1),
+        ('M99 P20', 1),
+        ('(GOTO 20)', 0),
+        ('GOTO 70', 0),
+        ('GOTO#1', 2),
+    ],
+)
+def test_lines_that_a_jump_may_lead_to_keep_their_feed(jump, kept):
+    lines = f'G90 G1 X0 Y0 Z0 F600\nN10 X5\nX6\nN20 X9\n{jump}\nM30\n'
+    program = read_program(lines)
+    told = [note for note in program.notes if 'a jump may come here' in note.text]
+    assert sum(note.count for note in told) == kept
+    free = [part.line for part in program.segments if part.schedulable]
+    assert free == {0: [2, 3, 4], 1: [2, 3], 2: []}[kept]
+
+
+def test_rounded_corners_of_fanuc_keep_their_feed():
+    program = read_program('G90 G1 X5 F600\nX50 ,R2.\nX60 Y5 ,C2.\nX0 Y9,A135\nX1 Y0, Z2\nX9\n')
+    assert [part.line for part in program.segments if part.schedulable] == [1, 6]
+    assert [str(note) for note in program.notes][:1] == [
+        'line 2: a motion with ,R: passed through with its own feed'
+    ]

@@ -3,6 +3,7 @@
 """Line by line: what each one means, with the modal state of all before it."""
 
 import math
+import re
 from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
@@ -102,6 +103,8 @@ class _Notes:
 _CALL_LETTERS = frozenset('XYZABCUVWG')
 _CURVE_LETTERS = frozenset('GNFXYZPLKRABCUVW')
 _CALL_M = frozenset({97, 98, 99})
+_NO_JUMPS: frozenset[int] = frozenset()
+_LINE_NUMBER = re.compile(r'[ \t/]*N[ \t]*(\d+)', re.IGNORECASE | re.ASCII)
 
 
 class Interpreter:
@@ -111,6 +114,8 @@ class Interpreter:
     ----------
     length_unit : float
         What a length of 1 is before the program says G20 or G21 [m].
+    jumps : frozenset of int or None
+        Numbers N of the lines that jumps may lead to, None where it may be any line.
 
     Attributes
     ----------
@@ -124,8 +129,13 @@ class Interpreter:
         The lines belong to a part whose order O-words or calls decide.
     """
 
-    def __init__(self, length_unit: float = modal.MILLIMETRE) -> None:
+    def __init__(
+        self,
+        length_unit: float = modal.MILLIMETRE,
+        jumps: frozenset[int] | None = frozenset(),
+    ) -> None:
         self.state = modal.State(length_unit)
+        self._jumps = jumps
         self._curve: CurveBlock | None = None
         self._held: list[Block] = []
         self._saved: list[tuple[dict[str, object], bool] | None] = [None]
@@ -237,7 +247,14 @@ class Interpreter:
             raise ProgramError(self._line, str(error)) from error
 
     def _open(self, text: str, line: Line) -> list[Block]:
+        reached = self._jumps != _NO_JUMPS and self._reached(text)
+        if reached:
+            self.lose(f'a jump may come here (GOTO): {_LOST}, the feed until F')
+            self.state.motion, self.state.cycle = None, None
         role, segment = self._meaning(line)
+        if reached and not _names(line, 'F') and role is not Role.PLAIN:
+            # A word here would hold for those who jump here, too.
+            role = Role.SEALED
         if line.optional:
             self.state.kind = ''
             if role in (Role.FEED, Role.KEPT):
@@ -248,6 +265,11 @@ class Interpreter:
             return [block]
         self._held = [block]
         return self._finish() if self._curve.take(line.words, self._line) else []
+
+    def _reached(self, text: str) -> bool:
+        """Whether a jump may lead to a line."""
+        number = _LINE_NUMBER.match(text)
+        return number is not None and (self._jumps is None or int(number[1]) in self._jumps)
 
     def _continue(self, text: str, line: Line) -> list[Block]:
         curve = self._curve

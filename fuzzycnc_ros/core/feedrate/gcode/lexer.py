@@ -134,6 +134,7 @@ _ASSIGNMENT = re.compile(
     r'([A-Z_][A-Z0-9_]*(?:\[[^\]\r\n]*\])?)[ \t]*=[ \t]*',
     re.IGNORECASE | re.ASCII,
 )
+_CORNER = re.compile(rf',[ \t]*([ACR])[ \t]*{_NUMBER}', re.IGNORECASE | re.ASCII)
 _NAME = re.compile(r'(?:[A-Z]_?[A-Z]|_)[A-Z0-9_]*', re.IGNORECASE | re.ASCII)
 _WHOLE_NUMBER = re.compile(_NUMBER, re.ASCII)
 _FLOW = re.compile(
@@ -301,6 +302,10 @@ def _item(text: str, at: int, number: int, line: Line) -> int:
     match = _LONE_WORD.match(text, at) or _POLAR.match(text, at)
     if match:
         line.words.append(_word(match, number))
+        return match.end()
+    match = _CORNER.match(text, at)
+    if match:
+        line.assigned[f',{match[1].upper()}'] = None
         return match.end()
     if text[at] == '#':
         return _setting(text, at, number, line)

@@ -149,7 +149,7 @@ def _check_feed(number: int, state: State) -> None:
 
 def _why(motion: int | None, strange: list[str], state: State) -> str:
     if strange:
-        return f'a motion with {", ".join(sorted(strange))}='
+        return f'a motion with {", ".join(sorted(strange))}'
     if state.polar:
         return 'a motion in polar coordinates (G16)'
     if state.modal_call or motion == -1:

@@ -632,6 +632,36 @@ def _sealed(block: Block) -> Block:
     return replace(block, role=role, segment=segment)
 
 
+_JUMP = re.compile(
+    r'(?:GOTO[FBCS]?[ \t]*N?|M0*99[ \t]*P)[ \t]*(?:(\d+)|[#\["])', re.IGNORECASE | re.ASCII
+)
+_COMMENT = re.compile(r'\([^)\r\n]*\)?|;.*')
+
+
+def jump_targets(lines: Iterable[str]) -> frozenset[int] | None:
+    """Return where the jumps of a program lead: `GOTO 10`, `GOTOB N10`, `M99 P10`.
+
+    Parameters
+    ----------
+    lines : iterable of str
+        All lines; labels of Siemens' controls are known where they stand.
+
+    Returns
+    -------
+    frozenset of int or None
+        Numbers N of lines; None if one is computed, so that it may be any line.
+    """
+    found = set()
+    for line in lines:
+        if 'O' not in line and 'o' not in line and '99' not in line:
+            continue
+        for match in _JUMP.finditer(_COMMENT.sub('', line)):
+            if match[1] is None:
+                return None
+            found.add(int(match[1]))
+    return frozenset(found)
+
+
 _LINE = re.compile(r'[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+')
 _UNITS = {'mm': MILLIMETRE, 'inch': INCH}
 
@@ -643,6 +673,12 @@ class ProgramReader:
     ----------
     units : {'mm', 'inch'}
         Unit before the program says G20 or G21.
+    follow : bool
+        O-words and M98 are run.
+    files : callable, optional
+        Told the name of a subroutine, returns the text of its file; None where there is none.
+    jumps : frozenset of int or None
+        What `jump_targets` found in the program.
 
     Examples
     --------
@@ -654,11 +690,16 @@ class ProgramReader:
     """
 
     def __init__(
-        self, units: str = 'mm', *, follow: bool = False, files: Files | None = None
+        self,
+        units: str = 'mm',
+        *,
+        follow: bool = False,
+        files: Files | None = None,
+        jumps: frozenset[int] | None = frozenset(),
     ) -> None:
         if units not in _UNITS:
             raise ValueError(f"expected units 'mm' or 'inch' but found {units!r}")
-        self._interpreter = Interpreter(_UNITS[units])
+        self._interpreter = Interpreter(_UNITS[units], jumps)
         self._follow = follow
         self._files = files
 
@@ -747,6 +788,7 @@ def read_program(text: str, units: str = 'mm') -> Program:
     >>> program.runs
     ((1, 3),)
     """
-    reader = ProgramReader(units, follow=True)
-    blocks = tuple(reader.blocks(match[0] for match in _LINE.finditer(text)))
+    lines = [match[0] for match in _LINE.finditer(text)]
+    reader = ProgramReader(units, follow=True, jumps=jump_targets(lines))
+    blocks = tuple(reader.blocks(lines))
     return Program(blocks, reader.notes)

@@ -129,6 +129,7 @@ class _PassMerger:
 
     def __init__(self, active: float | None) -> None:
         self._start = active
+        self._before: float | None = None  # feed of the program after the last pass
         self._entry: dict[int, _Entry] = {}
         # Of each pass its line, the feed that it asks for and that of the program; NaN for none.
         self._line = array('q')
@@ -140,7 +141,8 @@ class _PassMerger:
         """Take a pass with its feed [m/s], None or NaN for that of the program."""
         target = _target_of(block, feed)
         if block.role is Role.SEALED and block.word is None:
-            target = block.feed
+            target = self._before if block.feed is None else block.feed
+        self._before = block.feed
         if block.text:
             entry = self._entry.get(block.line)
             if entry is None:
@@ -170,7 +172,7 @@ class _PassMerger:
             entry = self._entry.get(line)
             if entry is not None and entry.written:
                 active, setter = entry.most, entry
-            elif sets or isnan(own):
+            elif sets or (isnan(own) and isnan(target)):
                 active, setter = (None if isnan(own) else own), None
             if isnan(target):
                 if rapid is None and entry is not None and entry.addable:
@@ -181,12 +183,14 @@ class _PassMerger:
                     entry.written = changed = True
                     active, setter = entry.most, entry
                 rapid = None
-            elif active is not None and setter is not None and active != target:
+            elif active is not None and active != target:
                 if rapid is not None and not rapid.written:
                     rapid.written = changed = True
-                elif active > target:
+                elif setter is not None and active > target:
                     setter.most = target
                     changed = True
+            if isnan(own):  # a call that may set another feed
+                active, setter = None, None
         return changed
 
 
@@ -284,6 +288,7 @@ class _Writer:
 
     def __init__(self) -> None:
         self._active: float | None = None  # None: unknown
+        self._before: float | None = None  # feed of the program after the last block
         self._held: list[tuple[Block, float | None]] = []
 
     def take(self, block: Block, feed: float | None) -> Iterator[str]:
@@ -291,7 +296,7 @@ class _Writer:
         target = _target_of(block, feed)
         if block.role is Role.SEALED:
             if block.word is None:
-                self._restore(block.feed)
+                self._restore(self._before if block.feed is None else block.feed)
             target = None
         elif block.role is Role.FEED or len(self._held) >= _HELD_MOST:
             if block.role is not Role.FEED:
@@ -304,6 +309,7 @@ class _Writer:
                 self._active = target
         elif block.word is not None:
             self._active = block.feed
+        self._before = block.feed
         self._held.append((block, word))
         if block.optional or block.feed is None:
             self._active = None  # a word on it may be skipped; a call may have set another one
@@ -324,7 +330,7 @@ class _Writer:
     def settle(self, feed: float | None) -> Iterator[str]:
         """Yield all lines, a rapid among those held back with this feed again."""
         if any(block.role is Role.RAPID for block, _ in self._held):
-            self._restore(feed)
+            self._restore(self._before if feed is None else feed)
         yield from self.flush()
 
     def _restore(self, feed: float | None) -> None:
