@@ -9,6 +9,8 @@ import struct
 import zlib
 from contextlib import closing
 
+import mcap.reader
+import mcap.writer
 import numpy as np
 import pytest
 import rosbags.rosbag2
@@ -326,6 +328,28 @@ def test_bomb_without_stated_size_is_refused(tmp_path):
     one_chunk(tmp_path / 'a.mcap', 100, data)
     with pytest.raises(BagFormatError, match=r'decompressed|found'):
         BagReader(tmp_path / 'a.mcap')
+
+
+@pytest.mark.parametrize('method', ['lz4', 'zstd', 'none'])
+def test_chunks_of_other_writers_are_read_however_they_are_compressed(tmp_path, method):
+    path = tmp_path / 'a.mcap'
+    compression = mcap.writer.CompressionType[method.upper()]
+    with open(path, 'wb') as file:
+        writer = mcap.writer.Writer(file, compression=compression)
+        writer.start('ros2', '')
+        schema = writer.register_schema('std_msgs/msg/String', 'ros2msg', b'string data')
+        channel = writer.register_channel('/said', 'cdr', schema)
+        for number in range(100):
+            text = f'message {number}\0'.encode()
+            payload = b'\0\1\0\0' + struct.pack('<I', len(text)) + text
+            writer.add_message(channel, number * SECOND, payload, number * SECOND)
+        writer.finish()
+    with open(path, 'rb') as file:
+        chunks = mcap.reader.make_reader(file).get_summary().chunk_indexes
+    assert {chunk.compression for chunk in chunks} == {method.replace('none', '')}
+    with BagReader(path) as reader:
+        said = [read.message.data for read in reader.messages()]
+    assert said == [f'message {number}' for number in range(100)]
 
 
 TOPICS = 'CREATE TABLE topics(id, name, type, serialization_format)'

@@ -3,6 +3,7 @@
 """The player at a rate: order, time, QoS, choice of topics and stretches, repetition."""
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
 from fuzzycnc_ros.bags.playback import PlayedMessage, by_stamp
 from fuzzycnc_ros.bags.typestore import ROSBAGS, serialize
 from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.nodes.player import CLOCK_PERIOD, PlayerNode
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode, stamp_of
 from fuzzycnc_ros.runtime.records import (
@@ -186,3 +188,23 @@ def test_by_stamp_puts_late_messages_in_their_place():
     assert [m.stamp for m in by_stamp(iter(source))] == [1, 2, 3, 4, 5]
     # What comes later than is held back goes with the stamp being played.
     assert [m.stamp for m in by_stamp(iter([message(9, 1), message(1, 2)]), held=0)] == [9, 9]
+
+
+def test_time_passes_between_messages_but_not_past_the_next():
+    sent = []
+    following = PlayedMessage('/a', 0, 12 * SECOND, b'')
+    player = SimpleNamespace(
+        _machine_time=10 * SECOND,
+        _machine_time_at=3 * SECOND,
+        _clock_sent=0.0,
+        _playback=SimpleNamespace(next=following, timing={'/a'}),
+        _send_clock=sent.append,
+    )
+    for now, due in ((CLOCK_PERIOD, 3.5), (1.5 * CLOCK_PERIOD, 3.6), (1.0, 4.0), (2.0, 9.0)):
+        PlayerNode._keep_time(player, now, round(due * SECOND))
+    # The second one came before a period had passed.
+    assert sent == [round(at * SECOND) for at in (10.5, 11.0, 12.0)]
+    player._playback.timing = set()
+    PlayerNode._keep_time(player, 3.0, 9 * SECOND)
+    PlayerNode._keep_time(player, 4.0, 1 * SECOND)  # back never
+    assert sent[3:] == [16 * SECOND, 10 * SECOND]

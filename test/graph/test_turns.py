@@ -5,6 +5,7 @@
 import signal
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from live_graph import ANSWER_TIMEOUT
@@ -13,7 +14,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
 )
-from fuzzycnc_ros.ros.sequencer import BACKLOG, Sequencer
+from fuzzycnc_ros.ros.sequencer import BACKLOG, Participant, Sequencer
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, routes_matched
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import encode
@@ -122,3 +123,25 @@ def test_a_machine_does_not_run_away_from_its_reader(graph, observer):
     machine = Waiting(graph, observer, ticks=4 * QUEUE, states=1)
     machine.run()
     assert max(machine.waiting) == BACKLOG < QUEUE / 2
+
+
+def test_a_turn_is_given_for_what_is_new_and_matters():
+    course = SimpleNamespace(tick=2, _programme_over=False, _stamp=100)
+    item = Participant('compensator', None, 1.0, reads=('a', 'b'), quiet=frozenset({'b'}))
+    item.seen = {'a': 500, 'b': 700}
+
+    def due(a, b):
+        return Sequencer._due(course, item, {'a': a, 'b': b, 'c': 9})
+
+    assert due(501, 700)
+    assert not due(500, 700)
+    assert not due(500, 701)
+    assert due(500, 700 + BACKLOG)
+    item.next_deadline = 101
+    assert not due(500, 700)
+    item.next_deadline = 100
+    assert due(500, 700)
+    item.every = 3
+    assert not due(501, 700)
+    course._programme_over = True
+    assert due(501, 700)

@@ -22,6 +22,17 @@ def test_what_is_no_node_is_refused(names):
     assert str(caught.value).endswith(f'found {names[-1] if names else "none"}')
 
 
+def test_a_library_that_is_missing_is_named_and_not_its_node(monkeypatch):
+    from fuzzycnc_ros.nodes import composed
+
+    def lacking(module):
+        raise ModuleNotFoundError("No module named 'paho'", name='paho')
+
+    monkeypatch.setattr(composed, 'import_module', lacking)
+    with pytest.raises(ModuleNotFoundError, match='paho'):
+        composed.run_composed(['mqtt_publisher'], [])
+
+
 def test_only_the_nodes_that_are_named_are_loaded():
     script = (
         'import sys, fuzzycnc_ros.nodes.composed, fuzzycnc_ros.nodes.compensator\n'

@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the node of the predictor tells of a training while it runs."""
 
+from types import SimpleNamespace
+
 import pytest
 
 pytest.importorskip('rclpy')
 
-from fuzzycnc_ros.nodes.thermal_predictor import TOLD_AT_ONCE, Training
+from fuzzycnc_ros.nodes.thermal_predictor import TOLD_AT_ONCE, ThermalPredictorNode, Training
 
 pytestmark = pytest.mark.ros
 
@@ -38,3 +40,20 @@ def test_what_is_too_much_for_one_look_is_told_at_the_next():
         training.note(*step)
     assert training.news() == steps[:TOLD_AT_ONCE]
     assert training.news() == steps[TOLD_AT_ONCE:]
+
+
+def test_a_training_that_was_cancelled_puts_no_model_to_use():
+    told = []
+    goal = SimpleNamespace(
+        is_cancel_requested=True,
+        canceled=lambda: told.append('cancelled'),
+        abort=lambda: told.append('aborted'),
+        succeed=lambda: told.append('succeeded'),
+    )
+    training = Training(goal=goal, finished=None)
+    training.model = SimpleNamespace(to_json=lambda: told.append('used'))
+    result = ThermalPredictorNode._finish(None, training, '')
+    assert (told, result.success, result.message) == (['cancelled'], False, 'cancelled')
+    goal.is_cancel_requested, training.model, training.error = False, None, 'no runs'
+    result = ThermalPredictorNode._finish(None, training, '')
+    assert (told, result.success, result.message) == (['cancelled', 'aborted'], False, 'no runs')

@@ -7,7 +7,22 @@ from unittest.mock import MagicMock
 
 import pytest
 
-from fuzzycnc_ros.adapters.linuxcnc.hal_process import SERVER, Bridge, HalError, home_of_linuxcnc
+from fuzzycnc_ros.adapters.linuxcnc import hal_process
+from fuzzycnc_ros.adapters.linuxcnc.hal_process import (
+    ARMING,
+    SERVER,
+    Bridge,
+    HalError,
+    home_of_linuxcnc,
+)
+
+SIGNALS = [
+    {'NAME': f'fuzzycnc-{name}'}
+    for name in (
+        *('homed', 'ready', 'alive', 'on', 'soft-limited', 'heartbeat', 'enable', 'rezero'),
+        *(f'{n}-x' for n in ('position', 'applied', 'request', 'register', 'counts')),
+    )
+]
 
 
 @pytest.fixture
@@ -39,18 +54,40 @@ def test_home_is_our_own_where_that_of_linuxcnc_is_not_told(processes, monkeypat
     assert home_of_linuxcnc(processes(7, SERVER, None)) == '/srv/ros'
 
 
+def test_a_watchdog_that_let_go_is_armed_by_an_edge_now_and_then(monkeypatch):
+    hal, now = MagicMock(), [100.0]
+    pins = {}
+
+    def newpin(name, kind, direction):
+        return pins.setdefault(name, SimpleNamespace(value=0))
+
+    hal.component.return_value.newpin = newpin
+    hal.get_value.return_value = False
+    hal.get_info_signals.return_value = SIGNALS
+    monkeypatch.setattr(hal_process.time, 'monotonic', lambda: now[0])
+    bridge = Bridge(hal, MagicMock(), ['x'])
+    with pytest.raises(HalError, match='have not been claimed'):
+        bridge.write([5], False)
+    bridge.claim()
+    pins['alive'].value = True
+    bridge.write([5], True)
+    assert (pins['counts-x'].value, pins['rezero'].value) == (5, True)
+    assert (pins['heartbeat'].value, pins['enable'].value) == (True, False)
+    pins['alive'].value, edges = False, []
+    for step in range(50):
+        now[0] = 100.0 + 0.1 * ARMING * step
+        bridge.write([5], False)
+        edges.append(pins['enable'].value)
+    changes = [at for at in range(1, 50) if edges[at] != edges[at - 1]]
+    assert edges[0]
+    assert changes == [11, 22, 33, 44]
+
+
 def test_a_state_that_is_not_told_is_said_with_the_remedy(monkeypatch):
     """LinuxCNC's module raises SystemError where it found no tool table."""
     monkeypatch.setenv('HOME', '/srv/ros')
     hal = MagicMock()
-    names = ('homed', 'ready', 'alive', 'on', 'soft-limited', 'heartbeat', 'enable', 'rezero')
-    hal.get_info_signals.return_value = [
-        {'NAME': f'fuzzycnc-{name}'}
-        for name in (
-            *names,
-            *(f'{n}-x' for n in ('position', 'applied', 'request', 'register', 'counts')),
-        )
-    ]
+    hal.get_info_signals.return_value = SIGNALS
     state = SimpleNamespace(poll=MagicMock(side_effect=SystemError('returned NULL')))
     module = SimpleNamespace(stat=lambda: state, error=RuntimeError)
     bridge = Bridge(hal, module, ['x'])

@@ -125,6 +125,8 @@ def test_a_broker_that_hangs_is_noticed_and_goes_on(serve, connect):
     for _ in range(2):
         broker.send(signal.SIGSTOP)
         link.publish('meanwhile')
+        link.turn()  # it is sent, and nobody has confirmed it
+        assert link.health().values['waiting'] == '1'
         until(link, Level.ERROR, 'connection lost')
         broker.send(signal.SIGCONT)
         until(link, Level.OK)

@@ -96,6 +96,9 @@ def test_modbus_rtu_fields(read):
     assert one.line == two.line == SerialLine('/dev/ttyUSB0', 9600, 'even', 1)
     assert (one.unit, one.timeout, one.sensors) == (1, 1.0, ('T1',))
     assert two.address == 'Modbus RTU /dev/ttyUSB0 unit 2'
+    one, two = read(RTU.replace('    baud_rate: 9600\n', ''))
+    # What the standard asks of a unit that was not told: 19200 bit/s, even parity.
+    assert one.line == two.line == SerialLine('/dev/ttyUSB0', 19200, 'even', 1)
 
 
 @pytest.mark.parametrize(

@@ -68,6 +68,21 @@ def test_it_shows_state_offset_share_and_what_is_wrong(view):
     assert 'NO DATA' not in text
 
 
+def test_the_model_is_named_with_its_domain_and_what_it_left(view):
+    document = view.document(0.1)
+    told = {'name': 'lag_ridge', 'valid': True, 'in_domain': True, 'held_out': {'Y': 1.62e-6}}
+    for change, said in (
+        ({}, 'model lag_ridge: in domain; left on unseen runs Y 1.6 um'),
+        ({'in_domain': False}, 'model lag_ridge: OUTSIDE of what it was trained on; left'),
+        ({'valid': False, 'why': 'no speed'}, 'model lag_ridge: no speed; left on unseen runs Y'),
+        ({'name': '', 'held_out': {}}, 'model none: in domain'),
+    ):
+        text = screen({**document, 'model': {**told, **change}}, WIDTH, 200).plain
+        (found,) = (line for line in text.splitlines() if line.startswith('model'))
+        assert found.startswith(said)
+    assert 'model' not in screen({**document, 'model': None}, WIDTH, 200).plain
+
+
 def test_no_data_cannot_be_missed(view):
     lines = screen(view.document(60.0), WIDTH, HEIGHT).plain.splitlines()
     assert '█ NO DATA █' in lines[1]

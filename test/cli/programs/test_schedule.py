@@ -184,6 +184,18 @@ def test_the_program_itself_only_if_somebody_says_so(fuzzycnc, refused, part):
     assert [path.name for path in Path().iterdir()] == ['part.ngc']
 
 
+def test_a_subroutine_is_looked_for_beside_the_program_alone(fuzzycnc, tmp_path):
+    (tmp_path / 'other').mkdir()
+    for folder in (tmp_path, tmp_path / 'other'):
+        (folder / 'drill.ngc').write_text('o<drill> sub\nG1 X9 F300\no<drill> endsub\nM2\n')
+    main = tmp_path / 'main.ngc'
+    for name, found in (('drill', True), ('other/drill', False), ('missing', False)):
+        main.write_text(f'G21 G90\nG1 X0 Y0 Z0 F600\nX5\no<{name}> call\nM2\n')
+        text = fuzzycnc('schedule', main, '--tolerance', '20um', '--out', tmp_path / 'new.ngc').out
+        assert ('subroutine in a file of its own, keeps its feeds' in text) is found
+        assert (f'call of {name}, which is not here' in text) is not found
+
+
 def test_standard_streams(fuzzycnc, part, monkeypatch):
     assert fuzzycnc('schedule', part, '--tolerance', '0.01mm', '--out', 'out.ngc').code == 0
     output = SimpleNamespace(buffer=io.BytesIO(), flush=lambda: None, isatty=lambda: False)

@@ -11,6 +11,7 @@ import pytest
 from thermal_test_bags import write_test
 
 from fuzzycnc_ros.cli.main import run
+from fuzzycnc_ros.cli.reports import thermal
 from fuzzycnc_ros.studies.page.chart import Picture
 from fuzzycnc_ros.studies.page.drawing import plot_style
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
@@ -178,6 +179,10 @@ def test_files_that_are_wrong_are_refused(change, named, refused, bag):
 )
 def test_options_that_are_wrong_are_refused(options, named, refused, bag):
     refused('report', 'thermal', bag, *options, naming=named)
+
+
+def test_a_distance_has_the_sign_of_its_side():
+    assert thermal._distances(['X=-100mm', 'Y = 80mm']) == {'X': -0.1, 'Y': 0.08}
 
 
 @pytest.fixture(scope='module')
