@@ -16,6 +16,7 @@ PROGRAMS = {
         'G0 X0 Y0\nF60\nG2 X10 Y0 R2\n',
         ['line 3', 'radius', 'at least 5 mm'],
     ),
+    'Heidenhain': ('0  BEGIN PGM 14 MM\n1 L X+9 FMAX\n', ['line 1', 'BEGIN PGM', 'reads G-code']),
     'centre that does not fit': ('G0 X0 Y0\nF60\nG2 X10 Y0 I7\n', ['line 3', 'I and J']),
     'arc without an end': ('G0 X0 Y0\nF60\nG2 R5\n', ['line 3', 'end', 'X or Y']),
     'arc without a centre': ('G0 X0 Y0\nF60\nG2 X5\n', ['line 3', 'centre', 'radius']),
