@@ -270,6 +270,10 @@ def test_no_jump_brings_a_feed_above_that_of_the_program(seed):
         ('IF[#1EQ0]GOTO20', 1),
         ('IF R1<5 GOTOB N20', 1),
         ('M99 P20', 1),
+        ('M97 P20', 1),
+        ('REPEAT N20 N30 P=3', 1),
+        ('IF [VC1 EQ 1] N20', 1),
+        ('GOTOF LABEL', 0),
         ('(GOTO 20)', 0),
         ('GOTO 70', 0),
         ('GOTO#1', 2),
@@ -290,3 +294,13 @@ def test_rounded_corners_of_fanuc_keep_their_feed():
     assert [str(note) for note in program.notes][:1] == [
         'line 2: a motion with ,R: passed through with its own feed'
     ]
+
+
+def test_increments_of_lathes_leave_the_place_unknown():
+    """U, V and W are axes of their own, or X, Y and Z by increments: nobody says which."""
+    text = 'G90 G1 X5 Y5 Z5 F600\nZ0\nU4\nZ3\nX9\nY3\nX9 U9 W2\nZ1\nX1\n'
+    program = read_program(text)
+    assert [part.line for part in program.segments if part.schedulable] == [1, 2, 6, 9]
+    assert read_program('G1 X5 F600\nU0.5\nG2 X9 I2\nX5 F0.1\nG1 Y0\n').notes[-1].text == (
+        'feed below 1 mm/min: if it is one per revolution, say G95'
+    )

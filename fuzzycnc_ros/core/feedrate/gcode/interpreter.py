@@ -100,6 +100,7 @@ class _Notes:
         return tuple(Note(line, count, text) for text, (line, count) in self._found.items())
 
 
+_SLOWEST = 1e-3 / modal.MINUTE
 _CALL_LETTERS = frozenset('XYZABCUVWG')
 _CURVE_LETTERS = frozenset('GNFXYZPLKRABCUVW')
 _CALL_M = frozenset({97, 98, 99})
@@ -491,6 +492,8 @@ class Interpreter:
                     raise ProgramError(self._line, f'expected a feed above 0 but found F{value:g}')
                 else:
                     state.feed, state.feed_known = value * state.feed_unit, True
+                    if 0.0 < state.feed < _SLOWEST:
+                        self._say('feed below 1 mm/min: if it is one per revolution, say G95')
 
     def _machine(self, numbers: list[float | None]) -> None:
         if any(number in modal.STOPS for number in numbers):

@@ -70,6 +70,7 @@ def move(line: Line, number: int, state: State) -> Segment | None:
     start = state.position
     target = start.copy()
     turning = arc_words = named = False
+    moved = ''
     assumed = state.assumed if state.absolute else None
     for letter, value, _, _ in line.words:
         if letter in _XYZ:
@@ -79,7 +80,9 @@ def move(line: Line, number: int, state: State) -> Segment | None:
             axis = _XYZ.index(letter)
             target[axis] = _coordinate(axis, value, start[axis], state)
         elif letter in _OTHER_AXES:
-            turning = _turn(letter, value, state) or turning
+            if _turn(letter, value, state):
+                turning = True
+                moved += letter
         elif letter in _CENTRES or letter == 'R':
             arc_words = True
     motion = state.motion
@@ -96,6 +99,8 @@ def move(line: Line, number: int, state: State) -> Segment | None:
         state.kind = ''
         raise UnreadableError('a motion from or to a place that the program does not say')
     begin, end = (start[0], start[1], start[2]), (target[0], target[1], target[2])
+    if turning:
+        _lose_relative(line, moved, state)
     feed = None if motion == 0 else state.feed
     run = state.run_of('rapid' if motion == 0 else 'kept' if turning or feed is None else 'feed')
     if is_arc:
@@ -135,6 +140,17 @@ def _turn(letter: str, value: float | None, state: State) -> bool:
     if before is not None:
         state.others[letter] = before + value
     return value != 0.0
+
+
+def _lose_relative(line: Line, moved: str, state: State) -> None:
+    """Forget X, Y and Z where U, V and W may be their increments, as on lathes of Fanuc.
+
+    A line that names X as well as U means two axes.
+    """
+    named = named_axes(line)
+    for relative, axis in zip('UVW', _XYZ, strict=True):
+        if relative in moved and axis not in named:
+            state.position[_XYZ.index(axis)] = math.nan
 
 
 def _check_feed(number: int, state: State) -> None:

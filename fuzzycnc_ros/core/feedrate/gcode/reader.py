@@ -633,13 +633,19 @@ def _sealed(block: Block) -> Block:
 
 
 _JUMP = re.compile(
-    r'(?:GOTO[FBCS]?[ \t]*N?|M0*99[ \t]*P)[ \t]*(?:(\d+)|[#\["])', re.IGNORECASE | re.ASCII
+    r'(?:GOTO[FBCS]?[ \t]*N?|M0*9[79][ \t]*P|REPEATB?[ \t]+N|IF[ \t]*\[.*\][ \t]*N)'
+    r'[ \t]*(?:(\d+)|[#\["])',
+    re.IGNORECASE | re.ASCII,
 )
+_MAY_JUMP = re.compile(r'GOTO|M0*9[79]|REPEAT|IF', re.IGNORECASE | re.ASCII)
 _COMMENT = re.compile(r'\([^)\r\n]*\)?|;.*')
 
 
 def jump_targets(lines: Iterable[str]) -> frozenset[int] | None:
-    """Return where the jumps of a program lead: `GOTO 10`, `GOTOB N10`, `M99 P10`.
+    """Return where the jumps of a program lead.
+
+    They are `GOTO 10` and `M99 P10` of Fanuc, `M97 P10` of Haas, `GOTOB N10` and `REPEAT N10 N20`
+    of Siemens, and `IF [...] N10` of Okuma.
 
     Parameters
     ----------
@@ -653,7 +659,7 @@ def jump_targets(lines: Iterable[str]) -> frozenset[int] | None:
     """
     found = set()
     for line in lines:
-        if 'O' not in line and 'o' not in line and '99' not in line:
+        if _MAY_JUMP.search(line) is None:
             continue
         for match in _JUMP.finditer(_COMMENT.sub('', line)):
             if match[1] is None:
