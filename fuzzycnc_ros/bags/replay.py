@@ -10,8 +10,9 @@ for byte in canonical form.
 import json
 import os
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from itertools import compress
 from math import inf
 from typing import Any
 
@@ -43,6 +44,16 @@ from fuzzycnc_ros.runtime.records import (
 
 _PLUMBING = ('node_configuration', 'node_event', 'deadline_fired', 'machine_tick')
 """What a replay reads beside the topics of components; pictures of a camera fill no memory."""
+
+_TOLD_OF: Mapping[str, type[Any]] = {
+    'node_configuration': NodeConfiguration,
+    'node_event': NodeEvent,
+    'deadline_fired': DeadlineFired,
+}
+"""Topics that all nodes share."""
+
+LATE = 5 * SECOND
+"""Log time [ns] within which the last messages before a step of the clock arrive."""
 
 DEADLINES_MAX = 500
 """Deadlines that may fire without a trace; beside them, ten for each recorded message and turn."""
@@ -168,6 +179,58 @@ def _replayable() -> list[str]:
     return [name for name in COMPONENTS if name not in MACHINES]
 
 
+def _stamp(message: tuple[str, bytes]) -> int:
+    return stamp_of(message[1])
+
+
+def _step_of(event: NodeEvent) -> int:
+    try:
+        return int(json.loads(event.request)['step'])
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
+        return 0
+
+
+@dataclass(frozen=True)
+class _SeriesEnd:
+    """Where a clock was set: a new series of stamps begins.
+
+    Topics reach a recorder each in its own order alone.  So some of the old series is logged after
+    the event that tells of the step, and some of the new one before it.
+    """
+
+    stamp: int
+    """Machine time up to which the node has worked in the old series [ns]."""
+    step: int
+    """By how much the clock was set [ns]."""
+    logged: int
+    """Log time of the event [ns]."""
+    told: Mapping[str, int]
+    """Messages of each topic before it."""
+
+    def kept(self, topic: str, stamps: Iterable[tuple[str, int]]) -> list[bool]:
+        """Return what of a topic is of the old series and stamped no later than its end.
+
+        Parameters
+        ----------
+        topic : str
+            Name of the topic.
+        stamps : iterable of (str, int)
+            Of each message who sent it and its stamp [ns]; each sender has an order of its own.
+        """
+        found, told = [], self.told.get(topic, 0)
+        newest: dict[str, int] = {}
+        ended: set[str] = set()
+        # Halfway back: no message of the old series comes so late, none of the new one so early.
+        back = min(self.step, 0) // 2
+        for number, (sender, stamp) in enumerate(stamps):
+            if back and stamp < newest.get(sender, stamp) + back:
+                ended.add(sender)
+            newest[sender] = max(newest.get(sender, stamp), stamp)
+            late = number >= told and back and stamp < self.stamp + back
+            found.append(stamp <= self.stamp and not late and sender not in ended)
+        return found
+
+
 class _Recording:
     """The messages of a bag, by topic."""
 
@@ -182,17 +245,27 @@ class _Recording:
         ]
         self._decoder = reader.decoder
         self.notes: list[str] = []
-        for topic, kind, _, payload in reader.messages(wanted, raw=True):
-            if topic.endswith('/node_event') and CLOCK_STEP.encode() in payload:
+        end: _SeriesEnd | None = None
+        for topic, kind, logged, payload in reader.messages(wanted, raw=True):
+            if end is None and topic.endswith('/node_event') and CLOCK_STEP.encode() in payload:
                 event = decode(NodeEvent, self._decoder.decode(kind)(payload))
                 if event.name == CLOCK_STEP:
                     self.notes.append(
                         f'the clock of {event.node} was set at {event.stamp / SECOND:.3f} s: what '
                         'came after it is not replayed, as its stamps are a series of their own'
                     )
-                    self._end_at(event.stamp)
-                    break
+                    told = {name: len(messages) for name, messages in self.raw.items()}
+                    end = _SeriesEnd(event.stamp, _step_of(event), logged, told)
+                    continue
+            if end is not None and logged > end.logged + LATE + max(end.step, 0):
+                break
             self.raw[topic].append((kind, payload))
+        if end is not None:
+            for topic, messages in self.raw.items():
+                kept = end.kept(
+                    topic, zip(self._senders(topic), map(_stamp, messages), strict=True)
+                )
+                self.raw[topic] = list(compress(messages, kept))
         self.nodes: dict[str, list[NodeConfiguration]] = defaultdict(list)
         """Configurations by namespace and node."""
         for topic in list(self.raw):
@@ -203,10 +276,12 @@ class _Recording:
                 if record.node in _replayable():
                     self.nodes[f'{space}/{record.node}'].append(record)
 
-    def _end_at(self, stamp: int) -> None:
-        """Leave out what is stamped later [ns]: others may have seen the step before."""
-        for topic, messages in self.raw.items():
-            self.raw[topic] = [item for item in messages if stamp_of(item[1]) <= stamp]
+    def _senders(self, topic: str) -> list[str]:
+        """Return the node that each message of a topic tells of; empty where one node has it."""
+        told_of = _TOLD_OF.get(topic.rsplit('/', 1)[-1])
+        if told_of is None:
+            return [''] * len(self.raw[topic])
+        return [record.node for record in self.records(topic, told_of)]
 
     def records(self, topic: str, record_type: type[Any]) -> list[Any]:
         """Return the messages of a topic as records; none if it was not recorded."""

@@ -27,7 +27,7 @@ from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.names import text_hash, visible
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.bag_node import bag_refused, check_keeping, closed_on_failure, pattern
-from fuzzycnc_ros.ros.clocks import wall_timer
+from fuzzycnc_ros.ros.clocks import LogClock, SteadyClock, wall_timer
 from fuzzycnc_ros.ros.executor import hand_over
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.plain_node import PlainNode
@@ -81,6 +81,9 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self._subscriptions: dict[str, Any] = {}
         self._skipped: dict[str, str] = {}
         self._newest = 0
+        self._clock: LogClock | None = None
+        if not (config.lockstep or node.get_parameter('use_sim_time').value):
+            self._clock = LogClock(SteadyClock(self._clock_now))
         self._models: set[str] = set()
         self._holes: dict[str, HoleCounter] = {}
         self._publishers: dict[str, int] = {}  # of each topic, at the last look
@@ -253,7 +256,7 @@ class RecorderNode(PlainNode[RecorderConfig]):
     ) -> None:
         sequence = info['publication_sequence_number']
         if not self._config.lockstep:
-            self._newest = int(self.node.get_clock().now().nanoseconds)
+            self._newest = self._clock_now() if self._clock is None else self._clock.now()
         elif stamped:
             self._newest = max(self._newest, _leading_stamp(payload))
         if topic in self._holes:
@@ -263,6 +266,9 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self._thread.put(topic, payload, stamp, stamp, sequence, sender)
         if self.turns is not None:
             self.turns.received(topic, sequence)
+
+    def _clock_now(self) -> int:
+        return int(self.node.get_clock().now().nanoseconds)
 
     def _found_holes(self) -> dict[str, dict[str, float]]:
         """Return the holes of each topic of samples: how many, and the longest, in seconds.
@@ -312,7 +318,7 @@ class RecorderNode(PlainNode[RecorderConfig]):
 
     def _report(self) -> None:
         progress = self._thread.progress()
-        self._publish_progress(progress, self._newest or self.node.get_clock().now().nanoseconds)
+        self._publish_progress(progress, self._newest or self._clock_now())
         self._tell_notices()
         values = {
             'bag': Path(self._config.output).name,

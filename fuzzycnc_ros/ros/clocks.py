@@ -71,6 +71,27 @@ class SteadyClock:
                 return clock, after
 
 
+class LogClock:
+    """Tell the time that a recorder logs by: it follows a clock that may be set, but never back.
+
+    Readers take the messages of a bag in the order of their log times.
+
+    Parameters
+    ----------
+    steady : SteadyClock
+        The clock, which nobody else asks for its steps.
+    """
+
+    def __init__(self, steady: SteadyClock) -> None:
+        self._steady = steady
+        self._kept = 0  # by how much the clock was set back, and not forward again [ns]
+
+    def now(self) -> int:
+        """Return the time [ns]."""
+        self._kept = max(0, self._kept - self._steady.step())
+        return self._steady.now() + self._kept
+
+
 SIMULATED_FASTER = 60
 """How many times as far ahead a stamp may be where time is simulated: that goes hundreds of times
 as fast as the wall clock, and a node's clock is behind by what its messages take on the wall."""

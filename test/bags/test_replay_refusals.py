@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from fuzzycnc_ros.bags.replay import ReplayError, replay
+from fuzzycnc_ros.bags.replay import ReplayError, _SeriesEnd, replay
 from fuzzycnc_ros.bags.typestore import message_type
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.registry import COMPONENTS
@@ -80,3 +80,43 @@ def test_parameters_that_are_none(replaying, text, complaint):
 def test_requests_that_are_none(replaying, node, name, request_text):
     with pytest.raises(ReplayError, match=f'{node}: request {name}: expected'):
         replaying(node, None, events=[(name, request_text)])
+
+
+@pytest.mark.parametrize(
+    'request_text', ['', '{}', '[1]', '{"step": null}', '{"step": 1e400}', '[' * 100_000]
+)
+def test_a_step_of_the_clock_that_says_no_number_ends_a_replay_all_the_same(
+    replaying, request_text
+):
+    report = replaying('compensator', None, events=[('clock_step', request_text)])
+    assert report.equivalent
+    assert 'the clock of compensator was set at 9.000 s' in report.notes[0]
+
+
+HOUR = 3600
+
+
+@pytest.mark.parametrize(
+    ('step', 'before', 'after', 'kept'),
+    [
+        (-HOUR, [98, 99], [99.9, 100.5, -3500], [1, 1, 1, 0, 0]),  # logged after the event
+        (-HOUR, [98, 99, -3501], [-3500], [1, 1, 0, 0]),  # logged before it
+        (-HOUR, [-9000], [-3498], [1, 0]),  # of a topic that is silent for hours
+        (-2, [99, 99.5], [100, 98.2, 98.4], [1, 1, 1, 0, 0]),
+        (HOUR, [98, 3701], [99.9, 3702], [1, 0, 1, 0]),
+        (0, [98], [99, 101], [1, 1, 0]),
+    ],
+)
+def test_a_series_ends_where_the_clock_was_set_in_whatever_order_it_was_logged(
+    step, before, after, kept
+):
+    end = _SeriesEnd(100 * SECOND, step * SECOND, 0, {'/mill/temperatures': len(before)})
+    stamps = [('', int(at * SECOND)) for at in (*before, *after)]
+    assert end.kept('/mill/temperatures', stamps) == [bool(item) for item in kept]
+
+
+def test_each_node_has_a_series_of_its_own():
+    end = _SeriesEnd(100 * SECOND, -HOUR * SECOND, 0, {'/mill/node_event': 4})
+    told = [('x', 98), ('y', -9000), ('x', 99), ('y', -8999), ('y', 100), ('x', -3500)]
+    stamps = [(node, at * SECOND) for node, at in told]
+    assert end.kept('/mill/node_event', stamps) == [True, True, True, True, True, False]

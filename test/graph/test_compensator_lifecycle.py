@@ -251,7 +251,7 @@ def test_word_of_a_stranger_is_refused_and_named(graph, observer, stranger, kind
     # His first messages may come before his name does, and are refused without it.
     item = f'mill/compensator: strangers on {topic}'
     stranger(topic, replace(record, **false), lambda: observer.told(item, '/mill/stranger'))
-    assert any(event.name == 'refused' for event in events)
+    observer.until(lambda: any(item.name == 'refused' for item in events), 'the event')
     settled(observer, machine, commands, second + 10, ticks=7)
     assert commands[-1].state == CompensationState.ACTIVE
     np.testing.assert_allclose([item.offset for item in commands[-5:]], [(-10e-6, 20e-6)] * 5)
@@ -292,7 +292,7 @@ def test_clock_that_is_set_is_told_and_held_through(graph, observer, tmp_path, s
     clock.write_text('0')
     parameters = {'autostart': True, 'period': 0.1, 'slew_max': 1e-4}
     graph.start_by(clock, 'compensator', parameters)
-    graph.start('recorder', {'output': str(tmp_path / 'bag')})
+    graph.start_by(clock, 'recorder', {'output': str(tmp_path / 'bag')})
     commands = observer.records('compensation', Compensation)
     events = observer.records('node_event', NodeEvent, Durability.HISTORY)
     machine = Machine(observer, clock=False)
@@ -340,4 +340,6 @@ def test_clock_that_is_set_is_told_and_held_through(graph, observer, tmp_path, s
     graph.stop()
     report = replay(tmp_path / 'bag')
     assert report.identical, report.topics
+    replayed = {item.topic: item.recorded for item in report.topics}
+    assert replayed['/mill/compensation'] >= 2
     assert 'the clock of compensator was set' in report.notes[0]

@@ -4,7 +4,7 @@
 
 import pytest
 
-from fuzzycnc_ros.ros.clocks import STEP, SteadyClock
+from fuzzycnc_ros.ros.clocks import STEP, LogClock, SteadyClock
 
 SECOND = 1_000_000_000
 
@@ -84,3 +84,22 @@ def test_process_that_was_stopped_between_two_readings_sees_no_step():
     clocks.steady._clock = stopped
     clocks.steady.now()
     assert clocks.steady.step() == 0
+
+
+def test_what_is_logged_by_never_goes_back():
+    clocks = Clocks()
+    log = LogClock(clocks.steady)
+    start = clocks.wall
+
+    def passed(set_by=0.0):
+        clocks.pass_time(1.0)
+        clocks.set(set_by)
+        return (log.now() - start) / SECOND
+
+    assert [passed() for _ in range(3)] == [1.0, 2.0, 3.0]
+    # Set back by an hour it goes on as if nothing was.
+    assert [passed(-3600.0), passed(), passed()] == [4.0, 5.0, 6.0]
+    # Forward by less makes up for a part of it, by more is followed.
+    assert [passed(3000.0), passed()] == [7.0, 8.0]
+    assert [passed(1600.0), passed()] == [1009.0, 1010.0]
+    assert log.now() == clocks.wall

@@ -71,9 +71,14 @@ SET_CLOCK = """
 import sys
 from importlib import import_module
 from pathlib import Path
-from fuzzycnc_ros.ros.host import ComponentNode
-file, true = Path(sys.argv.pop(1)), ComponentNode._clock_now
-ComponentNode._clock_now = lambda self: true(self) + int(file.read_text())
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+file, true = Path(sys.argv.pop(1)), Clock.now
+def now(self):
+    if self.clock_type is ClockType.STEADY_TIME:
+        return true(self)
+    return true(self) + Duration(nanoseconds=int(file.read_text()))
+Clock.now = now
 import_module(f'fuzzycnc_ros.nodes.{sys.argv.pop(1)}').main()
 """
 """Runs a node whose wall clock is set; the monotonic one goes on, as it does on a computer."""
