@@ -77,6 +77,7 @@ _APPENDED = re.compile(r'[_ /](°?[A-Za-z]{2,})\s*$')  # a single letter may as 
 _NAMES: Mapping[str, Mapping[str, str]] = {
     '--time-unit': {
         's': 's', 'sec': 's', 'ms': 'ms', 'msec': 'ms', 'min': 'min', 'h': 'h', 'hours': 'h',
+        'd': 'd', 'days': 'd',
     },
     '--temperature-unit': {
         '°C': 'degC', 'degC': 'degC', 'C': 'degC', '°F': 'degF', 'degF': 'degF', 'F': 'degF',
@@ -215,6 +216,9 @@ def import_csv(
 def _remarks(table: Table, mapping: CsvMapping, times: Times) -> tuple[str, ...]:
     """Return what was recognised in a file."""
     remarks = []
+    if table.units:
+        said = ', '.join(unit for unit in table.units.values() if unit)
+        remarks.append(f'line {table.lines[0] - 1} read as units of the columns: {said}')
     if times.form and not (mapping.time_format or mapping.time_unit == ISO8601):
         others = [form for form in known_forms(table.cells(mapping.time)) if form != times.form]
         also = f', which could be {" or ".join(others)}: see --time-format' if others else ''
@@ -254,7 +258,8 @@ def _named_unit_lines(table: Table, mapping: CsvMapping, sensors: Sequence[str])
     odd: dict[tuple[str, str, str], list[str]] = {}
     for column, unit, option in asked:
         found = _BRACKETED.search(column) or _APPENDED.search(column)
-        named = _NAMES[option].get(found[1]) if found else None
+        told = table.units.get(column, '').strip('[]() ') or (found[1] if found else '')
+        named = _NAMES[option].get(told)
         if named is not None and named != unit:
             odd.setdefault((option, unit, named), []).append(column)
     lines = []
@@ -296,7 +301,7 @@ def _time_line(
     if np.isnan(taken) or WARMING_MIN <= taken <= WARMING_MAX:
         return []
     factor = TIME_UNITS[mapping.time_unit]
-    for unit in ('s', 'min', 'ms', 'h'):
+    for unit in ('s', 'min', 'ms', 'h', 'd'):
         other = taken / factor * TIME_UNITS[unit]
         if WARMING_MIN <= other <= WARMING_MAX:
             return [

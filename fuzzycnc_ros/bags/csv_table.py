@@ -11,8 +11,8 @@ import csv
 import itertools
 import re
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import NoReturn
@@ -25,7 +25,10 @@ from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, SAMPLES_MIN
 
-TIME_UNITS = {'s': 1.0, 'ms': 1e-3, 'min': 60.0, 'h': 3600.0}
+DAY = 86400.0
+"""Length of a day [s]."""
+
+TIME_UNITS = {'s': 1.0, 'ms': 1e-3, 'min': 60.0, 'h': 3600.0, 'd': DAY}
 
 ISO8601 = 'iso8601'
 _CLOCKS = ('%H:%M:%S', '%H:%M', '%I:%M:%S %p', '%I:%M %p')
@@ -39,9 +42,6 @@ KNOWN_FORMATS = (
     *_CLOCKS,
 )
 """Forms that are recognised, as `strptime` writes them."""
-
-DAY = 86400.0
-"""Length of a day [s]."""
 
 _FRACTION = re.compile(r'(?<=:\d\d)[.,](\d+)')
 _DATE_PART = re.compile(r'%[dmyYjbBDFxcUWGuw]')
@@ -120,6 +120,8 @@ class Table:
         Decimal sign.
     first : int
         Row of the file that is row 0 here, counted from 0 below the header.
+    units : dict
+        What a line of units below the header says of each column.
     """
 
     path: Path
@@ -128,6 +130,7 @@ class Table:
     rows: list[list[str]]
     decimal: str
     first: int = 0
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def require(self, names: Sequence[str], option: str = '') -> None:
         """Refuse a file that lacks columns; the message lists what is there.
@@ -204,7 +207,7 @@ class Table:
             return '; with decimal commas import with --decimal ,'
         if _THOUSANDS.fullmatch(found):
             return '; remove what stands between thousands'
-        if row == 0 and not any(_is_number(cell) for cell in self.rows[0]):
+        if row == 0 and self.first == 0 and _is_of_units(self.rows[0]):
             last = self.first + len(self.rows) - 1
             return f'; leave out a line of units below the header with --rows 1:{last}'
         if _is_day(found):
@@ -251,7 +254,10 @@ class Table:
             seconds = self.column(name) * TIME_UNITS[unit]
             lost = np.flatnonzero(~np.isfinite(seconds)).tolist()
         if lost:
-            raise CsvError(f'{self.place(lost[0], name)}: expected a time but found none')
+            raise CsvError(
+                f'{self.place(lost[0], name)}: expected a time but found none'
+                + self._hint(lost[0], '')
+            )
         if form and not _has_date(form):
             seconds, midnights = _past_midnight(seconds)
         self._check_increasing(name, seconds)
@@ -345,7 +351,7 @@ def read_table(
     """Read the rows of a CSV file.
 
     Lines that begin with # above the table are notes; the last of them names the columns where
-    values follow at once.
+    values follow at once.  A line without any value below the names holds units.
 
     Parameters
     ----------
@@ -370,6 +376,9 @@ def read_table(
     """
     names, numbers, cells = _read_rows(path, encoding, delimiter, header)
     begin, end = rows or (0, len(cells) - 1)
+    units: dict[str, str] = {}
+    if header and rows is None and len(cells) > 1 and _is_of_units(cells[0]):
+        begin, units = 1, dict(zip(names, map(str.strip, cells[0]), strict=True))
     if end >= len(cells):
         raise CsvError(
             f'{path}: expected rows {begin} to {end} but the file has rows 0 to {len(cells) - 1}'
@@ -377,7 +386,7 @@ def read_table(
     numbers, cells = numbers[begin : end + 1], cells[begin : end + 1]
     if len(cells) < SAMPLES_MIN:
         raise CsvError(f'{path}: expected at least {SAMPLES_MIN} rows but found {len(cells)}')
-    return Table(path, names, numbers, cells, decimal, begin)
+    return Table(path, names, numbers, cells, decimal, begin, units)
 
 
 def _read_rows(
@@ -512,6 +521,12 @@ def _check_header(path: Path, header: list[str], line: int) -> None:
 def _is_row(cells: Sequence[str]) -> bool:
     """Return whether cells hold values, some of them missing, and no names."""
     return all(_is_value(cell) or cell.strip().lower() in _EMPTY for cell in cells)
+
+
+def _is_of_units(cells: Sequence[str]) -> bool:
+    """Return whether a row holds no value, but says something."""
+    filled = [cell for cell in cells if cell.strip().lower() not in _EMPTY]
+    return bool(filled) and not any(map(_is_value, filled))
 
 
 def _is_value(cell: str) -> bool:

@@ -90,7 +90,8 @@ def test_other_encodings_are_named_and_read(importing, complaint, tmp_path, enco
     assert f'import with --encoding {named}' in text
     report = importing(german(), encoding, **GERMAN, encoding=encoding)
     assert report.sensors == ('Vorn [°C]', 'Hinten [°C]')
-    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
+    first = read_run(tmp_path / 'bag').temperature[:, 0]
+    np.testing.assert_allclose(first, FRONT, atol=1e-3)
 
 
 def test_a_byte_order_mark_is_no_part_of_the_first_name(importing):
@@ -278,9 +279,14 @@ def cell(row, column, text):
         (table(change=cell(5, 1, '08:15:00')), {}, 'name the time column with --time'),
         (
             table(change=lambda rows: rows.insert(1, ['s', '°C', '°C', 'µm'])),
-            {},
+            {'rows': (0, 120)},
             "line 2, column 't': expected a time but found 's'; leave out a line of units below "
             'the header with --rows 1:120',
+        ),
+        (
+            table(change=lambda rows: rows.insert(1, ['', '°C', '°C', 'µm'])),
+            {'rows': (0, 120)},
+            'expected a time but found none; leave out a line of units below the header with',
         ),
         (german(), {**GERMAN, 'decimal': '.'}, "found '21,000'; with decimal commas"),
         (table(change=cell(18, 0, '1.020')), {}, 'remove what stands between thousands'),
@@ -347,7 +353,8 @@ def test_notes_above_the_table_are_passed_over(importing, tmp_path, notes, head)
     if head.startswith('#;'):
         text = re.sub(r'^(?=\d)', '1;', text, flags=re.MULTILINE)
     importing(notes + text)
-    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
+    first = read_run(tmp_path / 'bag').temperature[:, 0]
+    np.testing.assert_allclose(first, FRONT, atol=1e-3)
 
 
 @pytest.mark.parametrize('missing', ['', 'n/a'])
@@ -367,14 +374,16 @@ def test_commas_are_decimal_signs_where_other_signs_separate(importing, tmp_path
         plain,
         header=False, time='c1', temperatures=['c2', 'c3'], displacements=['c4=Z:um'], decimal=',',
     )  # fmt: skip
-    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
+    first = read_run(tmp_path / 'bag').temperature[:, 0]
+    np.testing.assert_allclose(first, FRONT, atol=1e-3)
 
 
 def test_quoted_numbers_may_have_the_comma_that_separates(importing, tmp_path):
     lines = table().replace('.', ',').splitlines()
     text = '\n'.join(','.join(f'"{part}"' for part in line.split(';')) for line in lines)
     importing(text, decimal=',')
-    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
+    first = read_run(tmp_path / 'bag').temperature[:, 0]
+    np.testing.assert_allclose(first, FRONT, atol=1e-3)
 
 
 def test_names_may_be_broken_over_lines_and_empty_ones_repeat(importing):
@@ -464,3 +473,38 @@ def test_a_real_recording_raises_no_doubt(data, tmp_path):
     file = data / 'spindle-thermal' / 'spindle_thermal.csv'
     report = import_csv(file, tmp_path / 'spindle', mapping)
     assert report.remarks == report.doubts == ()
+
+
+@pytest.mark.parametrize(
+    ('units', 'doubts'),
+    [
+        (['', '°C', '°C', 'µm'], []),
+        (['[min]', '(°C)', 'K', 'mm'], ['named min', 'named K', 'named mm']),
+        (['Zeit', 'Mittel', 'Mittel', 'Spitze'], []),
+    ],
+)
+def test_a_line_of_units_below_the_names_is_no_row(tmp_path, units, doubts):
+    file = tmp_path / 'log.csv'
+    file.write_text(table(change=lambda rows: rows.insert(1, units)), encoding='utf-8')
+    mapping = CsvMapping(time='t', temperatures=['a', 'b'], displacements=['ch=Z:um'])
+    report = import_csv(file, tmp_path / 'bag', mapping)
+    assert report.samples == COUNT
+    said = ', '.join(unit for unit in units if unit)
+    assert report.remarks[0] == f'line 2 read as units of the columns: {said}'
+    assert len(report.doubts) == len(doubts)
+    assert [sum(text in doubt for doubt in report.doubts) for text in doubts] == [1] * len(doubts)
+    first = read_run(tmp_path / 'bag').temperature[:, 0]
+    np.testing.assert_allclose(first, FRONT, atol=1e-3)
+
+
+def test_days_of_a_spreadsheet(tmp_path):
+    file = tmp_path / 'log.csv'
+    file.write_text(table([f'{46353.25 + second / 86400.0:.8f}' for second in SECONDS]))
+    mapping = {'time': 't', 'temperatures': ['a', 'b'], 'displacements': ['ch=Z:um']}
+    doubts = import_csv(file, tmp_path / 'seconds', CsvMapping(**mapping)).doubts
+    assert any(
+        'if the times are in d, it takes 21 min: import with --time-unit d' in d for d in doubts
+    )
+    report = import_csv(file, tmp_path / 'days', CsvMapping(**mapping, time_unit='d'))
+    assert report.interval == pytest.approx(60.0, abs=1e-3)
+    assert report.doubts == ()

@@ -91,7 +91,7 @@ def test_file_that_cannot_be_read(importing, tmp_path):
 @pytest.mark.parametrize(
     ('options', 'complaint'),
     [
-        ({'time_unit': 'days'}, r'time_unit: expected s, ms, min, h, iso8601 but found'),
+        ({'time_unit': 'days'}, r'time_unit: expected s, ms, min, h, d, iso8601 but found'),
         ({'temperature_unit': 'F'}, r'temperature_unit: expected degC, K, degF'),
         ({'spindle_speed_unit': 'Hz'}, r'spindle_speed_unit: expected rpm'),
         ({'displacements': ['ch1']}, r'COLUMN=AXIS:UNIT such as ch1=X:um'),

@@ -28,7 +28,7 @@ def import_csv(
     time_unit: Annotated[
         OptionalText,
         given(
-            's, ms, min, h or iso8601 [default: s].',
+            's, ms, min, h, d or iso8601 [default: s].',
             metavar='UNIT',
             complete=one_of(('s', 'ms', 'min', 'h', 'iso8601')),
         ),
