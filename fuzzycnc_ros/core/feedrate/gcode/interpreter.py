@@ -105,7 +105,7 @@ _CALL_LETTERS = frozenset('XYZABCUVWG')
 _CURVE_LETTERS = frozenset('GNFXYZPLKRABCUVW')
 _CALL_M = frozenset({97, 98, 99})
 _NO_JUMPS: frozenset[int] = frozenset()
-_LINE_NUMBER = re.compile(r'[ \t/]*N[ \t]*(\d+)', re.IGNORECASE | re.ASCII)
+_LINE_NUMBER = re.compile(r'[ \t/]*N[ \t]*0*(\d{1,9})(?!\d)', re.IGNORECASE | re.ASCII)
 
 
 class Interpreter:

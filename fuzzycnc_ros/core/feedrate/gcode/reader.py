@@ -634,7 +634,7 @@ def _sealed(block: Block) -> Block:
 
 _JUMP = re.compile(
     r'(?:GOTO[FBCS]?[ \t]*N?|M0*9[79][ \t]*P|REPEATB?[ \t]+N|IF[ \t]*\[.*\][ \t]*N)'
-    r'[ \t]*(?:(\d+)|[#\["])',
+    r'[ \t]*(?:0*(\d{1,9})(?!\d)|[#\["])',
     re.IGNORECASE | re.ASCII,
 )
 _MAY_JUMP = re.compile(r'GOTO|M0*9[79]|REPEAT|IF', re.IGNORECASE | re.ASCII)
