@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from processes import HANG
 
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.cli.live import operate
@@ -36,6 +37,8 @@ HARDLY, LONG = 0.2, 3.0
 def command(domain, monkeypatch, capsys):
     """Carry out `fuzzycnc operate ...` in the domain of the test; return code, out and err."""
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    # Who is there may be slow; who is not is waited for in tests that say how long.
+    monkeypatch.setattr(operate, 'PATIENCE', HANG)
 
     def carry_out(*words):
         capsys.readouterr()
