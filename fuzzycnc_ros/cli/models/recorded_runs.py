@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sensors of recorded runs: which are left out, and what became of readings that are missing."""
 
+import shlex
 from collections.abc import Collection, Sequence
 from functools import partial
 from pathlib import Path
@@ -90,6 +91,7 @@ def doubt_lines(runs: 'Sequence[ThermalRun]') -> list[str]:
         DISPLACEMENT_STEP,
         TEMPERATURE_STEP,
         lone_values,
+        shifted_sensors,
         turned_channels,
     )
 
@@ -110,6 +112,14 @@ def doubt_lines(runs: 'Sequence[ThermalRun]') -> list[str]:
             if len(found) > DOUBTS_NAMED:
                 more = len(found) - DOUBTS_NAMED
                 lines.append(f'{run.name}: {more} more values in {unit} stand alone like these')
+    for sensor, start, off in shifted_sensors(runs):
+        seen = ', '.join(f'{value:.3g}' for value in start.values())
+        lines.append(
+            f'{", ".join(start)}: {sensor} begins at {seen} degC, against the other sensors '
+            f'{abs(off):.0f} K {"above" if off > 0.0 else "below"} what it is in other runs; if '
+            f'it is broken there, leave it out with --drop-sensor {shlex.quote(sensor)}, or '
+            'these runs'
+        )
     for channel, against, others in turned_channels(runs):
         odd = ', '.join(against)
         lines.append(

@@ -26,6 +26,12 @@ TELLING = 0.5
 RISE_TELLING, MOTION_TELLING = 2.0, 2e-6
 """Least range of rises [K] and displacements [m] that says so."""
 
+SHIFTED = 15.0
+"""Difference to the other sensors at the start of a run, against other runs, that is odd [K]."""
+
+RUNS_MIN = 3
+"""Least number of runs that tell what is usual."""
+
 WARM = 5.0
 """Least range of a sensor that shows how fast a machine warms [K]; below it may be noise."""
 
@@ -116,6 +122,61 @@ def half_rise_time(time: Array, temperature: Array) -> float:
             return float((at[lag:] - at[:-lag])[gained].min())
         lag = max(lag + 1, round(1.1 * lag))
     return np.nan
+
+
+class _Shifted(NamedTuple):
+    """A sensor that begins some runs far off.
+
+    Parameters
+    ----------
+    sensor : str
+        The sensor.
+    start : dict of str to float
+        First temperature in these runs, by name [degC].
+    off : float
+        Largest difference to what is usual, against the other sensors [K].
+    """
+
+    sensor: str
+    start: dict[str, float]
+    off: float
+
+
+def shifted_sensors(runs: Sequence[ThermalRun]) -> Iterator[_Shifted]:
+    """Yield the sensors that alone begin some runs far off the others, and other runs not.
+
+    What counts is the first reading less the median of all sensors, against the median of this
+    over the runs.  A warm start moves several sensors; one is alone if no other is half as far
+    off.
+    """
+    names = [
+        name
+        for name in runs[0].sensor
+        if all(name in run.sensor for run in runs) and any(_read(run, name) for run in runs)
+    ]
+    if len(runs) < RUNS_MIN or len(names) < RUNS_MIN:
+        return
+    first = np.array([_first(run, names) for run in runs])
+    apart = first - np.nanmedian(first, axis=1, keepdims=True)
+    off = np.nan_to_num(apart - np.nanmedian(apart, axis=0))
+    size = np.abs(off)
+    alone = size > 2.0 * np.sort(size, axis=1)[:, [-2]]
+    for column, name in enumerate(names):
+        odd = np.flatnonzero(alone[:, column] & (size[:, column] > SHIFTED)).tolist()
+        if odd:
+            start = {runs[row].name: float(first[row, column]) for row in odd}
+            yield _Shifted(name, start, float(off[odd[size[odd, column].argmax()], column]))
+
+
+def _read(run: ThermalRun, name: str) -> bool:
+    return bool(np.isfinite(run.temperature[:, run.sensor.index(name)]).any())
+
+
+def _first(run: ThermalRun, names: Sequence[str]) -> Array:
+    """Return the first reading of each sensor [degC]; NaN of one that has none."""
+    values = run.temperature[:, [run.sensor.index(name) for name in names]]
+    first: Array = values[np.isfinite(values).argmax(axis=0), np.arange(len(names))]
+    return first
 
 
 class _Turned(NamedTuple):

@@ -2,16 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Single values, units of time and signs that look like mistakes, and healthy runs that do not."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.cli.models.recorded_runs import doubt_lines
 from fuzzycnc_ros.core.thermal.plausibility import (
     DISPLACEMENT_STEP,
     TEMPERATURE_STEP,
     half_rise_time,
     lone_values,
+    shifted_sensors,
     turned_channels,
 )
 from fuzzycnc_ros.core.thermal.run import ThermalRun
@@ -96,10 +99,41 @@ def test_runs_that_tell_nothing_are_not_asked():
     assert not list(turned_channels(runs))
 
 
+def started(name, *first):
+    """Return a run whose sensors begin at some temperatures [degC]; NaN of one that has none."""
+    temperature = warming() - 20.0 + np.array(first)
+    names = tuple(f'T{place}' for place in range(len(first)))
+    return ThermalRun(name, TIME, names, temperature, (), (), np.empty((240, 0)))
+
+
+def test_a_sensor_that_alone_begins_far_off_in_some_runs_is_named():
+    runs = [
+        started('a', 21.0, 22.0, 20.0, 24.0),
+        started('b', 18.0, 19.0, 48.0, 21.0),
+        started('c', 25.0, 26.0, 24.0, 28.0),
+        started('d', 21.0, 22.0, 55.0, 24.0),
+        started('e', 21.0, 22.0, np.nan, 24.0),
+        started('f', 20.0, 21.0, 19.0, 23.0),
+    ]
+    (found,) = shifted_sensors(runs)
+    assert found.sensor == 'T2'
+    assert found.start == pytest.approx({'b': 48.0, 'd': 55.0}, abs=0.2)
+    assert found.off == pytest.approx(34.0, abs=1.5)
+    (line,) = doubt_lines(runs)
+    assert re.match('b, d: T2 begins at 48, 55 degC, .* 3[345] K above .* --drop-sensor T2', line)
+    # A machine that is warm has several sensors that are; two runs do not say which is odd.
+    warm = started('warm', 30.0, 45.0, 60.0, 24.0)
+    assert not list(shifted_sensors([runs[0], warm, runs[2]]))
+    assert not list(shifted_sensors(runs[:2]))
+    silent = [started(name, 21.0, 22.0, np.nan, 24.0) for name in 'abc']
+    assert not list(shifted_sensors(silent))
+
+
 def test_healthy_runs_raise_no_doubt():
     for seed in (0, 1):
         runs = list(record_runs(seed=seed).values())
         assert not list(turned_channels(runs))
+        assert not list(shifted_sensors(runs))
         for run in runs:
             assert not list(lone_values(run.temperature, TEMPERATURE_STEP))
             assert not list(lone_values(run.displacement, DISPLACEMENT_STEP))
