@@ -218,7 +218,8 @@ def test_opc_ua_nodes_are_found_in_all_ways_and_missing_ones_named(field, poll):
             field.call(route.set(fault))
             wait(poller, lost if fault else good)
     assert route.connections >= connections + 4
-    assert tasks() <= before
+    # One that asks just now may be among them.
+    wait(poller, lambda item: good(item) and tasks() <= before)
 
 
 def test_a_value_beyond_all_sizes_is_told(field, poll):
