@@ -42,15 +42,15 @@ from fuzzycnc_ros.runtime.records import (
     Record,
 )
 
-_PLUMBING = ('node_configuration', 'node_event', 'deadline_fired', 'machine_tick')
-"""What a replay reads beside the topics of components; pictures of a camera fill no memory."""
-
 _TOLD_OF: Mapping[str, type[Any]] = {
     'node_configuration': NodeConfiguration,
     'node_event': NodeEvent,
     'deadline_fired': DeadlineFired,
 }
 """Topics that all nodes share."""
+
+_PLUMBING = (*_TOLD_OF, 'machine_tick')
+"""What a replay reads beside the topics of components; pictures of a camera fill no memory."""
 
 LATE = 5 * SECOND
 """Log time [ns] within which the last messages before a step of the clock arrive."""

@@ -59,6 +59,10 @@ class SteadyClock:
     def step(self) -> int:
         """Return by how much the clock has stepped since this was asked last [ns]; 0 if not."""
         self.now()
+        return self.step_before()
+
+    def step_before(self) -> int:
+        """Return the same as at the last `now`, without another look at the clocks."""
         stepped, self._stepped = self._stepped, 0
         return stepped
 
@@ -88,8 +92,9 @@ class LogClock:
 
     def now(self) -> int:
         """Return the time [ns]."""
-        self._kept = max(0, self._kept - self._steady.step())
-        return self._steady.now() + self._kept
+        now = self._steady.now()
+        self._kept = max(0, self._kept - self._steady.step_before())
+        return now + self._kept
 
 
 SIMULATED_FASTER = 60

@@ -90,8 +90,7 @@ def test_other_encodings_are_named_and_read(importing, complaint, tmp_path, enco
     assert f'import with --encoding {named}' in text
     report = importing(german(), encoding, **GERMAN, encoding=encoding)
     assert report.sensors == ('Vorn [°C]', 'Hinten [°C]')
-    first = read_run(tmp_path / 'bag').temperature[:, 0]
-    np.testing.assert_allclose(first, FRONT, atol=1e-3)
+    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
 
 
 def test_a_byte_order_mark_is_no_part_of_the_first_name(importing):
@@ -353,8 +352,7 @@ def test_notes_above_the_table_are_passed_over(importing, tmp_path, notes, head)
     if head.startswith('#;'):
         text = re.sub(r'^(?=\d)', '1;', text, flags=re.MULTILINE)
     importing(notes + text)
-    first = read_run(tmp_path / 'bag').temperature[:, 0]
-    np.testing.assert_allclose(first, FRONT, atol=1e-3)
+    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
 
 
 @pytest.mark.parametrize('missing', ['', 'n/a'])
@@ -374,16 +372,14 @@ def test_commas_are_decimal_signs_where_other_signs_separate(importing, tmp_path
         plain,
         header=False, time='c1', temperatures=['c2', 'c3'], displacements=['c4=Z:um'], decimal=',',
     )  # fmt: skip
-    first = read_run(tmp_path / 'bag').temperature[:, 0]
-    np.testing.assert_allclose(first, FRONT, atol=1e-3)
+    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
 
 
 def test_quoted_numbers_may_have_the_comma_that_separates(importing, tmp_path):
     lines = table().replace('.', ',').splitlines()
     text = '\n'.join(','.join(f'"{part}"' for part in line.split(';')) for line in lines)
     importing(text, decimal=',')
-    first = read_run(tmp_path / 'bag').temperature[:, 0]
-    np.testing.assert_allclose(first, FRONT, atol=1e-3)
+    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
 
 
 def test_names_may_be_broken_over_lines_and_empty_ones_repeat(importing):
@@ -493,8 +489,7 @@ def test_a_line_of_units_below_the_names_is_no_row(tmp_path, units, doubts):
     assert report.remarks[0] == f'line 2 read as units of the columns: {said}'
     assert len(report.doubts) == len(doubts)
     assert [sum(text in doubt for doubt in report.doubts) for text in doubts] == [1] * len(doubts)
-    first = read_run(tmp_path / 'bag').temperature[:, 0]
-    np.testing.assert_allclose(first, FRONT, atol=1e-3)
+    np.testing.assert_allclose(read_run(tmp_path / 'bag').temperature[:, 0], FRONT, atol=1e-3)
 
 
 def test_days_of_a_spreadsheet(tmp_path):

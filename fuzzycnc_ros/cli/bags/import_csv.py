@@ -30,7 +30,7 @@ def import_csv(
         given(
             's, ms, min, h, d or iso8601 [default: s].',
             metavar='UNIT',
-            complete=one_of(('s', 'ms', 'min', 'h', 'iso8601')),
+            complete=one_of(('s', 'ms', 'min', 'h', 'd', 'iso8601')),
         ),
     ] = None,
     time_format: Annotated[

@@ -627,8 +627,7 @@ class _GWords:
                     state.lose(letter)
                 else:
                     axis = 'XYZ'.index(letter)
-                    length = value * state.length_unit
-                    state.position[axis] = length if axis else length * state.x_share[0]
+                    state.position[axis] = state.length(axis, value, True)
                     state.assumed.discard(letter)
             elif letter in 'ABCUVW':
                 state.others.pop(letter, None)

@@ -213,10 +213,10 @@ class State:
         self.percents = 0
         self.ended = False
 
-    def length(self, axis: int, value: float) -> float:
-        """Return the length [m] along X, Y or Z that a word of this value means."""
+    def length(self, axis: int, value: float, absolute: bool) -> float:
+        """Return the length [m] along X, Y or Z that an absolute or a relative word means."""
         length = value * self.length_unit
-        return length if axis else length * self.x_share[0 if self.absolute else 1]
+        return length if axis else length * self.x_share[0 if absolute else 1]
 
     def lose(self, axes: str = 'XYZ') -> None:
         """Forget where axes are; the next segment starts a run."""

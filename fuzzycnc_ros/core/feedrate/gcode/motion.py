@@ -69,7 +69,7 @@ def move(line: Line, number: int, state: State) -> Segment | None:
     """
     start = state.position
     target = start.copy()
-    turning = arc_words = named = False
+    arc_words = named = False
     moved = ''
     assumed = state.assumed if state.absolute else None
     for letter, value, _, _ in line.words:
@@ -80,11 +80,10 @@ def move(line: Line, number: int, state: State) -> Segment | None:
             axis = _XYZ.index(letter)
             target[axis] = _coordinate(axis, value, start[axis], state)
         elif letter in _OTHER_AXES:
-            if _turn(letter, value, state):
-                turning = True
-                moved += letter
+            moved += letter if _turn(letter, value, state) else ''
         elif letter in _CENTRES or letter == 'R':
             arc_words = True
+    turning = bool(moved)
     motion = state.motion
     is_arc = motion in (20, 30)
     if not turning and not named and not (is_arc and (arc_words or line.assigned)):
@@ -124,7 +123,7 @@ def dwell(line: Line, number: int, state: State) -> DwellSegment:
 def _coordinate(axis: int, value: float | None, before: float, state: State) -> float:
     if value is None:
         return math.nan
-    length = state.length(axis, value)
+    length = state.length(axis, value, state.absolute)
     return length if state.absolute else before + length
 
 
@@ -336,7 +335,7 @@ def _above(state: State, axis: int, value: dict[str, float | None]) -> float:
     number = value[_XYZ[axis]]
     if number is None:
         return nan
-    length = state.length(axis, number)
+    length = state.length(axis, number, state.absolute)
     if state.absolute:
         return length
     repeats = nan if 'K' in value else value.get('L', 1.0)
@@ -447,7 +446,7 @@ class PlaneCurveBlock(CurveBlock):
             point = list(self.start)
             for axis in (first, second):
                 index = 'XYZ'.index(axis)
-                point[index] = self.state.length(index, number[axis])
+                point[index] = self.state.length(index, number[axis], True)
             self.control.append(point)
             self.weight.append(number.get('P', 1.0))
         elif 'P' in number and len(self.control) == 1:
@@ -508,7 +507,7 @@ class KnotCurveBlock(CurveBlock):
         point = list(self.control[-1] if self.control else self.start)
         for index, axis in enumerate('XYZ'):
             if axis in number:
-                point[index] = self.state.length(index, number[axis])
+                point[index] = self.state.length(index, number[axis], True)
         if not self.control and math.dist(point, self.start) > ABSOLUTE_MISFIT:
             raise ProgramError(
                 line, 'expected the first control point of a G6.2 block where the tool stands'

@@ -36,6 +36,11 @@ def _target_of(block: Block, feed: float | None) -> float | None:
     return feed
 
 
+def _own_feed(block: Block, before: float | None) -> float | None:
+    """Return the program's feed at a line that sets none; behind a call it may be unknown."""
+    return before if block.feed is None else block.feed
+
+
 def _same(feed: float, other: float | None, unit: float) -> bool:
     """Whether two feeds [m/s] are one in a program whose unit of feed is given [m/s]."""
     if other is None:
@@ -141,7 +146,7 @@ class _PassMerger:
         """Take a pass with its feed [m/s], None or NaN for that of the program."""
         target = _target_of(block, feed)
         if block.role is Role.SEALED and block.word is None:
-            target = self._before if block.feed is None else block.feed
+            target = _own_feed(block, self._before)
         self._before = block.feed
         if block.text:
             entry = self._entry.get(block.line)
@@ -269,7 +274,7 @@ def write_blocks(blocks: Iterable[tuple[Block, float | None]]) -> Iterator[str]:
     writer, merger = _Writer(), None
     for block, feed in blocks:
         if merger is None and block.followed:
-            yield from writer.settle(block.feed)
+            yield from writer.settle(block)
             merger = _PassMerger(writer.active)
         if merger is None:
             yield from writer.take(block, feed)
@@ -296,7 +301,7 @@ class _Writer:
         target = _target_of(block, feed)
         if block.role is Role.SEALED:
             if block.word is None:
-                self._restore(self._before if block.feed is None else block.feed)
+                self._restore(_own_feed(block, self._before))
             target = None
         elif block.role is Role.FEED or len(self._held) >= _HELD_MOST:
             if block.role is not Role.FEED:
@@ -327,10 +332,10 @@ class _Writer:
         """Feed in effect after all lines so far [m/s], None where it is unknown."""
         return self._active
 
-    def settle(self, feed: float | None) -> Iterator[str]:
-        """Yield all lines, a rapid among those held back with this feed again."""
+    def settle(self, following: Block) -> Iterator[str]:
+        """Yield all lines, a rapid among those held back with the program's feed again."""
         if any(block.role is Role.RAPID for block, _ in self._held):
-            self._restore(self._before if feed is None else feed)
+            self._restore(_own_feed(following, self._before))
         yield from self.flush()
 
     def _restore(self, feed: float | None) -> None:
