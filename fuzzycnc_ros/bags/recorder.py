@@ -196,7 +196,7 @@ class SequenceCounter:
     --------
     >>> counter = SequenceCounter()
     >>> for number in (1, 2, 5, 6):
-    ...     counter.update(number)
+    ...     publisher = counter.update(number)
     >>> counter.missing
     2
 
@@ -204,7 +204,7 @@ class SequenceCounter:
 
     >>> counter = SequenceCounter(lambda: 2)
     >>> for number in (41, 57, 42, 58):
-    ...     counter.update(number)
+    ...     publisher = counter.update(number)
     >>> counter.missing
     0
     """
