@@ -29,13 +29,13 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSch
 from fuzzycnc_ros.components.motion.program_request import program_settings
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
-from fuzzycnc_ros.core.feedrate.schedule.controller_program import (
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
+from fuzzycnc_ros.simulation.controller.program import (
     PathMode,
     program_moves,
     simulate,
 )
-from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.programs.advice import Adviser, advised_program, program_with_mode
 from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath

@@ -39,9 +39,9 @@ from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
-    from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
-    from fuzzycnc_ros.core.feedrate.schedule.controller_program import PathMode
     from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
+    from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
+    from fuzzycnc_ros.simulation.controller.program import PathMode
     from fuzzycnc_ros.studies.programs.advice import Advice
     from fuzzycnc_ros.studies.programs.advice_page import AdviceFigures
     from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
@@ -176,7 +176,7 @@ def _read(program: Path, units: str) -> 'Program':
 
 def _mode(blend: str | None) -> 'PathMode':
     """Return the path mode before the program says so."""
-    from fuzzycnc_ros.core.feedrate.schedule.controller_program import PathMode
+    from fuzzycnc_ros.simulation.controller.program import PathMode
 
     if blend is None:
         return PathMode(inf, 0.0)
@@ -186,7 +186,7 @@ def _mode(blend: str | None) -> 'PathMode':
 
 def _limits(machine: SchedulingMachine) -> 'ControllerLimits':
     """Return the limits of the axes as LinuxCNC has them."""
-    from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
+    from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
 
     config = machine.scheduler
     return ControllerLimits(

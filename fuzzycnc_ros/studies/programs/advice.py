@@ -21,8 +21,11 @@ from fuzzycnc_ros.core.feedrate.gcode.modal import MILLIMETRE, MINUTE
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.split_program import check_same_path, split_program
 from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
-from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
-from fuzzycnc_ros.core.feedrate.schedule.controller_program import (
+from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
+from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
+from fuzzycnc_ros.simulation.controller.program import (
     PathMode,
     ProgramMoves,
     program_moves,
@@ -30,9 +33,6 @@ from fuzzycnc_ros.core.feedrate.schedule.controller_program import (
     turns,
     with_mode,
 )
-from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
-from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
-from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.programs.program_judge import Judged, LocalErrors, ProgramPath
 
 MODES = (61.0, 61.1, 64.0)

@@ -11,9 +11,9 @@ from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.split_program import check_same_path
-from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
-from fuzzycnc_ros.core.feedrate.schedule.controller_program import program_moves
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
+from fuzzycnc_ros.simulation.controller.program import program_moves
 from fuzzycnc_ros.studies.programs import advice
 from fuzzycnc_ros.studies.programs.program_judge import ProgramPath
 

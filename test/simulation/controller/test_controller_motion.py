@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-from fuzzycnc_ros.core.feedrate.motion.controller_blends import ControllerLimits
 from fuzzycnc_ros.core.feedrate.motion.controller_moves import merged
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
-from fuzzycnc_ros.core.feedrate.schedule.controller_program import (
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
+from fuzzycnc_ros.simulation.controller.program import (
     PathMode,
     path_modes,
     program_moves,
     simulate,
     with_mode,
 )
-from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.studies.programs.program_judge import ProgramPath
 
 LIMITS = ControllerLimits(velocity=(0.4,) * 3, acceleration=(2.0,) * 3, path_velocity=0.5)

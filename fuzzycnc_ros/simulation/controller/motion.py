@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.motion.controller_blends import (
+from fuzzycnc_ros.core.feedrate.motion.controller_moves import Moves, merged
+from fuzzycnc_ros.simulation.controller.blends import (
     ARC,
     GAP,
     OVERLAP,
@@ -22,7 +23,6 @@ from fuzzycnc_ros.core.feedrate.motion.controller_blends import (
     junctions,
     move_limits,
 )
-from fuzzycnc_ros.core.feedrate.motion.controller_moves import Moves, merged
 
 _PERIODS_LEAST = 1.02
 """Periods that a move takes at least."""
@@ -98,7 +98,7 @@ def command(moves: Moves, limits: ControllerLimits) -> Commanded:
 
     Examples
     --------
-    See `core.feedrate.job.controller_program.simulate`.
+    See `fuzzycnc_ros.simulation.controller.program.simulate`.
     """
     plan = _Plan(merged(moves), limits)
     return plan.sampled()
