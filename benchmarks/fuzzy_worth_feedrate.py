@@ -45,15 +45,15 @@ from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (
     schedule_program,
 )
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
-from fuzzycnc_ros.core.feedrate.schedule.refinement import (
-    UnreachableToleranceError,
-    knob_at_error,
-)
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 from fuzzycnc_ros.core.fuzzy.mamdani import Mamdani, tabulated
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 from fuzzycnc_ros.studies.pareto.pareto_path import CURVES, POINTS, curve_path
+from fuzzycnc_ros.studies.pareto.refinement import (
+    UnreachableToleranceError,
+    knob_at_error,
+)
 from fuzzycnc_ros.studies.programs.program_drive import drive_paths
 
 TIME, KEPT = 'time at equal error, over the law', 'error over tolerance, as asked'

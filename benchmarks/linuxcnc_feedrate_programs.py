@@ -22,10 +22,10 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.segments import Segment, sample_path
 from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
-from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
+from fuzzycnc_ros.simulation.motion.contour import Contour
 
 POINTS = 2000
 """Points of a curve as lines, even in its parameter."""

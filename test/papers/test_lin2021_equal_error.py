@@ -11,7 +11,6 @@ from scipy.interpolate import BSpline
 from scipy.optimize import brentq
 from tiers import rest_slow
 
-from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler
@@ -20,10 +19,11 @@ from fuzzycnc_ros.core.feedrate.schedule.plain import (
     JerkLimitedFeed,
     LookAheadFeed,
 )
-from fuzzycnc_ros.core.feedrate.schedule.refinement import knob_at_error, refine
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.motion.contour import Contour
 from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
+from fuzzycnc_ros.studies.pareto.refinement import knob_at_error, refine
 
 pytestmark = pytest.mark.paper
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from tiers import rest_slow
 
-from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.sampled_path import curvature
-from fuzzycnc_ros.core.feedrate.schedule.refinement import knob_at_error, refine
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.motion.contour import Contour
 from fuzzycnc_ros.simulation.motion.contouring import (
     identify_contour_constant,
     simulate_contouring,
 )
+from fuzzycnc_ros.studies.pareto.refinement import knob_at_error, refine
 
 pytestmark = pytest.mark.paper
 

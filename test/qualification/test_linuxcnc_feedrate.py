@@ -14,8 +14,8 @@ from equipment.linuxcnc_trace import Recorder, cut_of, judge
 from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.cli.main import run
-from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
+from fuzzycnc_ros.simulation.motion.contour import Contour
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.qualify]
 

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fuzzycnc_ros.components.servo.setpoints import trajectory_part
-from fuzzycnc_ros.core.feedrate.path.contour import PathError
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInput, TrajectoryInputConfig
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
@@ -26,6 +25,7 @@ from fuzzycnc_ros.runtime.records import (
     TrajectoryState,
     nanoseconds,
 )
+from fuzzycnc_ros.simulation.motion.contour import PathError
 from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes
 
 MOTION_AXES = ('X', 'Y', 'Z')

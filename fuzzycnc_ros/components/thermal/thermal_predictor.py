@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.thermal.fade import Fade
 from fuzzycnc_ros.components.thermal.predictor_stream import (
     OWN,
     STATE,
@@ -22,7 +23,6 @@ from fuzzycnc_ros.components.thermal.predictor_stream import (
 )
 from fuzzycnc_ros.components.thermal.thermal_history import ModelHistory, Prediction, losses_of
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
-from fuzzycnc_ros.core.thermal.fade import Fade
 from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel
 from fuzzycnc_ros.runtime.component import (
     LATCHED,

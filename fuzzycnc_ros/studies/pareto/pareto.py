@@ -18,15 +18,15 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
     make_scheduler,
 )
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.schedule.refinement import (
-    UnreachableToleranceError,
-    knob_at_error,
-    refine,
-)
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring import ContouringRun, simulate_contouring
 from fuzzycnc_ros.studies.page.document import shown_as
 from fuzzycnc_ros.studies.pareto.pareto_path import ParetoPath
+from fuzzycnc_ros.studies.pareto.refinement import (
+    UnreachableToleranceError,
+    knob_at_error,
+    refine,
+)
 
 KNOBS: Mapping[str, str] = MappingProxyType(
     {

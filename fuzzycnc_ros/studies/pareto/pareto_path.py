@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
 from fuzzycnc_ros.core.feedrate.gcode.segments import NurbsSegment, Segment, sample_path
-from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
+from fuzzycnc_ros.simulation.motion.contour import Contour
 
 CURVES: Mapping[str, tuple[Callable[[float], NurbsCurve], float]] = MappingProxyType(
     {'infinity': (infinity, 0.65), 'trident': (trident, 2.3), 'butterfly': (butterfly, 0.875)}

@@ -19,7 +19,6 @@ from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program
 from fuzzycnc_ros.core.feedrate.gcode.lexer import read_line
 from fuzzycnc_ros.core.feedrate.gcode.modal import MILLIMETRE, MINUTE
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-from fuzzycnc_ros.core.feedrate.gcode.split_program import check_same_path, split_program
 from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
@@ -34,6 +33,7 @@ from fuzzycnc_ros.simulation.controller.program import (
     with_mode,
 )
 from fuzzycnc_ros.studies.programs.program_judge import Judged, LocalErrors, ProgramPath
+from fuzzycnc_ros.studies.programs.split_program import check_same_path, split_program
 
 MODES = (61.0, 61.1, 64.0)
 """G words that set the path mode."""

@@ -19,7 +19,6 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
-from fuzzycnc_ros.core.feedrate.path.contour import WINDOW_LENGTH, WINDOW_TIME, Contour
 from fuzzycnc_ros.core.feedrate.path.nodes import own_curvature
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed
@@ -33,6 +32,7 @@ from fuzzycnc_ros.simulation.controller.program import (
     program_moves,
     with_mode,
 )
+from fuzzycnc_ros.simulation.motion.contour import WINDOW_LENGTH, WINDOW_TIME, Contour
 from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes
 from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
 

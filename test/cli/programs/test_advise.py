@@ -10,12 +10,12 @@ import pytest
 from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-from fuzzycnc_ros.core.feedrate.gcode.split_program import check_same_path
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
 from fuzzycnc_ros.simulation.controller.program import program_moves
 from fuzzycnc_ros.studies.programs import advice
 from fuzzycnc_ros.studies.programs.program_judge import ProgramPath
+from fuzzycnc_ros.studies.programs.split_program import check_same_path
 
 PART = """(part)
 G21 G90 G17 G64 P0.02

@@ -17,8 +17,8 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import (
 from fuzzycnc_ros.components.motion.parts import PathHeader
 from fuzzycnc_ros.components.motion.tool_paths import program_tool_path, tool_path_segments
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.motion.contour import Contour
 from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes
 
 TURNS = np.linspace(0.02, 6.2, 200)

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from fuzzycnc_ros.core.feedrate.path.contour import Contour
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.motion.contour import Contour
 from fuzzycnc_ros.simulation.motion.contouring import (
     circle_contour_constant,
     controller_feed,

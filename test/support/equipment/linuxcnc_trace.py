@@ -8,8 +8,8 @@ import numpy as np
 
 from fuzzycnc_ros.adapters.linuxcnc.recorder import PERIOD, Recorder
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.path.contour import WINDOW_LENGTH, WINDOW_TIME, Contour
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.motion.contour import WINDOW_LENGTH, WINDOW_TIME, Contour
 from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes
 
 __all__ = ['Judged', 'Recorder', 'cut_of', 'judge']

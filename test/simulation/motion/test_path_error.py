@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.feedrate.path.contour import PathError
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.motion.contour import PathError
 from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes
 
 CONFIG = ContouringConfig()

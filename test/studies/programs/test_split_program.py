@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-from fuzzycnc_ros.core.feedrate.gcode.split_program import check_same_path, split_program
+from fuzzycnc_ros.studies.programs.split_program import check_same_path, split_program
 
 PROGRAM = (
     'G21 G90 G17\nG0 X1 Y2 Z3\nN10 G1 X10.1237 Y5.5 Z1 F600 (down)\nY20\nG2 X14.1 Y24.1 I4.1 J0\n'

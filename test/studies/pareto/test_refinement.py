@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.feedrate.schedule.refinement import (
+from fuzzycnc_ros.studies.pareto.refinement import (
     UnreachableToleranceError,
     knob_at_error,
     local_error,

@@ -28,7 +28,7 @@ class Fade:
 
     Examples
     --------
-    >>> from fuzzycnc_ros.core.thermal.fade import Fade
+    >>> from fuzzycnc_ros.components.thermal.fade import Fade
     >>> fade = Fade([0.0])
     >>> fade.to([8.0], duration=60.0)
     >>> [float(fade.advance(30.0)[0]) for _ in range(3)]

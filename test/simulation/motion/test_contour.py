@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import make_interp_spline
 
-from fuzzycnc_ros.core.feedrate.path import contour as contour_module
-from fuzzycnc_ros.core.feedrate.path.contour import Contour
+from fuzzycnc_ros.simulation.motion import contour as contour_module
+from fuzzycnc_ros.simulation.motion.contour import Contour
 
 
 def spline(seed, dimensions, points=7):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.thermal.fade import Fade
+from fuzzycnc_ros.components.thermal.fade import Fade
 
 values = st.floats(-1e3, 1e3)
 pieces = st.lists(st.floats(0.1, 40.0), min_size=1, max_size=30)
