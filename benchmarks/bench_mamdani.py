@@ -19,8 +19,8 @@ from time import perf_counter
 
 import numpy as np
 
-from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler
 from fuzzycnc_ros.core.fuzzy.mamdani import Mamdani, MamdaniTable
+from fuzzycnc_ros.papers.feedrate import FuzzyScheduler
 
 PAIRS, THEIR_PAIRS = 200_000, 2000
 REPEATS = 5

@@ -23,8 +23,8 @@ from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
+from fuzzycnc_ros.papers.feedrate import FuzzyScheduler
 
 POINTS, PIECES, REPEATS = 1_000_000, 20_000, 5
 RATE_MIN = 1.5e6

@@ -29,12 +29,6 @@ from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.fuzzy import (
-    CURVATURE_SETS,
-    RATIO_SETS,
-    VARIATION_SETS,
-    FuzzyScheduler,
-)
 from fuzzycnc_ros.core.feedrate.schedule.plain import (
     ConstantFeed,
     ConstantNormalAcceleration,
@@ -48,6 +42,12 @@ from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 from fuzzycnc_ros.core.fuzzy.mamdani import Mamdani, tabulated
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.papers.feedrate import (
+    CURVATURE_SETS,
+    RATIO_SETS,
+    VARIATION_SETS,
+    FuzzyScheduler,
+)
 from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 from fuzzycnc_ros.studies.pareto.pareto_path import CURVES, POINTS, curve_path
 from fuzzycnc_ros.studies.pareto.refinement import (

@@ -2,5 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Methods as they were published, and the rivals that ours are compared with.
 
-They fit and predict.  No model file holds them, and no machine is run by them.
+The thermal ones fit and predict; no model file holds them, and no machine is run by them.  The
+feed schedulers can be chosen at the node, to be compared on a machine.
 """

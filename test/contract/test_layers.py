@@ -22,7 +22,7 @@ RINGS = {
     'simulation': {'core'},
     'papers': {'core'},
     'runtime': {'core'},
-    'components': {'runtime', 'simulation', 'core'},
+    'components': {'runtime', 'simulation', 'papers', 'core'},
     'machine_file': {'bags', 'core'},
     'bags': {'uninterrupted', 'registry', 'components', 'runtime', 'core'},
     'ros': {'uninterrupted', 'machine_file', 'bags', 'registry', 'components', 'runtime', 'core'},

@@ -13,14 +13,14 @@ from tiers import rest_slow
 
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler
-from fuzzycnc_ros.core.feedrate.schedule.plain import (
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
+from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.papers.feedrate import (
     ChordErrorFeed,
+    FuzzyScheduler,
     JerkLimitedFeed,
     LookAheadFeed,
 )
-from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
-from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contour import Contour
 from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 from fuzzycnc_ros.studies.pareto.refinement import knob_at_error, refine

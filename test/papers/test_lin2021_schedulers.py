@@ -11,10 +11,10 @@ import pytest
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.fuzzy import FuzzyScheduler, published_feed_rules
-from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantNormalAcceleration, JerkLimitedFeed
+from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantNormalAcceleration
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 from fuzzycnc_ros.core.fuzzy.mamdani import MamdaniTable
+from fuzzycnc_ros.papers.feedrate import FuzzyScheduler, JerkLimitedFeed, published_feed_rules
 from fuzzycnc_ros.simulation.motion.contour import Contour
 from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 from fuzzycnc_ros.studies.pareto.refinement import knob_at_error

@@ -10,16 +10,19 @@ from typing import Any
 
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.schedule.fuzzy import RATIO_SETS, FuzzyScheduler
 from fuzzycnc_ros.core.feedrate.schedule.plain import (
-    ChordErrorFeed,
     ConstantFeed,
     ConstantNormalAcceleration,
-    JerkLimitedFeed,
-    LookAheadFeed,
     Scheduler,
 )
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
+from fuzzycnc_ros.papers.feedrate import (
+    RATIO_SETS,
+    ChordErrorFeed,
+    FuzzyScheduler,
+    JerkLimitedFeed,
+    LookAheadFeed,
+)
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 AXES = ('X', 'Y', 'Z')

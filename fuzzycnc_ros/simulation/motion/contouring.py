@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.schedule.smoothing import limit_acceleration
+from fuzzycnc_ros.core.feedrate.motion.limits import reachable_speed
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contour import Contour
 from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes
@@ -86,7 +86,7 @@ def controller_feed(arc_length: ArrayLike, feed: ArrayLike, config: ContouringCo
     arc, asked = _schedule(arc_length, feed)
     asked = np.minimum(asked, config.velocity_max)
     asked[0] = asked[-1] = 0.0
-    speed = limit_acceleration(asked, arc, config.path_acceleration_max)
+    speed = reachable_speed(arc, asked, config.path_acceleration_max)
     return np.asarray(np.maximum(speed, config.velocity_min))
 
 

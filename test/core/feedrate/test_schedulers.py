@@ -12,21 +12,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.fuzzy import (
+from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed, ConstantNormalAcceleration
+from fuzzycnc_ros.core.feedrate.schedule.program_run import stream_ratio
+from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
+from fuzzycnc_ros.papers.feedrate import (
     RATIO_SETS,
-    FuzzyScheduler,
-    published_feed_rules,
-)
-from fuzzycnc_ros.core.feedrate.schedule.plain import (
     ChordErrorFeed,
-    ConstantFeed,
-    ConstantNormalAcceleration,
+    FuzzyScheduler,
     JerkLimitedFeed,
     LookAheadFeed,
     chord_error_feed,
+    published_feed_rules,
 )
-from fuzzycnc_ros.core.feedrate.schedule.program_run import stream_ratio
-from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 
 FEED = 0.1
 SCHEDULERS = [

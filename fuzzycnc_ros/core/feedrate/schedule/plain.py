@@ -1,10 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Schedulers of the feed along a path: their common interface, and those for comparison.
-
-The comparators are rebuilt after what [lin2021] says of them; the parameters that their own
-papers used are not known.
-"""
+"""Schedulers of the feed along a path: their common interface, and the two plainest."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
@@ -16,11 +12,6 @@ from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.sampled_path import WINDOW_EDGE, SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.smoothing import (
-    erode,
-    limit_acceleration,
-    moving_average,
-)
 
 # Curvature below which a path counts as straight [1/m]
 CURVATURE_FLOOR = 1e-9
@@ -257,118 +248,10 @@ class ConstantNormalAcceleration(Scheduler):
         self._check_positive('normal_acceleration')
 
     def _ratio(self, path: SampledPath) -> Array:
-        return _normal_acceleration_feed(path.curvature, self.normal_acceleration) / self.feed_max
+        return normal_acceleration_feed(path.curvature, self.normal_acceleration) / self.feed_max
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
-class ChordErrorFeed(Scheduler):
-    """The feed that keeps the chord error of the interpolator, after Yeh and Hsu.
-
-    Parameters
-    ----------
-    chord_error : float
-        Largest distance between a step's chord and its arc [m], positive.
-    period : float
-        Time of one interpolation step [s], positive.
-    """
-
-    chord_error: float = 1e-6
-    period: float = 1e-3
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._check_positive('chord_error', 'period')
-
-    def _ratio(self, path: SampledPath) -> Array:
-        return chord_error_feed(path.curvature, self.chord_error, self.period) / self.feed_max
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class LookAheadFeed(ChordErrorFeed):
-    """Chord error, normal acceleration and path acceleration with look-ahead, after Luan.
-
-    Parameters
-    ----------
-    normal_acceleration : float
-        Largest acceleration across the path [m/s^2], positive.
-    path_acceleration : float
-        Largest acceleration along the path [m/s^2], positive.
-    """
-
-    normal_acceleration: float = 1.0
-    path_acceleration: float = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._check_positive('normal_acceleration', 'path_acceleration')
-
-    @property
-    def reach(self) -> Reach:
-        """The acceleration along the path links all of it."""
-        return WHOLE_PATH
-
-    def _ratio(self, path: SampledPath) -> Array:
-        feed = np.minimum(
-            chord_error_feed(path.curvature, self.chord_error, self.period),
-            _normal_acceleration_feed(path.curvature, self.normal_acceleration),
-        )
-        np.minimum(feed, self.feed_max, out=feed)
-        return limit_acceleration(feed, path.arc_length, self.path_acceleration) / self.feed_max
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class JerkLimitedFeed(ChordErrorFeed):
-    """Chord error, acceleration and jerk with smooth transitions, in the manner of Giannelli.
-
-    Parameters
-    ----------
-    acceleration : float
-        Largest acceleration A [m/s^2], positive; half of it each along and across the path.
-    jerk : float or None
-        Largest jerk J [m/s^3], positive; None for the number of 20 A.
-    erosion : int
-        Points of the running minima, at least 1.
-    average : int
-        Points of each of the three averages, at least 1.
-    """
-
-    acceleration: float = 1.0
-    jerk: float | None = None
-    erosion: int = 41
-    average: int = 13
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._check_positive('acceleration')
-        if self.jerk is not None:
-            self._check_positive('jerk')
-        self._check_points('erosion', 'average')
-
-    @property
-    def reach(self) -> Reach:
-        """The acceleration along the path links all of it."""
-        return WHOLE_PATH
-
-    def _ratio(self, path: SampledPath) -> Array:
-        jerk = 20.0 * self.acceleration if self.jerk is None else self.jerk
-        change = np.zeros(len(path.curvature))
-        if len(change) > 1:
-            change = np.abs(np.gradient(path.curvature, path.arc_length))
-        bend = np.maximum(path.curvature**2 + change, CURVATURE_FLOOR**2)
-        feed = np.minimum(
-            chord_error_feed(path.curvature, self.chord_error, self.period),
-            _normal_acceleration_feed(path.curvature, 0.5 * self.acceleration),
-        )
-        feed = np.minimum(np.minimum(feed, np.cbrt(jerk / 3.0 / bend)), self.feed_max)
-        feed = erode(feed, self.erosion, closed=path.closed)
-        feed = limit_acceleration(feed, path.arc_length, 0.5 * self.acceleration)
-        feed = erode(feed, self.erosion, closed=path.closed)
-        for _ in range(3):
-            feed = moving_average(feed, self.average, closed=path.closed)
-        return feed / self.feed_max
-
-
-def _normal_acceleration_feed(curvature: Array, acceleration: float) -> Array:
+def normal_acceleration_feed(curvature: Array, acceleration: float) -> Array:
     """Return the feed whose normal acceleration is given.
 
     Parameters
@@ -384,26 +267,3 @@ def _normal_acceleration_feed(curvature: Array, acceleration: float) -> Array:
         Feeds [m/s] in the shape of the curvature.
     """
     return np.asarray(np.sqrt(acceleration / np.maximum(curvature, CURVATURE_FLOOR)))
-
-
-def chord_error_feed(curvature: Array, chord_error: float, period: float) -> Array:
-    """Return the feed whose steps leave a chord error, 2/T sqrt(R^2 - (R - d)^2), after Yeh-Hsu.
-
-    Parameters
-    ----------
-    curvature : ndarray
-        Curvature 1/R [1/m]; below 1e-9 1/m it counts as that.
-    chord_error : float
-        Chord error d [m], positive; above R it counts as R, the most a step can leave.
-    period : float
-        Time T of a step [s], positive.
-
-    Returns
-    -------
-    ndarray
-        Feeds [m/s] in the shape of the curvature.
-    """
-    radius = 1.0 / np.maximum(curvature, CURVATURE_FLOOR)
-    sagitta = np.minimum(chord_error, radius)
-    # R^2 - (R - d)^2 without its cancellation
-    return np.asarray(2.0 / period * np.sqrt(sagitta * (2.0 * radius - sagitta)))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fuzzycnc_ros.core.feedrate.schedule.smoothing import (
+from fuzzycnc_ros.papers.smoothing import (
     erode,
     erode_average,
     limit_acceleration,
