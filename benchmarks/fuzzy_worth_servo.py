@@ -26,18 +26,15 @@ from scipy.optimize import differential_evolution
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.servo.axis import LinearAxis
-from fuzzycnc_ros.core.servo.baselines import (
-    CascadeController,
-    FixedUniverseController,
-    PidController,
-)
+from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
+from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
 from fuzzycnc_ros.core.servo.controller import AxisController
-from fuzzycnc_ros.core.servo.controllers import BallscrewController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.observer import ObserverNoise
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning, VariableUniverseParams
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, Reference, point_to_point
-from fuzzycnc_ros.core.servo.variable_universe import FixedSurface, VariableUniverseController
+from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
+from fuzzycnc_ros.papers.servo import FixedSurface, FixedUniverseController
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import random_moves
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun, position, position_many

@@ -25,9 +25,9 @@ from matplotlib.colors import ListedColormap  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from fuzzycnc_ros import feedrate, soft  # noqa: E402
+from fuzzycnc_ros.components.servo.controllers import CONTROLLERS  # noqa: E402
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly  # noqa: E402
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig  # noqa: E402
-from fuzzycnc_ros.core.servo.controllers import CONTROLLERS  # noqa: E402
 from fuzzycnc_ros.core.thermal.fit import train_model  # noqa: E402
 from fuzzycnc_ros.simulation.motion.contouring import identify_contour_constant  # noqa: E402
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis  # noqa: E402

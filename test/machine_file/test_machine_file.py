@@ -9,7 +9,7 @@ import pytest
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
-from fuzzycnc_ros.core.servo.controllers import TUNED_BALLSCREW
+from fuzzycnc_ros.core.servo.ballscrew import TUNED_BALLSCREW
 from fuzzycnc_ros.machine_file.doubts import machine_doubts
 from fuzzycnc_ros.machine_file.feeds import scheduler_parameters, simulated_loop
 from fuzzycnc_ros.machine_file.listing import machine_values

@@ -17,7 +17,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     make_controllers,
 )
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-from fuzzycnc_ros.core.servo.controllers import OBSERVER_BANDWIDTH, BallscrewController
+from fuzzycnc_ros.core.servo.ballscrew import OBSERVER_BANDWIDTH, BallscrewController
 from fuzzycnc_ros.core.servo.observer import ObserverDesign, ObserverNoise
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 

@@ -134,12 +134,12 @@ def make_controller(
     if settings is None:
         if axis == 'ballscrew':
             from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-            from fuzzycnc_ros.core.servo.controllers import BallscrewController, tuned_ballscrew
+            from fuzzycnc_ros.core.servo.ballscrew import BallscrewController, tuned_ballscrew
 
             direction = 1.0 if plant.linear().gain > 0.0 else -1.0
             known = BallscrewAxisConfig(direction=direction)
             return BallscrewController(known) if name == DEFAULT else tuned_ballscrew(known)
-        from fuzzycnc_ros.core.servo import controllers
+        from fuzzycnc_ros.components.servo import controllers
 
         return controllers.make_controller(name, plant.linear())
     if name not in TUNABLE:

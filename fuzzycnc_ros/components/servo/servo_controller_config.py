@@ -4,6 +4,12 @@
 
 from dataclasses import dataclass, replace
 
+from fuzzycnc_ros.components.servo.controllers import (
+    DEFAULT_CONTROLLER,
+    FOR_USE,
+    SUITED,
+    make_controller,
+)
 from fuzzycnc_ros.components.servo.servo_axes import (
     FROM_FILE,
     check_period,
@@ -17,16 +23,8 @@ from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInputConfig
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, make_axis_controller
+from fuzzycnc_ros.core.servo.ballscrew import TUNED_BALLSCREW, BallscrewController, tuned_ballscrew
 from fuzzycnc_ros.core.servo.controller import AxisController
-from fuzzycnc_ros.core.servo.controllers import (
-    DEFAULT_CONTROLLER,
-    FOR_USE,
-    SUITED,
-    TUNED_BALLSCREW,
-    BallscrewController,
-    make_controller,
-    tuned_ballscrew,
-)
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.profile import ProfileLimits
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Controllers for comparison, behind the same interface: PID, fixed universe, P-PI cascade.
+"""Controllers for comparison, behind the same interface: PID and P-PI cascade.
 
 Their defaults are for the lathe axis of [long2014]: found by differential evolution on steps
 from 20 um to 190 mm with friction, gains from half to one and a half times nominal and a step of
@@ -17,8 +17,6 @@ from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
 from fuzzycnc_ros.core.servo.filtered_rate import STILL, FilteredRate, Integrator
 from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise
-from fuzzycnc_ros.core.servo.params import VariableUniverseParams
-from fuzzycnc_ros.core.servo.variable_universe import FixedSurface, VariableUniverseController
 
 
 class PidController(AxisController):
@@ -105,44 +103,6 @@ class PidController(AxisController):
 
     def _bridge(self, duty: float) -> None:
         self._rate.coast()
-
-
-class FixedUniverseController(VariableUniverseController):
-    """The same rules, observer and feedforward on universes that do not contract.
-
-    What the contraction is worth shows beside it: an ablation.
-
-    Parameters
-    ----------
-    axis : LinearAxis
-        Nominal model.
-    error_range, rate_range : float
-        Ends of the universes [m, m/s].
-    output_gain : float
-        Duty per output of the rules [-].
-    **options
-        As `VariableUniverseController`.
-    """
-
-    def __init__(
-        self,
-        axis: LinearAxis,
-        *,
-        error_range: float = 0.025,
-        rate_range: float = 0.246,
-        output_gain: float = 3.37,
-        **options: Any,
-    ) -> None:
-        params = VariableUniverseParams(
-            error_range=error_range, rate_range=rate_range, output_gain=output_gain
-        )
-        super().__init__(axis, params, **options)
-
-    def _check_params(self) -> None:
-        """Floors and exponents are of no use here, so nothing is said about them."""
-
-    def _on_universes(self) -> FixedSurface:
-        return FixedSurface(self.params, self._direction)
 
 
 class CascadeController(AxisController):

@@ -84,24 +84,6 @@ class ContractedSurface:
         return law
 
 
-class FixedSurface(ContractedSurface):
-    """The rules on universes that do not shrink; floors and exponents are of no use here."""
-
-    def inputs(self, error: ArrayLike, rate: ArrayLike) -> tuple[Array, Array]:
-        """Return errors [m] and error rates [m/s] on their universes [-]."""
-        p = self._params
-        return (
-            np.clip(np.asarray(error, dtype=np.float64) / p.error_range, -1.0, 1.0),
-            np.clip(np.asarray(rate, dtype=np.float64) / p.rate_range, -1.0, 1.0),
-        )
-
-    def _law(self) -> Law:
-        p, scale = self._params, self._scale
-        rules = p.rules
-        per_error, per_rate = 1.0 / p.error_range, 1.0 / p.rate_range
-        return lambda error, rate: scale * rules(error * per_error, rate * per_rate)
-
-
 MODES = ('production', 'static', 'paper_literal')
 """Modes of the controller; the first is the default."""
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.servo.controllers import CONTROLLERS
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.controller import AxisController
-from fuzzycnc_ros.core.servo.controllers import CONTROLLERS
 from fuzzycnc_ros.core.servo.profile import Reference, point_to_point, step_reference
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheAxes, random_moves

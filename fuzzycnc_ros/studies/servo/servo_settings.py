@@ -55,7 +55,8 @@ class ServoSettings:
 
     def controller(self, name: str, axis: str, model: LinearAxis) -> AxisController:
         """Return the controller of a name with these settings."""
-        from fuzzycnc_ros.core.servo.controllers import BallscrewController, make_controller
+        from fuzzycnc_ros.components.servo.controllers import make_controller
+        from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
         from fuzzycnc_ros.core.servo.observer import ObserverNoise
         from fuzzycnc_ros.core.servo.params import VariableUniverseParams
 

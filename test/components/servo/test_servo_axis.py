@@ -5,7 +5,7 @@
 import pytest
 
 from fuzzycnc_ros.components.servo.servo_axis import ServoAxis
-from fuzzycnc_ros.core.servo.controllers import BallscrewController
+from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 
 PLACE, STEPS = 0.034925, 1500

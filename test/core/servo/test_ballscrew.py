@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-from fuzzycnc_ros.core.servo.controllers import BallscrewController
+from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
 from fuzzycnc_ros.core.servo.friction import MovingDisturbance
 from fuzzycnc_ros.core.servo.observer import ObserverDesign, ObserverNoise
 from fuzzycnc_ros.core.servo.profile import point_to_point

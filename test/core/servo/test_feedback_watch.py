@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.servo.controllers import BallscrewController
+from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits, FeedbackWatch
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 
