@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
@@ -66,6 +67,8 @@ REFUSED = 2
 """What a node ends with that does not take its parameters: to start it again would be in vain."""
 ONE_WISH = 1.0
 """Wall time [s] within which signals are one wish: some senders signal a process and its group."""
+EXITING = 3
+"""Wall time [s] that the interpreter and libraries have for what they do at the process' exit."""
 AGAIN = 0.01
 """Wall time [s] after which a wish is repeated that was lost."""
 _PR_SET_PDEATHSIG = 1
@@ -112,10 +115,18 @@ def ending_within(seconds: int, code: int) -> Iterator[None]:
     code : int
         What the process ends with then.
     """
+    disarm = _end_after(seconds, code)
+    try:
+        yield
+    finally:
+        disarm()
+
+
+def _end_after(seconds: int, code: int) -> Callable[[], object]:
+    """Have the kernel end this process after a time [s]; return what takes that back."""
     library = ctypes.CDLL(None, use_errno=True)
     if not hasattr(library, 'timer_create'):  # glibc before 2.34 has it elsewhere
-        yield
-        return
+        return int
     event = _Event(
         notify=_SIGEV_THREAD, function=ctypes.cast(library._exit, ctypes.c_void_p).value
     )
@@ -123,13 +134,9 @@ def ending_within(seconds: int, code: int) -> Iterator[None]:
     timer = ctypes.c_void_p()
     times = _Times(value=(seconds, 0))
     if library.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)):
-        yield
-        return
+        return int
     library.timer_settime(timer, 0, ctypes.byref(times), None)
-    try:
-        yield
-    finally:
-        library.timer_delete(timer)
+    return partial(library.timer_delete, timer)
 
 
 class Wish:
@@ -202,6 +209,8 @@ def interruptible() -> Iterator[Wish]:
 def end(code: int) -> NoReturn:
     """End this process, which is through: a wish to end that comes now changes its code no more.
 
+    Nor does middleware that hangs in what it does when the process exits.
+
     Raises
     ------
     SystemExit
@@ -209,6 +218,7 @@ def end(code: int) -> NoReturn:
     """
     for number in heard_wishes():
         signal.signal(number, signal.SIG_IGN)
+    _end_after(EXITING, code)
     sys.exit(code)
 
 

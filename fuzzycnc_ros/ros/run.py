@@ -144,6 +144,8 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
             waking.enter_context(_woken_by_signals(executor))
         while rclpy.ok() and not any(host.done for host in hosts):
             executor.spin_once()
+            if wish.number:  # whoever called the callback did not pass on what was raised
+                break
             # Every node has work to do each second, if only to say how it is.
             manager.ready()
             manager.pulse()

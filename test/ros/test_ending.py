@@ -11,7 +11,7 @@ import pytest
 from processes import start, wait_for
 
 from fuzzycnc_ros.ros.bring_up import NODE_STOP
-from fuzzycnc_ros.ros.processes import interruptible
+from fuzzycnc_ros.ros.processes import EXITING, interruptible
 from fuzzycnc_ros.ros.run import LETTING_GO
 from fuzzycnc_ros.uninterrupted import Interrupted
 
@@ -107,3 +107,56 @@ def test_a_wish_that_comes_when_all_is_done_is_no_failure(name):
 def test_a_node_ends_by_itself_before_it_is_killed():
     """Else `up` and `demo` would report the middleware's hang as a node that failed."""
     assert LETTING_GO <= 0.6 * NODE_STOP
+    assert LETTING_GO + EXITING < NODE_STOP
+
+
+HANGS_AT_EXIT = """
+import atexit, sys
+from fuzzycnc_ros.ros import processes
+processes.EXITING = 1
+def hang():
+    while True:
+        pass
+atexit.register(hang)
+processes.end(3)
+"""
+
+
+def test_a_library_that_hangs_as_the_process_exits_holds_it_no_longer():
+    command = [sys.executable, '-c', HANGS_AT_EXIT]
+    assert subprocess.run(command, timeout=60, check=False).returncode == 3
+
+
+SWALLOWED = """
+import signal
+import rclpy
+from fuzzycnc_ros.ros.processes import end
+from fuzzycnc_ros.ros.run import run
+
+class Host:
+    exit_code, executor, done = 0, 'lean', False
+    def __init__(self):
+        self.node = rclpy.create_node('deaf')
+        self.calls = 0
+        self.node.create_timer(0.01, self.work)
+    def work(self):
+        self.calls += 1
+        if self.calls > 1:
+            raise SystemExit('went on')
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            pass
+    def start(self):
+        pass
+    stop = start
+
+end(run([Host], ['deaf', '--ros-args', '-r', '__ns:=/ending']))
+"""
+
+
+def test_a_wish_whose_exception_somebody_swallows_ends_the_node_all_the_same():
+    """Libraries in C clear what a callback of theirs raises."""
+    command = [sys.executable, '-c', SWALLOWED]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.stderr, done.returncode) == ('', 0)

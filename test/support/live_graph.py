@@ -169,6 +169,9 @@ class Running:
         try:
             return self.process.wait(timeout)
         except subprocess.TimeoutExpired:
+            with contextlib.suppress(ProcessLookupError, subprocess.TimeoutExpired):
+                self.send(signal.SIGABRT)  # its stack says what it is at
+                self.process.wait(timeout)
             raise AssertionError(
                 f'{self.name} did not end within {timeout:g} s: {self.output}'
             ) from None
