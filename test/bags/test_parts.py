@@ -76,6 +76,14 @@ def test_parts_read_as_one_bag(tmp_path, options):
         assert (reader.message_count, reader.problems, reader.missing_parts) == (503, [], 0)
 
 
+def test_repair_counts_what_each_part_repeats_once(tmp_path):
+    """Nothing of a sound bag is lost, though its parts hold more messages than it has."""
+    record(tmp_path / 'bag', split_duration=1.0)
+    topics = repair(tmp_path / 'bag').topics
+    found = {name: (topic.kept, topic.lost) for name, topic in topics.items()}
+    assert found == {'/numbers': (500, 0), '/settings': (3, 0)}
+
+
 def test_a_part_is_read_alone(tmp_path):
     """What is latched stands at the beginning of each, of each publisher the newest."""
     record(tmp_path / 'bag', split_duration=1.0)

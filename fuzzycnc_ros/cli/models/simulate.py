@@ -128,7 +128,7 @@ def simulate(
     if seeds == 1:
         show(summary_table(shown.runs))
     else:
-        show(_median_table(documents, shown.runs))
+        show(median_table(documents, shown.runs))
     for line in shown.lines():
         say(line if seeds == 1 else f'seed {seed}: {line}')
     if out is not None:
@@ -265,7 +265,8 @@ def median_figures(documents: list[Figures]) -> Figures:
     }
 
 
-def _median_table(documents: list[Figures], runs: tuple['CompensationRun', ...]) -> 'Table':
+def median_table(documents: list[Figures], runs: tuple['CompensationRun', ...]) -> 'Table':
+    """Return the medians over noise seeds of all models, in micrometres."""
     from fuzzycnc_ros.studies.page.table import Column, Table
     from fuzzycnc_ros.studies.thermal.summary import candidate_label, micrometres
 

@@ -7,6 +7,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.recorder import REPORT_NAME
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.cli.models.simulate import median_figures
+from fuzzycnc_ros.cli.models.simulate import median_figures, median_table
 from fuzzycnc_ros.cli.models.train import candidate_table, problem_lines
 from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, STANDARD
@@ -254,6 +255,13 @@ def document(value):
 )
 def test_median_counts_divergence_as_worst(values, expected):
     assert median_figures([document(value) for value in values]) == document(expected)
+
+
+def test_medians_are_shown_in_micrometres():
+    figures = [{'max_um': value, 'rms_um': None} for value in (30.0, 10.0, 20.0)]
+    runs = (SimpleNamespace(name='T2', channel=('Y',)),)
+    table = median_table([{'T2': {'lag_ridge': {'y': item}}} for item in figures], runs)
+    assert [row[1:] for row in table.rows] == [('20.0', 'diverged')]
 
 
 @pytest.mark.slow

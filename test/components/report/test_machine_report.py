@@ -102,6 +102,10 @@ def test_everything_in_the_units_of_its_name():
     json.dumps(document, allow_nan=False)
 
 
+def test_what_came_after_the_look_at_the_clock_is_not_of_the_future():
+    assert filled().document(TIME, 99.9)['temperatures']['age_s'] == 0.0
+
+
 def test_the_page_shows_a_report_as_it_is(root):
     text = (root / 'docs' / 'how-to' / 'mqtt.md').read_text()
     shown = json.loads(text.partition('```json\n')[2].partition('```')[0])
