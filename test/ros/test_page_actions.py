@@ -103,3 +103,12 @@ def test_a_recorder_that_fails_as_its_page_ends_is_named(record):
         '--repair'
         for bag in bags
     ]
+
+
+def test_a_recording_that_cannot_be_read_is_no_success(record):
+    actions = record('mill')
+    ((_, bag),) = actions._recorders.values()
+    (bag / 'room').touch()
+    (told,) = actions.close()
+    assert bag.name in told
+    assert 'metadata.yaml' in told
