@@ -21,7 +21,7 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
 
     def __init__(self) -> None:
         super().__init__()
-        self._connections: list[asyncio.Transport] = []
+        self._connections: list[tuple[socket.socket, asyncio.Transport]] = []
         self._listening: list[socket.socket] = []
         # What a protocol's callback could not make sense of ends its connection, which is
         # reported; asyncio would write a traceback for each.
@@ -32,9 +32,7 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
     ) -> asyncio.Transport:
         _check_serving(sock, options.get('server'))
         made: asyncio.Transport = super()._make_socket_transport(sock, *args, **options)  # type: ignore[misc]
-        # One that is closing is open as long as nobody takes what was written to it.
-        self._connections = [item for item in self._connections if _is_open(item)]
-        self._connections.append(made)
+        self._keep(sock, made)
         return made
 
     def _make_ssl_transport(
@@ -42,7 +40,13 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
     ) -> asyncio.Transport:
         _check_serving(rawsock, options.get('server'))
         made: asyncio.Transport = super()._make_ssl_transport(rawsock, *args, **options)  # type: ignore[misc]
+        self._keep(rawsock, made)
         return made
+
+    def _keep(self, sock: socket.socket, made: asyncio.Transport) -> None:
+        # One that is closing is open as long as nobody takes what was written to it.
+        self._connections = [item for item in self._connections if item[0].fileno() >= 0]
+        self._connections.append((sock, made))
 
     def _start_serving(
         self, protocol_factory: Any, sock: socket.socket, *args: Any, **options: Any
@@ -67,7 +71,7 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-        for connection in self._connections:
+        for _, connection in self._connections:
             connection.abort()
         await asyncio.sleep(0)  # a connection ends in the next turn of the loop
 
@@ -77,10 +81,6 @@ def _check_serving(sock: socket.socket, server: asyncio.Server | None) -> None:
     if server is not None and not server.sockets:
         sock.close()
         raise ConnectionAbortedError
-
-
-def _is_open(connection: asyncio.Transport) -> bool:
-    return int(connection.get_extra_info('socket').fileno()) >= 0
 
 
 class LoopThread:

@@ -10,6 +10,7 @@ import ssl
 import warnings
 
 import pytest
+from equipment.certificates import certificate
 
 from fuzzycnc_ros.adapters.loops import ConnectionLoop
 
@@ -61,6 +62,42 @@ def test_who_connects_while_the_loop_ends_is_dropped():
             client.settimeout(10.0)
             with contextlib.suppress(ConnectionResetError):
                 assert client.recv(1) == b''
+
+
+@pytest.mark.parametrize('trust', [False, True], ids=['in the handshake', 'established'])
+def test_encrypted_connections_are_dropped_as_well(tmp_path, trust):
+    """One who never says hello, and one who has nothing to say."""
+    loop = ConnectionLoop()
+    file = certificate(tmp_path)
+    tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    tls.load_cert_chain(file, tmp_path / 'broker-key.pem')
+
+    async def serve(reader, writer):
+        kept.append(writer)
+        await reader.read()
+
+    async def connect():
+        server = await asyncio.start_server(serve, '127.0.0.1', 0, ssl=tls)
+        address = server.sockets[0].getsockname()
+        if trust:
+            known = ssl.create_default_context(cafile=str(file))
+            known.check_hostname = False
+            client = stack.enter_context(socket.create_connection(address))
+            shaken = await asyncio.to_thread(known.wrap_socket, client)
+            clients.append(stack.enter_context(shaken))
+            while not kept:
+                await asyncio.sleep(0.01)
+        else:
+            clients.append(stack.enter_context(socket.create_connection(address)))
+            await asyncio.sleep(0.1)
+
+    clients, kept = [], []
+    with contextlib.ExitStack() as stack:
+        loop.run_until_complete(connect())
+        loop.close()
+        clients[0].settimeout(10.0)
+        with contextlib.suppress(ConnectionResetError, ssl.SSLEOFError):
+            assert clients[0].recv(1) == b''
 
 
 @pytest.mark.parametrize(
