@@ -32,7 +32,7 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
     ) -> asyncio.Transport:
         _check_serving(sock, options.get('server'))
         made: asyncio.Transport = super()._make_socket_transport(sock, *args, **options)  # type: ignore[misc]
-        self._keep(sock, made)
+        self._keep(sock)
         return made
 
     def _make_ssl_transport(
@@ -40,13 +40,14 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
     ) -> asyncio.Transport:
         _check_serving(rawsock, options.get('server'))
         made: asyncio.Transport = super()._make_ssl_transport(rawsock, *args, **options)  # type: ignore[misc]
-        self._keep(rawsock, made)
+        self._keep(rawsock)
         return made
 
-    def _keep(self, sock: socket.socket, made: asyncio.Transport) -> None:
+    def _keep(self, sock: socket.socket) -> None:
         # One that is closing is open as long as nobody takes what was written to it.
         self._connections = [item for item in self._connections if item[0].fileno() >= 0]
-        self._connections.append((sock, made))
+        # Below encryption: what lies above is of no use any more once it closes.
+        self._connections.append((sock, self._transports[sock.fileno()]))  # type: ignore[attr-defined]
 
     def _start_serving(
         self, protocol_factory: Any, sock: socket.socket, *args: Any, **options: Any
