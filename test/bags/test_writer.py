@@ -23,7 +23,7 @@ from fuzzycnc_ros.bags.errors import (
     BagWriteError,
     MissingLibraryError,
 )
-from fuzzycnc_ros.bags.metadata import LATCHED, STREAM, Qos
+from fuzzycnc_ros.bags.metadata import LATCHED, STREAM, Qos, parse_qos, qos_text
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
 from fuzzycnc_ros.bags.typestore import message_type, serialize, type_hash
@@ -127,6 +127,11 @@ def test_rosbags_reads_every_message_and_fact(small_bag):
         assert all('MSG: std_msgs/Header' in c.msgdef.data for c in reader.connections)
         (profile,) = reader.connections[0].ext.offered_qos_profiles
         assert (profile.depth, profile.durability.name) == (2000, 'VOLATILE')
+
+
+def test_a_topic_of_which_no_profile_is_known_says_so_with_nothing():
+    assert qos_text([]) == ''
+    assert parse_qos(qos_text([])) == []
 
 
 def test_file_is_what_rosbag2_writes(small_bag):

@@ -87,6 +87,14 @@ OWNER, STRANGER = Publisher(A, b'a'), Publisher(B, b'b')
 NAMELESS = Publisher(UNKNOWN, b'n')
 
 
+def test_nobody_asks_who_is_there_while_numbers_go_on(followed):
+    """To ask the graph for each message would cost more than the message."""
+    asked = []
+    assert not followed.heard(8, lambda: asked.append(8) or [OWNER])
+    assert not followed.heard(10, lambda: asked.append(10) or [OWNER])
+    assert asked == [10]
+
+
 def test_message_of_another_node_is_refused_before_the_next_look(followed):
     found = followed.heard(1, lambda: [OWNER, STRANGER])
     assert found == f'comes from several nodes at once: {B}, {A}'

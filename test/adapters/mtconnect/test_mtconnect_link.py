@@ -407,5 +407,9 @@ def test_a_newer_observation_is_not_overwritten_by_an_older_one():
     body = ''.join(f'<A dataItemId="t1" sequence="{number}">{number}</A>' for number in (7, 9, 8))
     document = parse(f'<MTConnectStreams><Header/>{body}</MTConnectStreams>'.encode())
     assert document.observations == {'t1': '9'}
+    # One that agents must number but do not: what is numbered is newer.
+    body = '<A dataItemId="t1" sequence="0">0</A><A dataItemId="t1">?</A><A dataItemId="t2">2</A>'
+    document = parse(f'<MTConnectStreams><Header/>{body}</MTConnectStreams>'.encode())
+    assert document.observations == {'t1': '0', 't2': '2'}
     with pytest.raises(LinkError, match=r"sequence: expected a number .* but found '-1'"):
         parse(b'<MTConnectStreams><A dataItemId="t" sequence="-1"/></MTConnectStreams>')
