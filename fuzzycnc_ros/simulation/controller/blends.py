@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.motion.controller_moves import Moves
+from fuzzycnc_ros.simulation.controller.moves import Moves
 
 TANGENTIAL = 0.5
 """Share of the acceleration that is kept for the speed while the path bends [-]."""

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.motion.controller_moves import Moves, merged
 from fuzzycnc_ros.simulation.controller.blends import (
     ARC,
     GAP,
@@ -23,6 +22,7 @@ from fuzzycnc_ros.simulation.controller.blends import (
     junctions,
     move_limits,
 )
+from fuzzycnc_ros.simulation.controller.moves import Moves, merged
 
 _PERIODS_LEAST = 1.02
 """Periods that a move takes at least."""

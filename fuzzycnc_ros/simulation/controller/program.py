@@ -22,9 +22,9 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import (
     LineSegment,
     Segment,
 )
-from fuzzycnc_ros.core.feedrate.motion.controller_moves import Moves
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
 from fuzzycnc_ros.simulation.controller.motion import Commanded, command
+from fuzzycnc_ros.simulation.controller.moves import Moves
 
 _MODE = re.compile(r'[gG]\s*0*6\s*[14]')
 _STANDS = re.compile(r'[mMtT]\s*\d')

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.motion.controller_moves import Moves
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
 from fuzzycnc_ros.simulation.controller.motion import Commanded
+from fuzzycnc_ros.simulation.controller.moves import Moves
 from fuzzycnc_ros.simulation.controller.program import ProgramMoves, simulate, turns
 from fuzzycnc_ros.simulation.motion.contour import WINDOW_TIME, Contour
 from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes

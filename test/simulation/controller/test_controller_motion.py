@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-from fuzzycnc_ros.core.feedrate.motion.controller_moves import merged
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
+from fuzzycnc_ros.simulation.controller.moves import merged
 from fuzzycnc_ros.simulation.controller.program import (
     PathMode,
     path_modes,
