@@ -15,8 +15,11 @@ from fuzzycnc_ros.ros.presence import GraphError
 
 @pytest.fixture(autouse=True)
 def lock_files(tmp_path, monkeypatch):
-    """Lock files of these tests alone: other graphs of this host are none of their business."""
+    """Lock files and ports of these tests alone: other graphs are none of their business."""
     monkeypatch.setattr(free_domain.tempfile, 'gettempdir', lambda: str(tmp_path))
+    monkeypatch.setattr(free_domain, 'PORTS_EACH', 1)
+    first = 1100 + 110 * (os.getpid() % 50)  # below those of the middleware
+    monkeypatch.setattr(free_domain, 'FIRST_PORT', first)
     free_domain._held.cache_clear()
     yield
     free_domain._held.cache_clear()
