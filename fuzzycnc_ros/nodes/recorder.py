@@ -8,6 +8,7 @@ The callback only queues; a thread writes.  In a lock-step run the recorder take
 
 import re
 import struct
+import time
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
@@ -62,6 +63,9 @@ _SAMPLED = (Temperatures.TYPE, Displacement.TYPE, MachineState.TYPE)
 """Types of what is sampled evenly; the last one tells how machine time went on."""
 BEHIND = 5.0
 """Wall time [s] that a message may wait for the disk; one that keeps up takes it within 1 s."""
+LOOK, QUIET, UNDERWAY = 0.05, 2, 2.0
+"""Wall time [s] between two looks, at the end, at what comes; looks in a row without anything that
+was published before; and wall time [s] that all looks may take."""
 RECORDER_PATIENCE = 25.0
 """Wall time [s] a turn waits for announced messages; below the sequencer's own timeout."""
 
@@ -81,6 +85,7 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self._subscriptions: dict[str, Any] = {}
         self._skipped: dict[str, str] = {}
         self._newest = 0
+        self._ending, self._older_came = 0, False
         self._clock: LogClock | None = None
         if not (config.lockstep or node.get_parameter('use_sim_time').value):
             self._clock = LogClock(SteadyClock(self._clock_now))
@@ -145,9 +150,7 @@ class RecorderNode(PlainNode[RecorderConfig]):
 
     def _end(self) -> None:
         self.turns = None  # there is nobody to answer any more
-        for subscription in tuple(self._subscriptions.values()):
-            # What was published before the recorder was asked to end belongs into the bag.
-            hand_over(subscription, DEPTH)
+        self._take_the_rest()
         self._look_who_left()
         facts = self._facts()
         try:
@@ -168,6 +171,20 @@ class RecorderNode(PlainNode[RecorderConfig]):
                 + _told_left(self._left),
                 flush=True,
             )
+
+    def _take_the_rest(self) -> None:
+        """Take what was published before the recorder was asked to end: it belongs into the bag.
+
+        Threads of the middleware bring it, and on a busy computer these are late.
+        """
+        self._ending = time.time_ns()
+        quiet, until = 0, time.monotonic() + UNDERWAY
+        while quiet < QUIET and time.monotonic() < until:
+            self._older_came = False
+            for subscription in tuple(self._subscriptions.values()):
+                hand_over(subscription, DEPTH)
+            quiet = 0 if self._older_came else quiet + 1
+            time.sleep(LOOK)
 
     def _facts(self) -> dict[str, Any]:
         """Return what the bag says beside the counts of its messages."""
@@ -255,6 +272,7 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self, topic: str, payload: bytes, info: Any, stamped: bool, sender: str | None = None
     ) -> None:
         sequence = info['publication_sequence_number']
+        self._older_came |= info['source_timestamp'] < self._ending
         if not self._config.lockstep:
             self._newest = self._clock_now() if self._clock is None else self._clock.now()
         elif stamped:

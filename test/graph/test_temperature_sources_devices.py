@@ -371,6 +371,10 @@ def test_positions_of_an_agent_are_published_and_recorded(graph, observer, tmp_p
         assert told[-1].header.frame_id == 'mill/machine'
         observer.until(lambda: statuses(samples) == [OK] and speeds, 'a sample')
         assert speeds[-1].speed == pytest.approx(100.0 * np.pi)
+        observer.until(
+            lambda: observer.node.count_subscribers('/mill/axis_positions') == 2,
+            'the recorder listens',
+        )
         field.call(agent.observe(x1=-3, b1='UNAVAILABLE'))
         observer.until(lambda: newest() == [True, False, -3000], 'the axis alone is missing')
         field.call(agent.stop())
@@ -382,4 +386,6 @@ def test_positions_of_an_agent_are_published_and_recorded(graph, observer, tmp_p
         field.close()
     with BagReader(bag) as reader:
         kept = list(reader.messages(['/mill/axis_positions']))
-    assert len(kept) > 2
+    places = [1e6 * item.message.position for item in kept]
+    assert any(np.allclose(place, [-3000.0, np.nan], equal_nan=True) for place in places)
+    assert np.isnan(places[-1]).all()
