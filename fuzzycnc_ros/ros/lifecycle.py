@@ -16,6 +16,9 @@ from fuzzycnc_ros.runtime.component import Component
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
+REACHED = {'configure': 'inactive', 'activate': 'active', 'deactivate': 'inactive'}
+"""State of a managed node after a transition."""
+
 
 class ManagedNode(LifecycleNode):
     """A lifecycle node that passes its transitions on to a host."""

@@ -27,6 +27,7 @@ from fuzzycnc_ros.bags.recording_loss import loss
 from fuzzycnc_ros.components.dashboard.machine_view import MachineView
 from fuzzycnc_ros.core.names import file_word
 from fuzzycnc_ros.ros.bring_up import RECORDER_STOP
+from fuzzycnc_ros.ros.lifecycle import REACHED
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.probing import check_unprobed, probe_record
 from fuzzycnc_ros.ros.processes import child_set_up
@@ -230,7 +231,13 @@ class Actions:
     async def _transition(self, view: MachineView, node: str, label: str) -> None:
         request = ChangeState.Request()
         request.transition.label = label
-        answer = await self._call(ChangeState, f'/{view.machine}/{node}/change_state', request)
+        try:
+            answer = await self._call(ChangeState, f'/{view.machine}/{node}/change_state', request)
+        except GraphError:
+            # A busy node drops the answer to a caller that it has not found yet.
+            if await self._lifecycle(view, node) != REACHED[label]:
+                raise
+            return
         if not answer.success:
             raise GraphError(
                 f'{node} refuses to {label}; its alarms and its log say why; mend that, then '

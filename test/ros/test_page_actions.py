@@ -11,10 +11,12 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
 
+from lifecycle_msgs.srv import GetState
 from processes import HANG, wait_for
 
 from fuzzycnc_ros.ros import page_actions
 from fuzzycnc_ros.ros.page_actions import Actions
+from fuzzycnc_ros.ros.presence import GraphError
 
 pytestmark = pytest.mark.ros
 
@@ -112,3 +114,22 @@ def test_a_recording_that_cannot_be_read_is_no_success(record):
     (told,) = actions.close()
     assert bag.name in told
     assert 'metadata.yaml' in told
+
+
+def test_a_transition_whose_answer_is_lost_is_seen_in_the_state(record, monkeypatch):
+    actions = record()
+    state = ['inactive']
+
+    async def call(kind, name, request):
+        if kind is GetState:
+            answer = GetState.Response()
+            answer.current_state.label = state[-1]
+            return answer
+        state.append({'activate': 'active', 'deactivate': 'unheard'}[request.transition.label])
+        raise GraphError(f'{name} did not answer')
+
+    monkeypatch.setattr(actions, '_call', call)
+    view = SimpleNamespace(machine='mill', nodes=('compensator',))
+    assert asyncio.run(actions._activate(view, {}, 'anna')) == 'compensator is active'
+    with pytest.raises(GraphError, match='change_state did not answer'):
+        asyncio.run(actions._deactivate(view, {}, 'anna'))

@@ -17,6 +17,7 @@ from rclpy.parameter import Parameter
 
 from fuzzycnc_msgs.action import TrainThermalModel
 from fuzzycnc_msgs.srv import SelectSensors, SetThermalReference
+from fuzzycnc_ros.ros.lifecycle import REACHED
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import prepare_environment
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, create_subscription, subscription_qos
@@ -33,8 +34,6 @@ CALL_TIMEOUT = 120.0
 AGAIN = 3.0
 """Wall time [s] after which an answer may have been lost: on a busy computer a server that has not
 found its client yet drops it."""
-REACHED = {'configure': 'inactive', 'activate': 'active', 'deactivate': 'inactive'}
-"""State of a managed node after a transition."""
 
 Progress = Callable[[str, str, int, int], None]
 
