@@ -180,11 +180,11 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self._ending = time.time_ns()
         quiet, until = 0, time.monotonic() + UNDERWAY
         while quiet < QUIET and time.monotonic() < until:
+            time.sleep(LOOK)
             self._older_came = False
             for subscription in tuple(self._subscriptions.values()):
                 hand_over(subscription, DEPTH)
             quiet = 0 if self._older_came else quiet + 1
-            time.sleep(LOOK)
 
     def _facts(self) -> dict[str, Any]:
         """Return what the bag says beside the counts of its messages."""

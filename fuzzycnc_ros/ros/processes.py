@@ -126,7 +126,7 @@ def _end_after(seconds: int, code: int) -> Callable[[], object]:
     """Have the kernel end this process after a time [s]; return what takes that back."""
     library = ctypes.CDLL(None, use_errno=True)
     if not hasattr(library, 'timer_create'):  # glibc before 2.34 has it elsewhere
-        return int
+        return lambda: None
     event = _Event(
         notify=_SIGEV_THREAD, function=ctypes.cast(library._exit, ctypes.c_void_p).value
     )
@@ -134,7 +134,7 @@ def _end_after(seconds: int, code: int) -> Callable[[], object]:
     timer = ctypes.c_void_p()
     times = _Times(value=(seconds, 0))
     if library.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)):
-        return int
+        return lambda: None
     library.timer_settime(timer, 0, ctypes.byref(times), None)
     return partial(library.timer_delete, timer)
 

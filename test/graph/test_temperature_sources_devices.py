@@ -375,17 +375,20 @@ def test_positions_of_an_agent_are_published_and_recorded(graph, observer, tmp_p
             lambda: observer.node.count_subscribers('/mill/axis_positions') == 2,
             'the recorder listens',
         )
+        heard = len(told)
         field.call(agent.observe(x1=-3, b1='UNAVAILABLE'))
         observer.until(lambda: newest() == [True, False, -3000], 'the axis alone is missing')
         field.call(agent.stop())
         observer.until(lambda: newest() == [False, False, None], 'no position of a lost agent')
         observer.until(lambda: speeds[-1].status == SpeedStatus.MISSING, 'no speed either')
+        observer.until(lambda: len(told) > heard + 2, 'three positions that the recorder hears')
         assert 'Traceback' not in node.output
         graph.stop()
     finally:
         field.close()
     with BagReader(bag) as reader:
         kept = list(reader.messages(['/mill/axis_positions']))
+    assert len(kept) > 2
     places = [1e6 * item.message.position for item in kept]
     assert any(np.allclose(place, [-3000.0, np.nan], equal_nan=True) for place in places)
     assert np.isnan(places[-1]).all()

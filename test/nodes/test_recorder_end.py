@@ -21,7 +21,7 @@ pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
-def make(domain, tmp_path):
+def make(domain):
     """Make a node in a domain of its own."""
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain)

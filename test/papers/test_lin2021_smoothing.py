@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fuzzycnc_ros.papers.smoothing import (
+from fuzzycnc_ros.papers.feedrate import (
+    averaged_points,
     erode,
     erode_average,
     limit_acceleration,
     moving_average,
-    reach,
 )
 
 FEEDS = arrays(np.float64, st.integers(1, 40), elements=st.floats(0.0, 1.0))
@@ -27,7 +27,7 @@ def window(count, i, before, after, closed):
 
 @given(FEEDS, LENGTHS, st.booleans(), st.booleans())
 def test_average_is_the_mean_of_the_points_present(feeds, length, causal, closed):
-    before, after = reach(length, causal)
+    before, after = averaged_points(length, causal)
     assert before + after + 1 == length
     expected = [
         feeds[window(len(feeds), i, before, after, closed)].mean() for i in range(len(feeds))
@@ -38,7 +38,7 @@ def test_average_is_the_mean_of_the_points_present(feeds, length, causal, closed
 
 @given(FEEDS, LENGTHS, st.booleans())
 def test_erosion_mirrors_the_window_of_the_average(feeds, length, closed):
-    before, after = reach(length)
+    before, after = averaged_points(length)
     expected = [
         feeds[window(len(feeds), i, after, before, closed)].min() for i in range(len(feeds))
     ]
