@@ -44,6 +44,9 @@ PATIENCE = 6.0
 """Wall time [s] until a node must be found."""
 ANSWERED = 10.0
 """Wall time [s] until it must have answered."""
+ASKED = 3
+"""How often in that time it is asked what may be asked twice: a busy node drops the answer to a
+caller that it has not found yet."""
 BEGUN = 30.0
 """Wall time [s] until a recorder must listen, also on a busy computer."""
 SETTLED = 0.5
@@ -225,7 +228,7 @@ class Actions:
 
     async def _lifecycle(self, view: MachineView, node: str) -> str:
         name = f'/{view.machine}/{node}/get_state'
-        answer = await self._call(GetState, name, GetState.Request())
+        answer = await self._call(GetState, name, GetState.Request(), times=ASKED)
         return str(answer.current_state.label)
 
     async def _transition(self, view: MachineView, node: str, label: str) -> None:
@@ -342,8 +345,8 @@ class Actions:
             raise GraphError(trouble)
         return f'{bag.name} is closed'
 
-    async def _call(self, kind: Any, name: str, request: Any) -> Any:
-        """Call a service and return its answer.
+    async def _call(self, kind: Any, name: str, request: Any, *, times: int = 1) -> Any:
+        """Call a service, up to so many times, and return its answer.
 
         Raises
         ------
@@ -351,27 +354,37 @@ class Actions:
             If nobody offers it, or answers in time.
         """
         client = await self.thread.do(lambda: self._node.create_client(kind, name))
+        calls: list[asyncio.Future[Any]] = []
         try:
             await self._until(
                 client.service_is_ready, f'{name} is not offered; start the node that offers it'
             )
-            answer: Future[Any] = Future()
-
-            def begin() -> None:
-                def done(future: Any) -> None:
-                    if not answer.cancelled():
-                        answer.set_result(future.result())
-
-                client.call_async(request).add_done_callback(done)
-
-            await self.thread.do(begin)
-            return await asyncio.wait_for(asyncio.wrap_future(answer), ANSWERED)
-        except TimeoutError:
+            for _ in range(times):
+                calls.append(asyncio.wrap_future(await self._begin(client, request)))
+                done, _ = await asyncio.wait(
+                    calls, timeout=ANSWERED / times, return_when=asyncio.FIRST_COMPLETED
+                )
+                if done:
+                    return done.pop().result()
             raise GraphError(
                 f'{name} did not answer within {ANSWERED:g} s; look whether its node hangs'
-            ) from None
+            )
         finally:
+            for call in calls:
+                call.cancel()
             await self.thread.do(lambda: self._node.destroy_client(client))
+
+    async def _begin(self, client: Any, request: Any) -> 'Future[Any]':
+        """Begin a call; return what will be its answer."""
+        answer: Future[Any] = Future()
+
+        def done(future: Any) -> None:
+            # Else the one who waits, in another thread, has given it up.
+            if answer.set_running_or_notify_cancel():
+                answer.set_result(future.result())
+
+        await self.thread.do(lambda: client.call_async(request).add_done_callback(done))
+        return answer
 
     async def _until(
         self, condition: Callable[[], bool], trouble: str, patience: float = PATIENCE

@@ -5,6 +5,7 @@
 import asyncio
 import contextlib
 import sys
+from concurrent.futures import Future
 from types import SimpleNamespace
 
 import pytest
@@ -120,7 +121,7 @@ def test_a_transition_whose_answer_is_lost_is_seen_in_the_state(record, monkeypa
     actions = record()
     state = ['inactive']
 
-    async def call(kind, name, request):
+    async def call(kind, name, request, **_):
         if kind is GetState:
             answer = GetState.Response()
             answer.current_state.label = state[-1]
@@ -133,3 +134,38 @@ def test_a_transition_whose_answer_is_lost_is_seen_in_the_state(record, monkeypa
     assert asyncio.run(actions._activate(view, {}, 'anna')) == 'compensator is active'
     with pytest.raises(GraphError, match='change_state did not answer'):
         asyncio.run(actions._deactivate(view, {}, 'anna'))
+
+
+class Busy:
+    """Stands for the client of a node that drops the first answers."""
+
+    def __init__(self, dropped):
+        self.dropped, self.asked = dropped, 0
+
+    def service_is_ready(self):
+        return True
+
+    def call_async(self, request):
+        self.asked += 1
+        future = Future()
+        if self.asked > self.dropped:
+            answer = GetState.Response()
+            answer.current_state.label = 'active'
+            future.set_result(answer)
+        return future
+
+
+def test_a_node_that_drops_an_answer_is_asked_for_its_state_again(record, monkeypatch):
+    monkeypatch.setattr(page_actions, 'ANSWERED', 0.1)
+    actions = record()
+    view = SimpleNamespace(machine='mill')
+    for busy in (Busy(2), Busy(3)):
+        monkeypatch.setattr(Node, 'create_client', lambda *_, busy=busy: busy, raising=False)
+        monkeypatch.setattr(Node, 'destroy_client', lambda *_: None, raising=False)
+        asked = actions._lifecycle(view, 'compensator')
+        if busy.dropped == 2:
+            assert asyncio.run(asked) == 'active'
+        else:
+            with pytest.raises(GraphError, match='get_state did not answer'):
+                asyncio.run(asked)
+        assert busy.asked == 3
