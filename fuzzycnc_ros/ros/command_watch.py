@@ -27,6 +27,8 @@ GONE = 125.0
 """Wall time [s] after which a killed node is gone from the graph, with room to spare; the lease of
 the shipped discovery profile is 120 s."""
 _UNKNOWN = 'UNKNOWN_'
+_NONE = -1
+"""Stands for the number of a message that was not believed, where there is none."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class TopicSources:
         self._returns = 0
         self._source = b''
         self._followed = 0
-        self._odd = 0
+        self._odd = _NONE
 
     def heard(self, sequence_number: int, publishers: Callable[[], Sequence[Publisher]]) -> str:
         """Note a message; say why it must not be believed, empty if it may.
@@ -74,11 +76,12 @@ class TopicSources:
         """
         self._returns += sequence_number <= self._newest
         self._newest = sequence_number
-        if self._source and sequence_number == self._followed + 1:
-            self._followed = sequence_number
+        odd, self._odd = self._odd, sequence_number
+        # One that goes on from what was not believed as well may be of either.
+        if self._source and sequence_number == self._followed + 1 != odd + 1:
+            self._followed, self._odd = sequence_number, odd
             return ''
         found = publishers()
-        odd, self._odd = self._odd, sequence_number
         nodes = sorted({item.node for item in found if item.known})
         if len(nodes) > 1:
             return f'comes from several nodes at once: {", ".join(nodes)}'
@@ -90,7 +93,7 @@ class TopicSources:
             if alone and sequence_number <= self._followed and sequence_number != odd + 1:
                 return f'comes from a node that is gone again; {found[0].node} is still there'
             self._follow(found[0])
-        self._followed = sequence_number
+        self._followed, self._odd = sequence_number, _NONE
         return ''
 
     def look(self, publishers: Sequence[Publisher], now: float) -> tuple[str, ...] | None:

@@ -101,6 +101,14 @@ def test_message_of_another_node_is_refused_before_the_next_look(followed):
     assert not followed.heard(8, lambda: [OWNER])
 
 
+def test_another_node_that_catches_up_with_the_source_is_not_taken_for_it(followed):
+    """It speaks more often, so its numbers come by those of the source."""
+    both = [OWNER, STRANGER]
+    for number in range(1, 12):
+        assert 'several nodes at once' in followed.heard(number, lambda: both), number
+    assert not followed.heard(8, lambda: both)
+
+
 @pytest.mark.parametrize('number', [1, 7])
 def test_message_of_a_node_that_is_gone_again_is_refused(followed, number):
     found = followed.heard(number, lambda: [OWNER])
