@@ -24,6 +24,33 @@ TOGETHER = 5_000_000
 """Time within which two clocks are read [ns] so that their difference means something."""
 
 
+class AwakeTime:
+    """Wall time in which this process was there to hear the others.
+
+    What came while it stood still, on a busy computer, waits to be taken, and timers come first:
+    its own silence must not be taken for that of others.
+
+    Parameters
+    ----------
+    period : float
+        Period of the timer that calls `look` [s].
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period, self._late = period, 0.0
+        self._looked_at = time.monotonic()
+
+    def look(self) -> None:
+        """Note that the timer has come; by what it is late the process stood still."""
+        now = time.monotonic()
+        self._late += max(0.0, now - self._looked_at - 2.0 * self._period)
+        self._looked_at = now
+
+    def now(self) -> float:
+        """Return the time [s]."""
+        return time.monotonic() - self._late
+
+
 class SteadyClock:
     """Tell the time of a clock that may be set.
 

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 
-from fuzzycnc_ros.ros.clocks import wall_timer
+from fuzzycnc_ros.ros.clocks import AwakeTime, wall_timer
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, create_subscription, subscription_qos
 from fuzzycnc_ros.ros.turn_taker import PATIENCE, tick_topic
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.runtime.host import MachineTick, TickAnswer
 
-PROBE_PERIOD = 0.1
+LOOK_PERIOD, PROBE_PERIOD = 0.05, 0.1
+"""Wall time [s] between two looks at who is silent, and two probes of them."""
 RECORDER = 'recorder'
 RECORDER_EVERY = 500
 """Ticks between two turns of the recorder, if it has not got many messages before."""
@@ -112,7 +113,8 @@ class Sequencer:
         self._stamp = 0
         self._turn = len(self._participants)
         self._waiting: Participant | None = None
-        self._since = time.monotonic()
+        self._time = AwakeTime(LOOK_PERIOD)
+        self._since = self._time.now()
         self._probed = 0.0
         self._probes = 0
         self._running = False
@@ -132,7 +134,7 @@ class Sequencer:
             self._on_answer,
             subscription_qos(STREAM, lockstep=True),
         )
-        wall_timer(node, 0.05, self._on_timer)
+        wall_timer(node, LOOK_PERIOD, self._on_timer)
         self._breath = wall_timer(node, 0.0, self._after_breath)
         self._breath.cancel()
 
@@ -155,7 +157,7 @@ class Sequencer:
         """Note that the machine has received a message of a topic that it reads."""
         self._received[topic] = sequence_number
         if self._held:
-            self._since = time.monotonic()
+            self._since = self._time.now()
             if self._inputs_are_here():
                 self._next()
 
@@ -172,7 +174,8 @@ class Sequencer:
 
     def _on_timer(self) -> None:
         """Probe silent nodes, start when all are there, notice those that fall silent."""
-        now = time.monotonic()
+        self._time.look()
+        now = self._time.now()
         if now - self._probed >= PROBE_PERIOD:
             self._probed = now
             for item in self._participants:
@@ -262,7 +265,7 @@ class Sequencer:
                 self._finished()
                 return
             if not (without_inputs or self._inputs_are_here()):
-                self._held, self._since = True, time.monotonic()
+                self._held, self._since = True, self._time.now()
                 return
             stamp = self._advance()
             self._turn = 0
@@ -296,7 +299,7 @@ class Sequencer:
 
     def _give_turn(self, item: Participant, counts: dict[str, int]) -> None:
         item.seen = counts
-        self._waiting, self._since = item, time.monotonic()
+        self._waiting, self._since = item, self._time.now()
         # What the node does not read is none of its business, and costs time to send.
         self._send(item, {topic: counts[topic] for topic in item.reads if topic in counts})
 

@@ -7,14 +7,13 @@ The node first waits until it has received all of them, so neither the order of 
 speed of a route can change a result.
 """
 
-import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from rclpy.node import Node
 
-from fuzzycnc_ros.ros.clocks import wall_timer
+from fuzzycnc_ros.ros.clocks import AwakeTime, wall_timer
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, create_subscription, subscription_qos
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import decode, encode
@@ -73,7 +72,8 @@ class TurnTaker:
         self._received: dict[str, int] = {}
         self._published = dict.fromkeys(writes, 0)
         self._turn: MachineTick | None = None
-        self._heard_at = 0.0
+        self._time = AwakeTime(0.1 * patience)
+        self._heard_at = self._time.now()
         self.missed = 0
         self._answers = create_publisher(node, TickAnswer.TYPE, 'tick_answer', STREAM)
         create_subscription(
@@ -89,7 +89,7 @@ class TurnTaker:
         """Note that a message of a topic has come in."""
         self._received[topic] = sequence_number
         if self._turn is not None:
-            self._heard_at = time.monotonic()
+            self._heard_at = self._time.now()
             self._try_turn()
 
     def published(self, topic: str) -> None:
@@ -104,7 +104,7 @@ class TurnTaker:
             if self._matched(readers):
                 self._answer(tick, missed=False)
             return
-        self._turn, self._heard_at = tick, time.monotonic()
+        self._turn, self._heard_at = tick, self._time.now()
         self._try_turn()
 
     def _try_turn(self) -> None:
@@ -118,7 +118,8 @@ class TurnTaker:
 
     def _on_patience(self) -> None:
         """Work without inputs that were announced but do not come."""
-        if self._turn is not None and time.monotonic() - self._heard_at > self._patience:
+        self._time.look()
+        if self._turn is not None and self._time.now() - self._heard_at > self._patience:
             self.missed += 1
             self._take(self._turn, missed=True)
 

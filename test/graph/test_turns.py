@@ -125,6 +125,21 @@ def test_a_machine_does_not_run_away_from_its_reader(graph, observer):
     assert max(machine.waiting) == BACKLOG < QUEUE / 2
 
 
+def test_who_stood_still_itself_does_not_take_it_for_the_silence_of_others(graph, observer):
+    """An answer that waits to be taken is in time, however late the timer before it is."""
+    machine = Ticking(graph, observer, ticks=10**6, states=1)
+    observer.until(lambda: machine.tick > 10, 'ticks')
+    (reader,) = machine.sequencer._participants
+    reader.timeout = 1.0
+    for _ in range(3):
+        observer.until(lambda: machine.sequencer._waiting, 'a turn is given')
+        time.sleep(1.5 * reader.timeout)
+        tick = machine.tick
+        observer.until(lambda tick=tick: machine.tick > tick, 'the next tick')
+    machine.ticks = machine.tick
+    machine.run()
+
+
 def test_a_turn_is_given_for_what_is_new_and_matters():
     course = SimpleNamespace(tick=2, _programme_over=False, _stamp=100)
     item = Participant('compensator', None, 1.0, reads=('a', 'b'), quiet=frozenset({'b'}))
