@@ -3,10 +3,10 @@
 """Files written whole or not at all."""
 
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from secrets import token_hex
 
 from fuzzycnc_ros.bags.os_errors import about
 
@@ -22,14 +22,14 @@ def whole_file(path: Path) -> Iterator[Path]:
     OSError
         If it cannot be written; the error names `path`.
     """
+    name = path.with_name(f'.{path.name}.{token_hex(8)}')
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
-        os.close(handle)
+        # The system takes off the mask of the process, which can be asked only by changing it.
+        os.close(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666))
     except OSError as error:
         raise about(error, path) from None
     try:
-        yield Path(name)
-        os.chmod(name, 0o666 & ~_umask())
+        yield name
         os.replace(name, path)
     except BaseException as error:
         with suppress(FileNotFoundError):
@@ -56,9 +56,3 @@ def write_text(path: Path, text: str | bytes) -> None:
     """
     with whole_file(path) as draft:
         draft.write_bytes(text.encode() if isinstance(text, str) else text)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
