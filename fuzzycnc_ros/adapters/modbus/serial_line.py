@@ -57,6 +57,7 @@ class _Line:
             baudrate=settings.baud_rate,
             parity=settings.parity[0].upper(),
             stopbits=settings.stop_bits,
+            timeout=3600.0,  # each unit has its own, a shorter one
             retries=0,
             reconnect_delay=0,
             trace_packet=self._trace,

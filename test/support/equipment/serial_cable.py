@@ -4,6 +4,7 @@
 
 import asyncio
 import fcntl
+import math
 import os
 import random
 import tty
@@ -61,6 +62,9 @@ class Cable:
         Register to word.
     units : tuple of int
         Units that answer.
+    patience : float
+        Time [s] after which the master no longer waits for an answer: where this end stood still
+        for longer, on a busy computer, nothing is passed on.
 
     Attributes
     ----------
@@ -72,8 +76,14 @@ class Cable:
         after `LATE`; `master` another master asks too, and everybody hears it and its answers.
     """
 
-    def __init__(self, port: Path, words: dict[int, int], units: tuple[int, ...] = (1,)) -> None:
-        self._path = port
+    def __init__(
+        self,
+        port: Path,
+        words: dict[int, int],
+        units: tuple[int, ...] = (1,),
+        patience: float = math.inf,
+    ) -> None:
+        self._path, self._patience, self._turn_at = port, patience, math.inf
         self._random = random.Random(1)
         self._words, self._units = words, units
         self.fault = ''
@@ -120,6 +130,8 @@ class Cable:
 
     def _ask(self) -> None:
         data = os.read(self._near, 1024)
+        if self._stood_still():
+            return
         if data[0] in self._units:  # the server would answer for the others that it lacks them
             os.write(self._far, data)
 
@@ -137,12 +149,16 @@ class Cable:
         self._pass(data)
 
     def _pass(self, data: bytes) -> None:
-        if self.fault not in ('silent', 'unplugged'):
+        if self.fault not in ('silent', 'unplugged') and not self._stood_still():
             os.write(self._near, data)
+
+    def _stood_still(self) -> bool:
+        return self._loop.time() - self._turn_at > self._patience
 
     async def _disturb(self) -> None:
         """Put on the line what the master did not ask for."""
         while True:
+            self._turn_at = self._loop.time()
             await asyncio.sleep(0.03)
             if self.fault == 'noise':
                 os.write(self._near, self._random.randbytes(self._random.randint(1, 12)))
