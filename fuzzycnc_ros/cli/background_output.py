@@ -21,6 +21,8 @@ PENDING_MAX = 256 * 1024
 """Characters that wait for a reader; what comes on top is dropped and counted."""
 FLUSH_TIME = 1.0
 """Wall time [s] that a reader has at the end of the process to take what waits."""
+FLUSH_TURNS = 20
+"""Parts of it: in one of them at most the whole process may stand still, on a busy computer."""
 
 
 class BackgroundOutput(io.TextIOBase):
@@ -109,7 +111,7 @@ class BackgroundOutput(io.TextIOBase):
         with self._ready:
             self._finished = True
             self._ready.notify()
-        self._thread.join(timeout)
+        _wait_for(self._thread, timeout)
 
     def _next(self) -> str:
         """Wait for the next text to write; empty if there will be none."""
@@ -172,8 +174,14 @@ def _passed_on(stream: TextIO) -> Iterator[BackgroundOutput]:
         os.dup2(reader, number)  # nobody writes into the pipe any more
         # Another wish to end: the reader has had its time.
         with contextlib.suppress(KeyboardInterrupt):
-            others.join(FLUSH_TIME)
+            _wait_for(others, FLUSH_TIME)
             output.finish(FLUSH_TIME)
+
+
+def _wait_for(thread: threading.Thread, timeout: float) -> None:
+    """Wait for a thread, for some time [s] in which this process is there itself."""
+    for _ in range(FLUSH_TURNS):
+        thread.join(timeout / FLUSH_TURNS)
 
 
 def _pass_on(reading: int, output: BackgroundOutput) -> None:

@@ -63,9 +63,9 @@ _SAMPLED = (Temperatures.TYPE, Displacement.TYPE, MachineState.TYPE)
 """Types of what is sampled evenly; the last one tells how machine time went on."""
 BEHIND = 5.0
 """Wall time [s] that a message may wait for the disk; one that keeps up takes it within 1 s."""
-LOOK, QUIET, UNDERWAY = 0.05, 2, 2.0
+LOOK, QUIET, LOOKS_MAX = 0.05, 2, 40
 """Wall time [s] between two looks, at the end, at what comes; looks in a row without anything that
-was published before; and wall time [s] that all looks may take."""
+was published before; and the most looks, so that time in which the process stood still is none."""
 RECORDER_PATIENCE = 25.0
 """Wall time [s] a turn waits for announced messages; below the sequencer's own timeout."""
 
@@ -178,13 +178,15 @@ class RecorderNode(PlainNode[RecorderConfig]):
         Threads of the middleware bring it, and on a busy computer these are late.
         """
         self._ending = time.time_ns()
-        quiet, until = 0, time.monotonic() + UNDERWAY
-        while quiet < QUIET and time.monotonic() < until:
+        quiet = 0
+        for _ in range(LOOKS_MAX):
             time.sleep(LOOK)
             self._older_came = False
             for subscription in tuple(self._subscriptions.values()):
                 hand_over(subscription, DEPTH)
             quiet = 0 if self._older_came else quiet + 1
+            if quiet == QUIET:
+                break
 
     def _facts(self) -> dict[str, Any]:
         """Return what the bag says beside the counts of its messages."""

@@ -153,8 +153,8 @@ def test_a_process_ends_though_nobody_reads(open_one):
 
 
 def test_a_process_that_is_read_loses_nothing():
-    done = subprocess.run(
-        [sys.executable, '-c', SCRIPT.replace('200_000', '2000')], capture_output=True, text=True
-    )
+    patient = f'from fuzzycnc_ros.cli import background_output as b; b.FLUSH_TIME = {HANG}'
+    script = patient + SCRIPT.replace('200_000', '2000')
+    done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True)
     for found, first in ((done.stdout, 0), (done.stderr, 1)):
         assert sorted(map(int, found.split())) == list(range(first, 2000, 2))

@@ -4,6 +4,7 @@
 
 import sys
 from collections import deque
+from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -129,7 +130,9 @@ class BrokerConnection:
         if self._connected:
             self.turn()
             last = self._client.publish(self._status, OFFLINE, AT_LEAST_ONCE, retain=True)
-            last.wait_for_publish(CONNECT_TIMEOUT)
+            # The broker may go at this moment.
+            with suppress(RuntimeError):
+                last.wait_for_publish(CONNECT_TIMEOUT)
         self._client.disconnect()
         self._client.loop_stop()
 

@@ -5,6 +5,7 @@
 import gc
 import re
 import signal
+from types import SimpleNamespace
 
 import pytest
 
@@ -85,7 +86,7 @@ def states(heard):
 def test_reports_wait_for_a_broker_that_is_away_and_the_newest_are_kept(serve, connect):
     broker = serve()
     heard = broker.listen()
-    link = connect(broker, 'buffered: 30\nkeep_alive: 1\n')
+    link = connect(broker, 'buffered: 30\n')
     until(link, Level.OK)
     link.publish('0')
     wait(lambda: states(heard) == ['0'], 'the first report')
@@ -145,11 +146,22 @@ def test_the_broker_tells_when_a_machine_is_no_longer_watched(serve, connect):
     link._client._sock.close()
     wait(lambda: (STATUS, OFFLINE) in heard, 'the last will')
     # A node that was busy takes its turn only when all is well again.
-    wait(lambda: link.health().level is Level.OK, 'the new connection')
+    wait(lambda: link._connected and not link._told, 'the new connection')
     link.turn()
     wait(lambda: heard[-1] == (STATUS, ONLINE), 'the status of the new connection')
     link.close()
     wait(lambda: heard[-1] == (STATUS, OFFLINE), 'the status at the end')
+
+
+def test_a_broker_that_goes_at_the_end_is_no_failure(connect):
+    def gone(timeout):
+        raise RuntimeError('Message publish failed: The client is not currently connected.')
+
+    link = connect(SimpleNamespace(port=1))
+    link._connected = True
+    link._client.publish = lambda *_, **__: SimpleNamespace(mid=1, wait_for_publish=gone)
+    link.close()
+    assert link._client._thread is None
 
 
 @needs_broker
