@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.duration import Duration
 from rclpy.node import Node
 
 from fuzzycnc_msgs.srv import SetThermalReference
@@ -194,7 +195,7 @@ class Actions:
             raise GraphError(f'force: expected true or false but found {force!r}')
         request = SetThermalReference.Request(set_by=by, force=force)
         name = f'/{view.machine}/set_thermal_reference'
-        answer = await self._call(SetThermalReference, name, request)
+        answer = await self._call(SetThermalReference, name, request, times=ASKED)
         if answer.success:
             return str(answer.message)
         told = (view.newest('compensation_applied'), view.newest('compensation'))
@@ -283,7 +284,11 @@ class Actions:
             await asyncio.sleep(SETTLED)
             readers = publisher.get_subscription_count() - 1
             await self.thread.do(lambda: publisher.publish(encode(record, RCLPY)))
-            await asyncio.sleep(SETTLED)  # until all have it
+            await self._until(
+                lambda: bool(publisher.wait_for_all_acked(Duration())),
+                f'{machine}: not all nodes that take probes have confirmed this one; look whether '
+                'one hangs, and in the recording whether it is there',
+            )
         finally:
             await self.thread.do(lambda: self._node.destroy_publisher(publisher))
         named = ', '.join(f'{axis} {1e6 * value:+.2f} um' for axis, value in values.items())

@@ -207,7 +207,7 @@ class Operator:
             If it is refused.
         """
         request = SetThermalReference.Request(set_by=by, force=force)
-        answer = self._call(SetThermalReference, 'set_thermal_reference', request)
+        answer = self._call(SetThermalReference, 'set_thermal_reference', request, twice=True)
         if not answer.success:
             raise GraphError(f'set_thermal_reference: {answer.message}')
         return str(answer.message)
