@@ -63,10 +63,19 @@ def failing():
     until(lambda: 'bag-shipper' not in {thread.name for thread in threading.enumerate()})
 
 
+CLOSE = Shipper.close
+
+
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch):
+    """Whoever closes a recording waits until all has arrived, however busy the machine is."""
+    monkeypatch.setattr(Shipper, 'close', lambda self, patience=HANG: CLOSE(self, patience))
+
+
 @pytest.fixture
-def hasty(monkeypatch):
+def hasty(_patient, monkeypatch):
     """Whoever closes a recording waits for hardly anything: it would not arrive."""
-    monkeypatch.setattr(Shipper, 'close', partialmethod(Shipper.close, 0.1))
+    monkeypatch.setattr(Shipper, 'close', partialmethod(CLOSE, 0.1))
 
 
 def payload(number):

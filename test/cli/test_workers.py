@@ -18,8 +18,11 @@ from fuzzycnc_ros.cli.models.fit_progress import FitCounter
 SCRIPT = """
 import json, os, sys, time
 from pathlib import Path
+from fuzzycnc_ros.cli import workers
 from fuzzycnc_ros.cli.workers import in_workers
 from fuzzycnc_ros.ros.processes import interruptible
+
+workers.END_PATIENCE = 240.0  # a busy machine takes its time
 
 def work(piece, progress):
     if piece == 'bad':
@@ -27,9 +30,9 @@ def work(piece, progress):
             time.sleep(0.01)
         raise ValueError('piece is bad')
     if piece == 'endless':
-        Path(f'{os.getpid()}.part').touch()
-        os.rename(f'{os.getpid()}.part', f'{os.getpid()}.pid')
         try:
+            Path(f'{os.getpid()}.part').touch()
+            os.rename(f'{os.getpid()}.part', f'{os.getpid()}.pid')
             time.sleep(600.0)
         finally:
             Path(f'{os.getpid()}.undone').touch()

@@ -22,6 +22,7 @@ def test_a_process_that_is_left_is_named_and_ended(monkeypatch):
     pipes = {'stdin': subprocess.PIPE}
     with processes.start([sys.executable, '-c', LEAVES], **pipes) as parent:
         parent.wait(processes.HANG)
+        processes.wait_for(processes.living, 'it is found')
         (left,) = processes.living()
         monkeypatch.setattr(processes, 'HANG', 0.0)
         with pytest.raises(AssertionError, match=rf'{left}: .*input\(\)'):

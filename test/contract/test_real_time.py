@@ -75,7 +75,10 @@ def test_deadlines_are_counted(monkeypatch, work):
     monkeypatch.setattr(real_time, 'SCRIPT', script)
     found = real_time.measure()
     assert found.passed == PROCESSES * real_time.DEADLINES
-    assert (found.kept > 0) is (work == 0)
+    if work:
+        assert found.kept == 0
+    else:  # a busy machine may begin too late for all of them
+        wait_for(lambda: real_time.measure().kept > 0, 'a deadline that is kept')
     assert not Deadlines(0, found.passed).enough
 
 

@@ -316,13 +316,14 @@ def test_clock_that_is_set_is_told_and_held_through(graph, observer, tmp_path, s
         ),
         'the recorder listens',
     )
-    observer.settle('recorder')
+    observer.settle('compensator', 'recorder')
 
     def at_work(state, since=0):
         def found():
             last = commands[-1].offset if commands else np.zeros(2)
             machine.send((time.time_ns() + int(clock.read_text())) / SECOND, applied=last)
             observer.spin_for(0.1)
+            observer.state('compensator')  # no more waits for it than it keeps
             return any(item.state == state for item in commands[since:])
 
         return found

@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The feedrate scheduler as a managed node: transitions, programs by service, paths over DDS."""
 
+import math
 from functools import partial
 from itertools import groupby, pairwise
 
 import numpy as np
 import pytest
 from lifecycle_msgs.msg import State, Transition
+from live_graph import AGAIN
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rosgraph_msgs.msg import Clock
@@ -136,7 +138,8 @@ def program(observer):
 
     def ask(text, **arguments):
         request = ScheduleProgram.Request(program=text, **arguments)
-        return observer.call(ScheduleProgram, '/mill/schedule_program', request)
+        again = math.inf if request.run else AGAIN  # a run that is asked for twice refuses itself
+        return observer.call(ScheduleProgram, '/mill/schedule_program', request, again=again)
 
     return ask
 
@@ -149,6 +152,7 @@ def follow(observer, machine, parts, time, done):
         time += STEP
         machine.tell(time)
         observer.spin_for(PACE)
+        observer.state(NODE)  # time does not run away from a scheduler that is not scheduled
         return done()
 
     observer.until(passes, f'not by {time} s of machine time, {len(parts)} parts')
@@ -190,7 +194,7 @@ def test_transitions_and_a_path(graph, observer, change, state):
     value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=0.5)
     request = SetParameters.Request(parameters=[Parameter(name='feed_override', value=value)])
     name = '/mill/feedrate_scheduler/set_parameters'
-    assert observer.call(SetParameters, name, request).results[0].successful
+    assert observer.call(SetParameters, name, request, again=AGAIN).results[0].successful
     value.double_value = 3.0
     refused = observer.call(SetParameters, name, request).results[0]
     assert not refused.successful
@@ -272,8 +276,15 @@ def test_recording_of_a_live_run_replays(graph, observer, change, state, program
         time += 0.5
         machine.tell(time, TrajectoryStatus.FINISHED, 'trident', 1)
         observer.settle(NODE)
+    assert not program('').success  # who is asked knows whom to answer
     assert program('G1 X90 F600\n', path_id='slow', run=True).success
-    follow(observer, machine, parts, time + 0.05, lambda: len(parts) > 3 and parts[-1].part == 2)
+    follow(
+        observer,
+        machine,
+        parts,
+        time + 0.05,
+        lambda: parts[-1].path_id == 'slow' and parts[-1].part >= 2,
+    )
     assert change(Transition.TRANSITION_DEACTIVATE)
     observer.until(lambda: parts[-1].last, 'ends the path')
     observer.settle(NODE, 'recorder')

@@ -37,7 +37,8 @@ def start(graph, *others, **parameters):
     )
     awaited = ['joint_trajectory_bridge', *others]
     graph.start(
-        'simulated_machine', {'duties': ['T2'], 'tick_period': 0.5, 'lockstep_nodes': awaited}
+        'simulated_machine',
+        {'duties': ['T2'], 'tick_period': 0.5, 'rate': 0.5, 'lockstep_nodes': awaited},
     )
 
 

@@ -10,10 +10,10 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from processes import HANG
+from processes import HANG, wait_for
 
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.cli.live import operate
+from fuzzycnc_ros.cli.live import operate, supervision_monitor
 from fuzzycnc_ros.cli.main import run
 from fuzzycnc_ros.ros.recording import is_recorded
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
@@ -109,7 +109,7 @@ def warm(observer):
 
 
 def test_a_compensator_is_looked_at_limited_activated_and_put_to_rest(
-    graph, observer, command, tmp_path
+    graph, observer, command, tmp_path, monkeypatch
 ):
     graph.start('compensator')
     observer.until(
@@ -123,11 +123,17 @@ def test_a_compensator_is_looked_at_limited_activated_and_put_to_rest(
     assert command('activate') == (0, 'mill/compensator is active\n', '')
     assert command('activate') == (0, 'mill/compensator is active already\n', '')
     file = tmp_path / 'status.json'
-    code, out, err = command('status', '--json', str(file))
-    assert (code, err) == (0, '')
-    assert 'compensator' in out
-    assert 'waiting for the read-back' in ' '.join(out.split())
-    assert '"state": "active"' in file.read_text()
+    monkeypatch.setattr(supervision_monitor, 'FIRST_HEARD', HANG)
+
+    def status():
+        code, out, err = command('status', '--json', str(file))
+        assert (code, err) == (0, '')
+        return '"state": "active"' in file.read_text() and ' '.join(out.split())
+
+    # What a node is may be heard after that it is there.
+    wait_for(status, 'the state')
+    assert 'compensator' in status()
+    assert 'waiting for the read-back' in status()
     code, out, err = command('deactivate')
     assert (code, err) == (0, '')
     assert out.startswith('mill/compensator is inactive')

@@ -27,6 +27,8 @@ pytestmark = pytest.mark.ros
 
 SAMPLES = 60
 """Seconds in the bag, one sample each."""
+FOUND = 3.0
+"""Wall time [s] in which readers are found: the player begins without those it does not know."""
 
 
 def temperatures(second):
@@ -88,7 +90,9 @@ def bag(tmp_path):
 
 def play(graph, bag, **parameters):
     """Start the player fast."""
-    return graph.start('player', {'bag': str(bag), 'rate': 100.0, **parameters})
+    return graph.start(
+        'player', {'bag': str(bag), 'rate': 100.0, 'start_delay': FOUND, **parameters}
+    )
 
 
 def test_everything_but_plumbing_with_clock(graph, observer, bag):
@@ -129,6 +133,7 @@ def test_stretch_topics_and_namespace(graph, observer, bag):
         {
             'bag': str(bag),
             'rate': 100.0,
+            'start_delay': FOUND,
             'start': 10.0,
             'end': 20.0,
             'topics': 'temperatures',

@@ -12,6 +12,7 @@ from live_graph import AGAIN
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
+from rclpy.qos import QoSProfile
 
 from fuzzycnc_msgs.action import TrainThermalModel
 from fuzzycnc_ros.core.names import text_hash
@@ -36,9 +37,15 @@ class Client:
 
     def __init__(self, observer: Any) -> None:
         self._observer = observer
-        self._client = ActionClient(observer.node, TrainThermalModel, 'train_thermal_model')
+        self._client = ActionClient(
+            observer.node,
+            TrainThermalModel,
+            'train_thermal_model',
+            feedback_sub_qos_profile=QoSProfile(depth=1000),
+        )
         self.feedback: list[Any] = []
         observer.until(self._client.server_is_ready, 'action train_thermal_model')
+        observer.settle('thermal_predictor')  # it knows whom to answer
 
     def send(self, bags: list[str], **request: str) -> Any:
         """Ask for a training; return the handle of the goal."""
@@ -80,14 +87,19 @@ def client(graph, observer):
 def test_training_tells_every_step_and_its_model_is_used(client, observer, bags, tmp_path):
     configurations = observer.records('node_configuration', NodeConfiguration, LATCHED)
     file = tmp_path / 'trained.json'
-    answer = client.result(client.send(bags, file=str(file)))
+    handle, told = client.send(bags, file=str(file)), client.feedback
+    observer.until(lambda: told and told[-1].done == told[-1].total > 0, 'the first stage')
+    # Whoever has the result hears no feedback that comes after it.
+    observer.until(
+        lambda: told[-1].stage == 'fit' and told[-1].done == told[-1].total, 'the last fit'
+    )
+    answer = client.result(handle)
     assert answer.status == GoalStatus.STATUS_SUCCEEDED
     assert answer.result.success
     assert list(answer.result.channel) == ['Y', 'Z']
     assert all(0.0 < value < 5e-6 for value in answer.result.held_out_rms)
     text = file.read_text(encoding='utf-8')
     assert text_hash(text) == answer.result.model_hash
-    told = client.feedback
     assert [item.candidate for item in told if item.stage == 'read'] == bags
     fitted = {item.candidate for item in told if item.stage == 'fit'}
     assert fitted >= set(json.loads(text)['candidates']) - {UNCOMPENSATED}
@@ -147,10 +159,13 @@ def test_model_is_a_live_parameter(graph, observer, model_file, model_text, tmp_
     assert 'damaged.json: ' in refused.reason
     assert set_model(observer, model_file).successful
     observer.until(
-        lambda: any(item.model_hash == text_hash(model_text) for item in configurations),
+        lambda: any(
+            item.model_hash == text_hash(model_text)
+            and json.loads(item.parameters)['model'] == str(model_file)
+            for item in configurations
+        ),
         'configuration with the model',
     )
-    assert json.loads(configurations[-1].parameters)['model'] == str(model_file)
     refused = set_model(observer, '')
     assert not refused.successful
     assert 'a model in use stays in use' in refused.reason

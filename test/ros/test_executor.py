@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lean executor does what rclpy's does: each test runs on both."""
 
+import linecache
+import sys
 import threading
 import time
 
@@ -10,6 +12,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 import rclpy
+from processes import wait_for
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
@@ -264,12 +267,27 @@ def test_nothing_is_called_after_a_shutdown(bench):
     assert len(bench.heard) == count
 
 
+def as_it_waits(job):
+    """Do something in another thread once this one waits for the middleware."""
+    this = threading.get_ident()
+
+    def waits():
+        frame = sys._current_frames()[this]
+        return '_set.wait(' in linecache.getline(frame.f_code.co_filename, frame.f_lineno)
+
+    def run():
+        wait_for(waits, 'a wait')
+        job()
+
+    threading.Thread(target=run).start()
+
+
 def test_another_thread_ends_a_wait(bench):
-    threading.Timer(0.1, bench.executor.shutdown).start()
+    as_it_waits(bench.executor.shutdown)
     bench.executor.spin()
     bench.executor = type(bench.executor)(context=bench.context)
     bench.executor.add_node(bench.node)
-    threading.Timer(0.1, lambda: rclpy.shutdown(context=bench.context)).start()
+    as_it_waits(lambda: rclpy.shutdown(context=bench.context))
     with pytest.raises(ExternalShutdownException):
         bench.executor.spin_once(PATIENCE)
 

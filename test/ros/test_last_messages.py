@@ -56,12 +56,12 @@ class Writer:
         self.done = sys.argv[2] == 'done'
 
 def waits(publisher, timeout):
-    if publisher.topic_name == '/burst' and timeout.nanoseconds:
+    if publisher.topic_name == '/burst':
         print('waits', flush=True)
     return wait(publisher, timeout)
 
 wait, Publisher.wait_for_all_acked = Publisher.wait_for_all_acked, waits
-run.DELIVERING = float(sys.argv[3])
+run.DELIVERING, run.LETTING_GO = float(sys.argv[3]), 240
 run.main({'reader': Reader, 'writer': Writer}[sys.argv[1]], sys.argv[:1])
 """
 

@@ -11,6 +11,7 @@ import threading
 from contextlib import nullcontext
 
 import pytest
+from processes import HANG
 
 from fuzzycnc_ros.ros import presence as presence_module
 from fuzzycnc_ros.ros.presence import HOLDERS, TAKEOVER, GraphError, Presence, check_alone, lives
@@ -149,6 +150,13 @@ def test_of_two_that_outlive_each_other_the_last_is_found():
         assert lives('mill', 'compensator')
 
 
+@pytest.fixture
+def patient(monkeypatch):
+    """Nobody goes in without the door, however busy the machine is."""
+    monkeypatch.setattr(presence_module, 'DOOR_TIMEOUT', HANG)
+
+
+@pytest.mark.usefixtures('patient')
 def test_of_many_that_claim_at_once_one_gets_it():
     wanted = [('mill', name) for name in ('compensator', 'sensor_selector')]
     claims = [Presence() for _ in range(8)]
@@ -166,6 +174,7 @@ def test_of_many_that_claim_at_once_one_gets_it():
     assert sorted(map(len, found)) == [0] + [2] * 7
 
 
+@pytest.mark.usefixtures('patient')
 def test_who_claims_waits_while_another_looks():
     wanted = [('mill', 'compensator')]
     with Presence() as own:

@@ -8,6 +8,8 @@ pytestmark = pytest.mark.ros
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
 
+from processes import HANG  # noqa: E402
+
 from fuzzycnc_ros.nodes.composed import run_composed  # noqa: E402
 from fuzzycnc_ros.ros.run import run  # noqa: E402
 
@@ -34,6 +36,7 @@ class Talkative:
 @pytest.fixture(autouse=True)
 def _alone(domain, monkeypatch):
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    monkeypatch.setattr('fuzzycnc_ros.ros.run.LETTING_GO', int(HANG))  # else it ends all tests
 
 
 def test_logs(capfd):

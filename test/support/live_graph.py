@@ -35,7 +35,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from kept import kept
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from processes import start
+from processes import HANG, start
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
@@ -481,11 +481,12 @@ class Observer:
         """
         request = ChangeState.Request(transition=Transition(id=transition))
         name = f'/{machine}/{node}/change_state'
-        self.state(node, machine)  # it is there: what a killed one left looks like its service
+        # It is there: what a killed one left looks like its service.
+        before = self.state(node, machine)
         try:
             return self.call(ChangeState, name, request, 2 * AGAIN).success
         except AssertionError:
-            return self.state(node, machine) == GOALS[transition]
+            return before != self.state(node, machine) == GOALS[transition]
 
     def close(self) -> None:
         """Leave the domain."""
@@ -631,6 +632,7 @@ def refusal(
     It runs in this process, since a process of its own takes half a second to start.
     """
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    monkeypatch.setattr('fuzzycnc_ros.ros.run.LETTING_GO', int(HANG))  # else it ends all tests
     monkeypatch.chdir(tmp_path)
 
     def start(node: str, parameters: Mapping[str, Any]) -> str:

@@ -36,7 +36,7 @@ devices:
     protocol: mtconnect
     url: {scheme}://{host}:{port}/mill
     period: 0.02
-    timeout: 0.3
+    timeout: {timeout:g}
     sensors: {sensors}
     positions: {axes}
     spindle_speed: {{item: Srpm, max: 6000}}
@@ -69,14 +69,18 @@ def agent(field):
 
 @pytest.fixture
 def poll(tmp_path, monkeypatch):
-    """Poll an agent; a lost one is asked again at once."""
+    """Poll an agent; a lost one is asked again at once, and may soon be one that `hurries`."""
     monkeypatch.setattr(polling, 'BACK_OFF_FIRST', 0.05)
-    monkeypatch.setattr(mtconnect, 'HEARTBEAT', 0.2)
     pollers = []
 
-    def begin(server, sensors=SENSORS, *, axes='{}', more='', scheme='http', host=LOCAL):
+    def begin(
+        server, sensors=SENSORS, *, axes='{}', more='', scheme='http', host=LOCAL, hurries=False
+    ):
+        if hurries:
+            monkeypatch.setattr(mtconnect, 'HEARTBEAT', 0.2)
         path = tmp_path / 'devices.yaml'
         places = {'scheme': scheme, 'host': host, 'port': server.port}
+        places['timeout'] = 0.3 if hurries else 30.0
         path.write_text(FILE.format(sensors=sensors, axes=axes, **places) + more)
         (device,) = read_devices(path)
         pollers.append(Poller([device], connect, time.monotonic_ns))
@@ -86,6 +90,7 @@ def poll(tmp_path, monkeypatch):
     yield begin
     for poller in pollers:
         poller.close()
+        poller._thread.join(TIMEOUT)
         assert not poller._thread.is_alive()
 
 
@@ -112,7 +117,7 @@ def test_the_present_state_is_read_once_and_then_what_changes(field, agent, poll
     assert list(readings) == pytest.approx([22.5, 25.5, 0.0])
     kinds = [path.partition('?')[0] for path in agent.requests]
     assert kinds == ['/mill/probe', '/mill/current', '/mill/sample']
-    assert '?from=8&count=1000&interval=20&heartbeat=200&path=' in agent.requests[-1]
+    assert '?from=8&count=1000&interval=20&heartbeat=1000&path=' in agent.requests[-1]
 
 
 def paths(agent):
@@ -279,7 +284,7 @@ def test_an_agent_that_was_started_anew_is_read_anew(field, agent, poll):
 @pytest.mark.parametrize('fault', ['refuse', 'cut', 'hang', 'garble'])
 def test_a_lost_agent_comes_back(field, agent, poll, fault):
     route = field.add(Route(agent))
-    poller = poll(route)
+    poller = poll(route, hurries=True)
     wait(poller, lambda polled: good(polled) and '/sample' in agent.requests[-1])
     field.call(route.set(fault))
     field.call(agent.observe(t1=1.0))
@@ -324,7 +329,7 @@ HOSTILE = {
 @pytest.mark.parametrize(('answer', 'said'), HOSTILE.values(), ids=HOSTILE)
 def test_hostile_answers_are_lost_devices(field, poll, answer, said):
     server = field.add(HostileServer(lambda request: answer))
-    poller = poll(server)
+    poller = poll(server, hurries=True)
     asked = 0
     while asked < 2:
         asked = server.asked
@@ -357,7 +362,7 @@ def test_hostile_streams_are_lost_devices(field, agent, poll, answer, said):
         path = request.decode().split(' ')[1]
         return answer.encode() if '/sample' in path else http(agent.reply(path))
 
-    poller = poll(field.add(HostileServer(reply)))
+    poller = poll(field.add(HostileServer(reply)), hurries=True)
     for _ in range(2):
         wait(poller, good)
         # A busy computer may be too slow for an answer first.
@@ -367,7 +372,7 @@ def test_hostile_streams_are_lost_devices(field, agent, poll, answer, said):
 def test_an_address_that_is_none_is_refused(tmp_path):
     path = tmp_path / 'devices.yaml'
     good_url = FILE.format(
-        scheme='http', host=LOCAL, port=5000, sensors='{T1: t1}', axes='{X: x1}'
+        scheme='http', host=LOCAL, port=5000, timeout=1.0, sensors='{T1: t1}', axes='{X: x1}'
     )
     for url, said in (
         ('http://mill', 'expected http://HOST:PORT/MACHINE or https://HOST:PORT/MACHINE, usual'),

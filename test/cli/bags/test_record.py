@@ -54,7 +54,7 @@ def environment(root, domain):
 def machine(environment):
     """A simulated machine that ticks fast."""
     command = [sys.executable, '-m', 'fuzzycnc_ros.nodes.simulated_machine', '--ros-args']
-    command += ['-r', '__ns:=/mill', '-p', 'rate:=600.0', '-p', "duties:=['T2']"]
+    command += ['-r', '__ns:=/mill', '-p', 'rate:=600.0', '-p', "duties:=['T2', 'T2', 'T2', 'T2']"]
     process = start(command, env=environment)
     yield process
     process.kill()
