@@ -63,8 +63,8 @@ class Cable:
     units : tuple of int
         Units that answer.
     patience : float
-        Time [s] after which the master no longer waits for an answer: where this end stood still
-        for longer, on a busy computer, nothing is passed on.
+        Time [s] after which nothing is passed on where this end stood still, or took as long for
+        its answer, on a busy computer: the master may wait for another one by then.
 
     Attributes
     ----------
@@ -83,7 +83,8 @@ class Cable:
         units: tuple[int, ...] = (1,),
         patience: float = math.inf,
     ) -> None:
-        self._path, self._patience, self._turn_at = port, patience, math.inf
+        self._path, self._patience = port, patience
+        self._turn_at = self._asked_at = math.inf
         self._random = random.Random(1)
         self._words, self._units = words, units
         self.fault = ''
@@ -132,11 +133,14 @@ class Cable:
         data = os.read(self._near, 1024)
         if self._stood_still():
             return
+        self._asked_at = self._loop.time()
         if data[0] in self._units:  # the server would answer for the others that it lacks them
             os.write(self._far, data)
 
     def _answer(self) -> None:
         data = os.read(self._far, 1024)
+        if self._loop.time() - self._asked_at > self._patience:
+            return
         if self.fault == 'late':
             self._loop.call_later(LATE, self._pass, data)
             return
