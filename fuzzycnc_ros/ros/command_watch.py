@@ -76,13 +76,13 @@ class TopicSources:
         """
         self._returns += sequence_number <= self._newest
         self._newest = sequence_number
-        odd = self._odd
         # What also goes on from a message that was not believed may be of either sender.
-        if self._source and sequence_number == self._followed + 1 != odd + 1:
+        clear = self._odd != self._followed
+        if self._source and sequence_number == self._followed + 1 and clear:
             self._followed = sequence_number
             return ''
         found = publishers()
-        self._odd = sequence_number
+        odd, self._odd = self._odd, sequence_number
         nodes = sorted({item.node for item in found if item.known})
         if len(nodes) > 1:
             return f'comes from several nodes at once: {", ".join(nodes)}'

@@ -237,8 +237,7 @@ class Actions:
         request.transition.label = label
         try:
             answer = await self._call(ChangeState, f'/{view.machine}/{node}/change_state', request)
-        except GraphError:
-            # A busy node drops the answer to a caller that it has not found yet.
+        except GraphError:  # perhaps only the answer is lost, and to ask twice would not do
             if await self._lifecycle(view, node) != REACHED[label]:
                 raise
             return

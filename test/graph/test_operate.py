@@ -124,16 +124,18 @@ def test_a_compensator_is_looked_at_limited_activated_and_put_to_rest(
     assert command('activate') == (0, 'mill/compensator is active already\n', '')
     file = tmp_path / 'status.json'
     monkeypatch.setattr(supervision_monitor, 'FIRST_HEARD', HANG)
+    shown = []
 
     def status():
         code, out, err = command('status', '--json', str(file))
         assert (code, err) == (0, '')
-        return '"state": "active"' in file.read_text() and ' '.join(out.split())
+        shown.append(' '.join(out.split()))
+        return '"state": "active"' in file.read_text()
 
     # What a node is may be heard after that it is there.
     wait_for(status, 'the state')
-    assert 'compensator' in status()
-    assert 'waiting for the read-back' in status()
+    assert 'compensator' in shown[-1]
+    assert 'waiting for the read-back' in shown[-1]
     code, out, err = command('deactivate')
     assert (code, err) == (0, '')
     assert out.startswith('mill/compensator is inactive')

@@ -15,7 +15,7 @@ pytest.importorskip('rclpy')
 from equipment.certificates import certificate
 from equipment.field_servers import LOCAL, Field, HostileServer, Route
 from equipment.mtconnect_agent import BOUNDARY, Agent, http
-from equipment.polled import TIMEOUT, good, lost, wait
+from equipment.polled import TIMEOUT, close, good, lost, wait
 
 from fuzzycnc_ros.adapters.link import LinkError
 from fuzzycnc_ros.adapters.mtconnect import link as mtconnect
@@ -89,9 +89,7 @@ def poll(tmp_path, monkeypatch):
 
     yield begin
     for poller in pollers:
-        poller.close()
-        poller._thread.join(TIMEOUT)
-        assert not poller._thread.is_alive()
+        close(poller)
 
 
 def reads(first):

@@ -12,7 +12,7 @@ pytest.importorskip('serial')
 
 from equipment import serial_cable
 from equipment.field_servers import Field
-from equipment.polled import lost
+from equipment.polled import close, lost
 from equipment.serial_cable import Cable
 
 from fuzzycnc_ros.adapters.modbus.serial_line import QUIET
@@ -71,10 +71,8 @@ class Line:
         self.field.call(self.cable.set(fault))
 
     def close(self):
-        self.poller.close()
-        self.poller._thread.join(TIMEOUT)
+        close(self.poller)
         self.field.close()
-        assert not self.poller._thread.is_alive()
 
     def wait(self, wanted, device=0):
         """Wait for a result of a device that fulfils a condition; return it."""

@@ -22,6 +22,13 @@ def wait(poller: Poller, wanted: Callable[[Polled], Any]) -> Polled:
     raise AssertionError(f'the last result was {polled}')
 
 
+def close(poller: Poller) -> None:
+    """End a poller, however long its thread takes on a busy computer."""
+    poller.close()
+    poller._thread.join(TIMEOUT)
+    assert not poller._thread.is_alive()
+
+
 def good(polled: Polled) -> bool:
     return polled.readings is not None
 
