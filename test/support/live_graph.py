@@ -322,12 +322,16 @@ class Graph:
             Path(path).unlink(missing_ok=True)
 
     def _note_shared_memory(self, node: Running) -> None:
-        """Note the files that a node has open or mapped, which it leaves if it is killed."""
+        """Note the segments that a node has open or mapped, which it leaves if it is killed.
+
+        Its ports are not its own for ever: those from 7000 on are handed out to the nodes of all
+        domains, and one whose port is removed hears no names any more.
+        """
         process = Path(f'/proc/{node.process.pid}')
         with contextlib.suppress(OSError):
             names = [os.readlink(link) for link in (process / 'fd').iterdir()]
             text = '\n'.join([(process / 'maps').read_text(), *names])
-            self._shared.update(re.findall(r'/dev/shm/(?:sem\.)?fastrtps_\S+', text))
+            self._shared.update(re.findall(r'/dev/shm/fastrtps_[0-9a-f]{16}\S*', text))
 
 
 class Observer:
