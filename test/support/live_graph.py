@@ -93,6 +93,7 @@ GOALS = {
     Transition.TRANSITION_CLEANUP: State.PRIMARY_STATE_UNCONFIGURED,
 }
 STREAM, LATCHED = Durability.STREAM, Durability.LATCHED
+_SEGMENT_LOCK = re.compile(r'(/dev/shm/fastrtps_[0-9a-f]{16})_el')
 
 prepare_environment()
 _turn = count()
@@ -133,6 +134,21 @@ def _remove_ports(number: int) -> None:
         if 0 <= port - PORTS - PORTS_EACH * number < PORTS_EACH:
             with contextlib.suppress(FileNotFoundError, PermissionError):
                 file.unlink()
+
+
+def owned_segments(process: int) -> set[str]:
+    """Return the segments of shared memory whose locks a process holds, and these locks.
+
+    It leaves them if it is killed.  What it has mapped beside them is others'.  Nor are its ports
+    its own for ever: those from 7000 on are handed out to the nodes of all domains.
+    """
+    owned: set[str] = set()
+    with contextlib.suppress(OSError):  # it has ended
+        for link in Path(f'/proc/{process}/fd').iterdir():
+            with contextlib.suppress(FileNotFoundError):  # it has closed the file
+                if held := _SEGMENT_LOCK.fullmatch(os.readlink(link)):
+                    owned.update(held.group(0, 1))
+    return owned
 
 
 @pytest.fixture(scope='module')
@@ -291,7 +307,7 @@ class Graph:
 
     def kill(self, node: Running) -> None:
         """Kill a node as a power cut would."""
-        self._note_shared_memory(node)
+        self._shared |= owned_segments(node.process.pid)
         node.send(signal.SIGKILL)
         node.process.wait()
 
@@ -307,7 +323,7 @@ class Graph:
         """End what still runs, kill what does not end, remove what is left in shared memory."""
         living = [node for node in self.running if node.process.poll() is None]
         for node in living:
-            self._note_shared_memory(node)
+            self._shared |= owned_segments(node.process.pid)
             with contextlib.suppress(ProcessLookupError):
                 node.send(signal.SIGCONT)
                 node.send(signal.SIGINT)
@@ -320,18 +336,6 @@ class Graph:
             node.process.wait()
         for path in self._shared:
             Path(path).unlink(missing_ok=True)
-
-    def _note_shared_memory(self, node: Running) -> None:
-        """Note the segments that a node has open or mapped, which it leaves if it is killed.
-
-        Its ports are not its own for ever: those from 7000 on are handed out to the nodes of all
-        domains, and one whose port is removed hears no names any more.
-        """
-        process = Path(f'/proc/{node.process.pid}')
-        with contextlib.suppress(OSError):
-            names = [os.readlink(link) for link in (process / 'fd').iterdir()]
-            text = '\n'.join([(process / 'maps').read_text(), *names])
-            self._shared.update(re.findall(r'/dev/shm/fastrtps_[0-9a-f]{16}\S*', text))
 
 
 class Observer:
