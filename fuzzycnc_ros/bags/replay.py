@@ -61,6 +61,10 @@ DEADLINES_MAX = 500
 ROUNDING = 1e-9
 """Relative difference that linear algebra on another processor may cause [-]."""
 
+SMALL = 1e-3
+"""Share of the largest magnitude of a field in its topic [-] below which a number counts as that
+share: next to a velocity of 0.1 m/s, 3e-16 and -3e-16 m/s are the same zero."""
+
 _Point = tuple[int, NodeEvent | NodeConfiguration | None]
 """Machine time [ns], and the request or the change that comes then; nothing in a turn."""
 
@@ -469,6 +473,7 @@ def _compare_topic(
     """
     before, after = _by_stamp(recorded), _by_stamp((k, m) for _, k, _, m in recomputed)
     identical, difference, largest = 0, '', 0.0
+    magnitudes: dict[str, float] = {}
     for key in sorted(set(before) | set(after)):
         if key not in before or key not in after:
             apart, what = inf, 'not recomputed' if key in before else 'not recorded'
@@ -478,7 +483,11 @@ def _compare_topic(
                 identical += 1
                 continue
             what = 'differs'
-            apart = relative_difference(deserialize(old, kind), deserialize(new, kind))
+            if not magnitudes:
+                for each_kind, payload in before.values():
+                    _note_magnitudes(deserialize(payload, each_kind), magnitudes)
+            messages = deserialize(old, kind), deserialize(new, kind)
+            apart = relative_difference(*messages, magnitudes)
         largest = max(largest, apart)
         difference = difference or f'{what}, at machine time {key[0] / SECOND:.3f} s'
     return TopicComparison(topic, len(recorded), len(recomputed), identical, difference, largest)
@@ -499,10 +508,35 @@ def _by_stamp(messages: Iterable[tuple[str, Any]]) -> dict[tuple[int, int], tupl
     return found
 
 
-def relative_difference(first: Any, second: Any) -> float:
+def _note_magnitudes(value: Any, found: dict[str, float], name: str = '') -> None:
+    """Raise the largest magnitude of each field of numbers to that in a message of rosbags."""
+    if isinstance(value, (float, np.ndarray)):
+        numbers = np.abs(np.asarray(value))
+        largest = float(numbers[np.isfinite(numbers)].max(initial=0.0))
+        found[name] = max(found.get(name, 0.0), largest)
+    elif isinstance(value, (list, tuple)):
+        for item in value:
+            _note_magnitudes(item, found, name)
+    elif not isinstance(value, (str, int, bool)):
+        for item in fields(value):
+            _note_magnitudes(getattr(value, item.name), found, f'{name}.{item.name}')
+
+
+def relative_difference(
+    first: Any, second: Any, magnitudes: Mapping[str, float] | None = None, name: str = ''
+) -> float:
     """Return the largest relative difference [-] between two messages of rosbags.
 
     Infinite if a text, a count, a flag or a length differs, or a NaN stands against a number.
+
+    Parameters
+    ----------
+    first, second : message
+        Messages, or what a field of them holds.
+    magnitudes : mapping, optional
+        Largest magnitude of each field in the topic; by it numbers near zero are judged.
+    name : str
+        Name of the field.
     """
     if isinstance(first, (float, np.ndarray)):
         a, b = np.asarray(first), np.asarray(second)
@@ -512,17 +546,21 @@ def relative_difference(first: Any, second: Any) -> float:
             return 0.0 if np.array_equal(a, b) else inf
         if not np.array_equal(np.isnan(a), np.isnan(b)):
             return inf
-        size = np.maximum(np.abs(a), np.abs(b))
+        least = SMALL * (magnitudes or {}).get(name, 0.0)
+        size = np.maximum(np.maximum(np.abs(a), np.abs(b)), least)
         apart = np.divide(np.abs(a - b), size, out=np.zeros_like(size), where=size > 0.0)
         return float(np.nanmax(apart, initial=0.0))
     if isinstance(first, (list, tuple)):
         if len(first) != len(second):
             return inf
         pairs = zip(first, second, strict=True)
-        return max((relative_difference(a, b) for a, b in pairs), default=0.0)
+        return max((relative_difference(a, b, magnitudes, name) for a, b in pairs), default=0.0)
     if isinstance(first, (str, int, bool)):
         return 0.0 if first == second else inf
-    names = [item.name for item in fields(first)]
     return max(
-        (relative_difference(getattr(first, n), getattr(second, n)) for n in names), default=0.0
+        (
+            relative_difference(getattr(first, n), getattr(second, n), magnitudes, f'{name}.{n}')
+            for n in (item.name for item in fields(first))
+        ),
+        default=0.0,
     )

@@ -158,3 +158,35 @@ def test_relative_difference_sees_what_matters():
     assert relative_difference(message, replace(message, error=message.error[:1])) == np.inf
     nan = replace(message, error=message.error * np.nan)
     assert relative_difference(message, nan) == np.inf
+
+
+def test_numbers_near_zero_are_judged_by_the_largest_of_their_field():
+    """A velocity that crosses zero is rounding where the axis moves, a difference where not."""
+    message = encode(records('mill_warm_up', 'thermal_error', ThermalError)[-1], ROSBAGS)
+    near = [replace(message, error=np.full_like(message.error, e)) for e in (3e-16, -3e-16)]
+    assert relative_difference(*near) == 2.0
+    assert relative_difference(*near, {'.error': 1e-5}) < 1e-7
+    assert relative_difference(*near, {'.error': 0.1}) < 1e-11
+    assert relative_difference(*near, {'.standard_deviation': 0.1}) == 2.0
+    apart = [replace(message, error=np.full_like(message.error, e)) for e in (3e-9, -3e-9)]
+    assert relative_difference(*apart, {'.error': 0.1}) > 1e-5
+
+
+@pytest.mark.replay
+def test_a_zero_that_is_rounded_otherwise_is_no_difference(tmp_path):
+    seen = []
+
+    def change(topic, message):
+        if topic == '/mill/compensation':
+            record = decode(Compensation, message)
+            seen.append(record.offset)
+            if not record.offset.any():
+                return encode(replace(record, offset=record.offset + 3e-21), ROSBAGS)
+        return message
+
+    rewritten(BAGS / 'mill_warm_up', tmp_path / 'rounded', change)
+    assert any(not offset.any() for offset in seen)
+    assert any(offset.any() for offset in seen)
+    report = replay(tmp_path / 'rounded')
+    assert report.equivalent
+    assert not report.identical
