@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.ndimage import minimum_filter1d
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.motion.limits import reachable_speed
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
@@ -322,7 +323,7 @@ class JerkLimitedFeed(ChordErrorFeed):
             chord_error_feed(path.curvature, self.chord_error, self.period),
             normal_acceleration_feed(path.curvature, 0.5 * self.acceleration),
         )
-        feed = np.minimum(np.minimum(feed, np.cbrt(jerk / 3.0 / bend)), self.feed_max)
+        feed = np.minimum(np.minimum(feed, portable.cube_root(jerk / 3.0 / bend)), self.feed_max)
         feed = erode(feed, self.erosion, closed=path.closed)
         feed = limit_acceleration(feed, path.arc_length, 0.5 * self.acceleration)
         feed = erode(feed, self.erosion, closed=path.closed)
@@ -391,8 +392,10 @@ def moving_average(
     kernel = np.ones(length)
     if closed:
         around = np.take(values, np.arange(-before, len(values) + after), mode='wrap')
-        return np.asarray(np.convolve(around, kernel, mode='valid') / length)
-    total = np.convolve(values, kernel)[after : after + len(values)]
+        return np.asarray(
+            portable.convolve(around, kernel)[len(kernel) - 1 : len(around)] / length
+        )
+    total = portable.convolve(values, kernel)[after : after + len(values)]
     place = np.arange(len(values))
     present = np.minimum(place, before) + np.minimum(place[::-1], after) + 1
     return np.asarray(total / present)

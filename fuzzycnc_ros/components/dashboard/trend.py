@@ -3,10 +3,11 @@
 """Where a slow quantity is going: its rate over the last minutes, and when it will be stable."""
 
 from collections import deque
-from math import isfinite, log
+from math import isfinite
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.runtime.records import SECOND, Floats
 
 RATE_WINDOW = 180.0
@@ -69,7 +70,9 @@ class Trend:
             return None
         times, values = np.array(self._recent).T
         times = times - times.mean()
-        return float(times @ (values - values.mean()) / (times @ times))
+        return float(
+            portable.matmul(times, (values - values.mean())) / portable.matmul(times, times)
+        )
 
     @property
     def arrow(self) -> str:
@@ -123,11 +126,11 @@ def _approach(times: Floats, values: Floats) -> float | None:
         return None
     end = first - (second - first) / (decay - 1.0)
     step = grid[_POINTS // 3] - grid[0]
-    rate = -log(decay) / step
-    shape = np.exp(-rate * (grid - grid[0]))
-    size = float(shape @ (evenly - end) / (shape @ shape))
+    rate = -portable.log(decay) / step
+    shape = portable.exp(-rate * (grid - grid[0]))
+    size = float(portable.matmul(shape, evenly - end) / portable.matmul(shape, shape))
     beside = evenly - end - size * shape
     if float(np.sqrt(np.mean(beside**2))) > _MISFIT * float(np.ptp(evenly)):
         return None
     left = abs(size * float(shape[-1]))
-    return 0.0 if left <= STABLE_WITHIN else log(left / STABLE_WITHIN) / rate
+    return 0.0 if left <= STABLE_WITHIN else portable.log(left / STABLE_WITHIN) / rate

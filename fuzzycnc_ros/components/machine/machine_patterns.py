@@ -5,10 +5,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import cos, radians, sin
+from math import radians
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, Primitive
 from fuzzycnc_ros.simulation.soft.foam_samples import (
     ARC_LENGTH,
@@ -158,13 +159,13 @@ def sample_primitive(
         The sheet.
     """
     middle = complex(0.5 * sheet.size[0], 0.5 * sheet.size[1])
-    along = complex(cos(radians(angle)), sin(radians(angle)))
+    along = complex(portable.cos(radians(angle)), portable.sin(radians(angle)))
     if kind != ARC:
         half = 0.5 * LINE_LENGTH * along
         return Primitive(_pair(middle - half), _pair(middle + half), depth, step)
     centre = middle + 1j * ARC_RADIUS * along
     turn = ARC_LENGTH / ARC_RADIUS
-    half_turn = complex(cos(0.5 * turn), sin(0.5 * turn))
+    half_turn = complex(portable.cos(0.5 * turn), portable.sin(0.5 * turn))
     arm = middle - centre
     return Primitive(
         _pair(centre + arm / half_turn),

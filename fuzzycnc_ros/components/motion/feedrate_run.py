@@ -16,6 +16,7 @@ from fuzzycnc_ros.components.motion.tool_paths import (
     curve_tool_path,
     tool_path_segments,
 )
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.feedrate.gcode.segments import LineSegment
 from fuzzycnc_ros.core.feedrate.motion.trajectory import MotionSamples
 from fuzzycnc_ros.core.feedrate.motion.waypoints import Sampled
@@ -131,7 +132,7 @@ class PathRun(PartsRun):
         self._place = 0.0  # arc length of the last sample taken
         self._lead_in = 0.0
         self._blocks = segments.block
-        if np.linalg.norm(np.subtract(segments.start, place)) > SAME_PLACE:
+        if portable.norm(np.subtract(segments.start, place)) > SAME_PLACE:
             x, y, z = place.tolist()
             line = LineSegment(-1, (x, y, z), segments.start, None, True, False, -1)
             self._lead_in = line.length

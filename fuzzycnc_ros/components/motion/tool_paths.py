@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT, POINT_ROUNDING, RELATIVE_MISFIT
 from fuzzycnc_ros.core.feedrate.gcode.segments import (
     ArcSegment,
@@ -146,7 +147,7 @@ class ToolPathSegments(Sequence[Segment]):
         moved = np.append(True, path.kind != SegmentKind.DWELL)
         found = found[np.maximum.accumulate(np.where(moved, np.arange(count + 1), 0))]
         for index, begin in first.items():
-            gap = float(np.linalg.norm(begin - found[index]))
+            gap = portable.norm(begin - found[index])
             if gap > 1e-9:
                 raise ValueError(
                     f'segment {index} (block {path.block[index]}): expected a curve that begins '
@@ -266,7 +267,7 @@ def segments_tool_path(
     run = np.array([segment.run for segment in chain])
     moving = [segment for segment in chain if not isinstance(segment, DwellSegment)]
     for before, after in pairwise(moving):
-        gap = float(np.linalg.norm(np.subtract(after.start, before.end)))
+        gap = portable.norm(np.subtract(after.start, before.end))
         if not gap <= 1e-9:
             raise ValueError(
                 f'line {after.line}: expected a start where line {before.line} ends but found a '
@@ -523,7 +524,9 @@ def _check_circles(
     wrong = (first < POINT_ROUNDING) | (np.abs(last - first) > room)
     found = 'start and end of the arc equally far from its centre but found {:.6g} m and {:.6g} m'
     _refuse_segments(path, wrong, found, first, last, chosen=chosen)
-    turned = np.arctan2(end[:, 1], end[:, 0]) - np.arctan2(start[:, 1], start[:, 0]) - sweep
+    turned = (
+        portable.arctan2(end[:, 1], end[:, 0]) - portable.arctan2(start[:, 1], start[:, 0]) - sweep
+    )
     apart = np.abs(turned - 2.0 * np.pi * np.round(turned / (2.0 * np.pi))) * last
     found = 'an end where the angle of {:.9g} rad leads but found it {:.6g} m away'
     _refuse_segments(path, apart > POINT_ROUNDING, found, sweep, apart, chosen=chosen)

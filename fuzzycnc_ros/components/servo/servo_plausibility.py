@@ -9,10 +9,11 @@ gain, friction and load are believed to be.
 
 from collections import deque
 from dataclasses import dataclass
-from math import exp, inf, sqrt
+from math import inf, sqrt
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.servo.axis import LinearAxis, velocity_lag
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 
@@ -76,10 +77,12 @@ class MotionWatch:
         self._doubt = doubt or MotionDoubt()
         period, mechanics = axis.period, velocity_lag(axis)
         rates = [-float(rate) for rate in np.diag(axis.a) if rate]
-        self._shares = [1.0 - exp(-period * rate) for rate in rates if rate * mechanics != 1.0]
-        self._keep = exp(-period / mechanics)
+        self._shares = [
+            1.0 - portable.exp(-period * rate) for rate in rates if rate * mechanics != 1.0
+        ]
+        self._keep = portable.exp(-period / mechanics)
         self._way = axis.gain * period  # per period and duty, in the end
-        noise = sqrt(limits.count**2 / 12.0 + limits.noise**2)
+        noise = sqrt(limits.count * limits.count / 12.0 + limits.noise * limits.noise)
         self._room = limits.count + 4.0 * noise
         # where the drive pushes the reading with no lag, friction and load may show in one period
         lags = [1.0 / rate for rate in rates if rate * mechanics != 1.0]

@@ -4,7 +4,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import atan2, cos, sin
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from fuzzycnc_ros.components.soft.stitch_patterns import (
     STITCHES_MAX,
     primitive_kind,
 )
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.deformation import compensation
 from fuzzycnc_ros.core.deformation.compensation import REFERENCE_LENGTH
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive, SheetMaterial
@@ -176,13 +176,13 @@ def _direction(primitive: Primitive, *, at_end: bool) -> float:
     """Return the direction of a primitive where it begins or ends [rad]."""
     if primitive.centre is None:
         start, end = primitive.start, primitive.end
-        return atan2(end[1] - start[1], end[0] - start[0])
+        return portable.arctan2(end[1] - start[1], end[0] - start[0])
     place = primitive.end if at_end else primitive.start
-    arm = atan2(place[1] - primitive.centre[1], place[0] - primitive.centre[0])
+    arm = portable.arctan2(place[1] - primitive.centre[1], place[0] - primitive.centre[0])
     return arm + (0.5 if primitive.turn > 0.0 else -0.5) * np.pi
 
 
 def _turn(before: float, after: float) -> float:
     """Return by how much a direction changes, 0 to pi [rad]."""
     change = after - before
-    return abs(atan2(sin(change), cos(change)))
+    return abs(portable.arctan2(portable.sin(change), portable.cos(change)))

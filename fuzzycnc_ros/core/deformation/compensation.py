@@ -7,12 +7,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntFlag
-from math import exp
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, LINE, SheetMaterial, StitchPath
@@ -86,7 +86,7 @@ def limit_offsets(
             offset[n + 1] = offset[n]
             continue
         change = target[n + 1] - offset[n]
-        gained = change @ step / square[n]  # as a share of the nominal step
+        gained = portable.matmul(change, step) / square[n]  # as a share of the nominal step
         if gained < progress_min - 1.0:
             flag[n] |= StepFlag.PROGRESS_LIMITED
             change = change * ((progress_min - 1.0) / gained)
@@ -99,7 +99,10 @@ def limit_offsets(
             continue
         flag[n] |= StepFlag.CLIPPED
         offset[n + 1] = inside - nominal[n + 1]
-        if (offset[n + 1] - offset[n]) @ step / square[n] < progress_min - 1.0 - 1e-9:
+        if (
+            portable.matmul(offset[n + 1] - offset[n], step) / square[n]
+            < progress_min - 1.0 - 1e-9
+        ):
             flag[n] |= StepFlag.NO_PROGRESS
     return offset, flag
 
@@ -319,7 +322,7 @@ def feature_rows(
     Folding at 0 deg would turn -2 deg into 178 deg with the wrong sign.
     """
     feed = np.diff(path.points, axis=0)
-    direction = np.arctan2(feed[:, 1], feed[:, 0])
+    direction = portable.arctan2(feed[:, 1], feed[:, 0])
     half_turns = np.floor((direction - _FOLD_FROM) / np.pi)
     told = path.step if step is None else np.broadcast_to(step, len(feed))
     x = np.column_stack(
@@ -381,8 +384,8 @@ def initial_rate_factor(
     """
     count = max(round(sample_length / step), 1)
     way = np.arange(1, count + 1) * (sample_length / count)
-    drift = leak_length * -np.expm1(-way / leak_length) + prompt_length
-    return float(way @ way / (way @ drift))
+    drift = leak_length * -portable.expm1(-way / leak_length) + prompt_length
+    return float(portable.matmul(way, way) / portable.matmul(way, drift))
 
 
 def _accumulated(
@@ -394,7 +397,7 @@ def _accumulated(
     course = [total]
     for step_rate, length, none in zip(rate, lengths, refused, strict=True):
         if leaky:
-            total = total * exp(-length / config.leak_length)
+            total = total * portable.exp(-length / config.leak_length)
         if none:  # taken back, and by no more than a step may add
             back = config.rate_max * length
             total = np.sign(total) * np.maximum(np.abs(total) - back, 0.0)

@@ -8,12 +8,13 @@ type (1 arc, 2 line), stitch step [mm], thickness [mm].  Compensations s are in 
 """
 
 from collections.abc import Callable, Sequence
-from math import cos, log, radians, sin
+from math import radians
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array, check_matrix
 
 PROCESS_VALUES = ('direction', 'depth', 'kind', 'step', 'thickness')
@@ -69,24 +70,38 @@ def _physical(x: Array) -> Array:
     turn = np.radians(x[:, 0])
     depth, kind, step, thickness = x[:, 1], x[:, 2], x[:, 3], x[:, 4]
     return np.column_stack(
-        [np.cos(turn), np.sin(turn), depth / thickness, 1.0 / thickness, kind, 1.0 / step]
+        [
+            portable.cos(turn),
+            portable.sin(turn),
+            depth / thickness,
+            1.0 / thickness,
+            kind,
+            1.0 / step,
+        ]
     )
 
 
 def _physical_one(x: Sequence[float]) -> Sequence[float]:
     turn = radians(x[0])
-    return cos(turn), sin(turn), x[1] / x[4], 1.0 / x[4], x[2], 1.0 / x[3]
+    return portable.cos(turn), portable.sin(turn), x[1] / x[4], 1.0 / x[4], x[2], 1.0 / x[3]
 
 
 def _logarithmic(x: Array) -> Array:
     inputs = _physical(x)
-    inputs[:, 3], inputs[:, 5] = np.log(x[:, 4]), np.log(x[:, 3])
+    inputs[:, 3], inputs[:, 5] = portable.log(x[:, 4]), portable.log(x[:, 3])
     return inputs
 
 
 def _logarithmic_one(x: Sequence[float]) -> Sequence[float]:
     turn = radians(x[0])
-    return cos(turn), sin(turn), x[1] / x[4], log(x[4]), x[2], log(x[3])
+    return (
+        portable.cos(turn),
+        portable.sin(turn),
+        x[1] / x[4],
+        portable.log(x[4]),
+        x[2],
+        portable.log(x[3]),
+    )
 
 
 FEATURE_SETS = {
@@ -174,11 +189,18 @@ def looks_like_radians(x: Array, s: Array) -> bool:
     direction = x[:, 0]
     if np.abs(direction).max() > TURN_IN_RADIANS or s.shape[1] != 2:
         return False
-    followed = s[:, 0] + 1j * s[:, 1]
+    size = np.hypot(*s.T)
     as_radians, as_degrees = (
-        abs((followed * np.exp(-1j * angle)).sum()) for angle in (direction, np.radians(direction))
+        float(np.hypot(*_turned_back(s, angle).sum(axis=0)))
+        for angle in (direction, np.radians(direction))
     )
-    return bool(as_radians - as_degrees > FOLLOWED_BETTER * np.abs(followed).sum())
+    return bool(as_radians - as_degrees > FOLLOWED_BETTER * size.sum())
+
+
+def _turned_back(s: Array, angle: Array) -> Array:
+    """Return vectors, shape (k, 2), turned back by angles [rad]."""
+    sine, cosine = portable.sin_cos(angle)
+    return np.stack([cosine * s[:, 0] + sine * s[:, 1], cosine * s[:, 1] - sine * s[:, 0]], axis=1)
 
 
 def _refuse(name: str, wrong: Array, values: Array, expected: str) -> None:

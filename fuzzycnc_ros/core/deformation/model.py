@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.deformation.features import (
     FEATURE_SETS,
@@ -63,7 +64,7 @@ class Antecedent:
             As of the rules.
         """
         apart = np.abs(center[:, np.newaxis] - center)
-        distance = (apart**2).sum(axis=-1)
+        distance = (apart * apart).sum(axis=-1)
         np.fill_diagonal(distance, np.inf)
         nearest = distance.argmin(axis=1)
         width = np.maximum(apart[np.arange(len(center)), nearest], width_floor * span)
@@ -97,7 +98,9 @@ class Antecedent:
 def _log_sum(logarithm: Array) -> Array:
     """Return the logarithm of the sum over the last axis of values given by their logarithms."""
     largest = logarithm.max(axis=-1, keepdims=True)
-    return np.asarray(largest[..., 0] + np.log(np.exp(logarithm - largest).sum(axis=-1)))
+    return np.asarray(
+        largest[..., 0] + portable.log(portable.exp(logarithm - largest).sum(axis=-1))
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,11 +135,11 @@ class RuleNetwork:
         # Samples are in the last place, where loops over them are long and fast.
         columns = np.ascontiguousarray(inputs.T)
         fitness = normalised_firing(self.antecedent.log_fitness(inputs).T, axis=0)
-        pull = (self._outer @ fitness).reshape(len(self.offset), -1, len(inputs))
+        pull = (portable.matmul(self._outer, fitness)).reshape(len(self.offset), -1, len(inputs))
         if self.inner is None:
             pull[:, 1:] *= columns
         else:
-            nodes = self._slopes @ columns
+            nodes = portable.matmul(self._slopes, columns)
             nodes += self._biases[:, np.newaxis]
             pull *= _sigmoid(nodes).reshape(pull.shape)
         return np.asarray(pull.sum(axis=1).T + self.offset)
@@ -150,22 +153,22 @@ class RuleNetwork:
             ratio *= ratio
         fitness = ratio.sum(axis=1)
         least = fitness.min()
-        fitness = np.exp(least - fitness)
+        fitness = portable.exp(least - fitness)
         total = fitness.sum()
-        pull = (self._outer @ fitness).reshape(len(self.offset), -1)
+        pull = (portable.matmul(self._outer, fitness)).reshape(len(self.offset), -1)
         if self.inner is None:
             pull *= np.concatenate([_ONE, row])
         else:
-            pull *= _sigmoid(self._slopes @ row + self._biases).reshape(pull.shape)
+            pull *= _sigmoid(portable.matmul(self._slopes, row) + self._biases).reshape(pull.shape)
         values = pull.sum(axis=1)
         values /= total
         values += self.offset
-        return values, float(np.log(total) - least)
+        return values, float(portable.log(total) - least)
 
     @cached_property
     def _decay(self) -> Array:
         rules = self.antecedent
-        return np.asarray(rules.decay ** (1.0 / rules.power) / rules.width)
+        return np.asarray(portable.power(rules.decay, 1.0 / rules.power) / rules.width)
 
     @cached_property
     def _outer(self) -> Array:
@@ -186,12 +189,8 @@ _ONE = np.ones(1)
 
 
 def _sigmoid(values: Array) -> Array:
-    """Turn values into 1 / (1 + exp(-a)) in place; tanh cannot overflow and is faster in bulk."""
-    values *= 0.5
-    np.tanh(values, out=values)
-    values += 1.0
-    values *= 0.5
-    return values
+    """Return 1 / (1 + exp(-a)) of values; tanh cannot overflow."""
+    return 0.5 * (portable.tanh(0.5 * values) + 1.0)
 
 
 _TOLERANCE = 1e-6
@@ -316,7 +315,9 @@ class AxisGain:
                 f'gain: expected {len(self.value)} finite predictions and measurements, '
                 f'but found {predicted!r} and {measured!r}'
             )
-        correction = self.variance * pair[0] / (NOISE_VARIANCE + self.variance * pair[0] ** 2)
+        correction = (
+            self.variance * pair[0] / (NOISE_VARIANCE + self.variance * (pair[0] * pair[0]))
+        )
         value = self.value + correction * (pair[1] - self.value * pair[0])
         variance = (1.0 - correction * pair[0]) * self.variance
         return AxisGain(np.clip(value, GAIN_MIN, GAIN_MAX), variance)

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array, Seed, check_matrix
 from fuzzycnc_ros.core.deformation.features import (
     check_process_values,
@@ -161,7 +162,7 @@ def _cluster(rows: _Rows, recipe: _Recipe, rng: np.random.Generator) -> _Cluster
     used = np.bincount(model.labels_, minlength=model.n_clusters) > 0
     weight = model.membership_.T[used] ** model.m
     antecedent = Antecedent.of_clusters(
-        weight @ scaled / weight.sum(axis=1, keepdims=True),
+        portable.matmul(weight, scaled) / weight.sum(axis=1, keepdims=True),
         np.maximum(np.ptp(scaled, axis=0), np.finfo(float).tiny),
         width_floor=recipe.width_floor,
         decay=recipe.decay,
@@ -274,7 +275,7 @@ def _standardised(values: Array) -> tuple[Array, tuple[Array, Array]]:
 def _unscaled(weights: Array, mean: Array, deviation: Array) -> Array:
     """Return weights (..., n + 1) on scaled inputs as weights on the inputs themselves."""
     slope = weights[..., 1:] / deviation
-    bias = weights[..., 0] - slope @ mean
+    bias = weights[..., 0] - portable.matmul(slope, mean)
     return np.concatenate([bias[..., np.newaxis], slope], axis=-1)
 
 

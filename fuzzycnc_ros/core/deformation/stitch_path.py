@@ -11,6 +11,7 @@ from math import degrees, hypot, isfinite
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.deformation.features import DEPTH_RATIO_MAX
 
@@ -266,7 +267,11 @@ class Primitive:
             return np.asarray(start + share * (end - start))
         arm = start - self.centre
         turned = share * self.turn
-        points = self.centre + np.cos(turned) * arm + np.sin(turned) * np.array([-arm[1], arm[0]])
+        points = (
+            self.centre
+            + portable.cos(turned) * arm
+            + portable.sin(turned) * np.array([-arm[1], arm[0]])
+        )
         points[-1] = end
         return np.asarray(points)
 
@@ -281,8 +286,9 @@ class Primitive:
                 f'arc: expected a radius and a turn other than 0 but found '
                 f'{1e3 * self._radius:g} mm and {degrees(self.turn):g} deg'
             )
+        turned = complex(portable.cos(self.turn), portable.sin(self.turn))
         arm = complex(*self.start) - complex(*self.centre)  # type: ignore[misc]
-        reached = complex(*self.centre) + arm * np.exp(1j * self.turn)  # type: ignore[misc]
+        reached = complex(*self.centre) + arm * turned  # type: ignore[misc]
         gap = abs(reached - complex(*self.end))
         if gap > _JOIN_TOLERANCE:
             raise ValueError(

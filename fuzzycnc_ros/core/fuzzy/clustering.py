@@ -14,6 +14,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array, Seed
 from fuzzycnc_ros.core.estimator import ClusterEstimator, check_features, check_fitted
 
@@ -97,11 +98,15 @@ class FuzzyPartition(ClusterEstimator, ABC):
         self.n_iter_ = len(history)
 
 
+def _raised(membership: Array, m: float) -> Array:
+    return np.square(membership) if m == 2.0 else portable.power(membership, m)
+
+
 def _memberships_by_distance(distance: Array, m: float) -> Array:
     """Return memberships by squared distances (..., c, n), [ding_zeng] eq. (7)."""
     nearness = distance.min(axis=-2, keepdims=True) / distance
     if m != 2.0:
-        nearness **= 1.0 / (m - 1.0)
+        nearness = portable.power(nearness, 1.0 / (m - 1.0))
     return np.asarray(nearness / nearness.sum(axis=-2, keepdims=True))
 
 
@@ -189,13 +194,13 @@ class FuzzyCMeans(FuzzyPartition):
         centred, mean, rng = self._begin(X)
         points = centred
         if points.shape[1] > points.shape[0]:
-            points = np.transpose(np.linalg.qr(points.T, mode='r'))
+            points = portable.triangle(points.T).T
         starts = rng.dirichlet(np.ones(self.n_clusters), (self.n_init, len(points)))
         membership, history = _iterate(
             points, starts.transpose(0, 2, 1), self.m, self.max_iter, self.tol
         )
-        weight = membership**self.m
-        centers = weight @ centred / weight.sum(axis=1, keepdims=True)
+        weight = _raised(membership, self.m)
+        centers = portable.matmul(weight, centred) / weight.sum(axis=1, keepdims=True)
         self._keep(membership, centers + mean, history)
         self.partition_coefficient_ = float((membership**2).sum() / len(points))
         self.xie_beni_ = _xie_beni(self.objective_, centers, len(points))
@@ -221,11 +226,11 @@ def _iterate(
     history: list[list[float]] = [[] for _ in starts]
     final = np.empty_like(starts)
     for _ in range(max_iter):
-        weight = membership**m
-        centers = weight @ points / weight.sum(axis=2, keepdims=True)
+        weight = _raised(membership, m)
+        centers = portable.matmul(weight, points) / weight.sum(axis=2, keepdims=True)
         distance = _squared_distance(points, centers)
         updated = _memberships_by_distance(distance, m)
-        objective = np.einsum('rcn,rcn->r', updated**m, distance)
+        objective = np.einsum('rcn,rcn->r', _raised(updated, m), distance)
         change = np.abs(updated - membership).max(axis=(1, 2))
         membership = updated
         final[active] = updated
@@ -243,7 +248,7 @@ def _iterate(
 def _squared_distance(points: Array, centers: Array) -> Array:
     """Return the squared distances of points (n, p) to centres (r, c, p), shape (r, c, n)."""
     square = np.einsum('np,np->n', points, points)
-    distance = centers @ points.T
+    distance = portable.matmul(centers, points.T)
     distance *= -2.0
     distance += square
     distance += np.einsum('rcp,rcp->rc', centers, centers)[..., np.newaxis]
@@ -394,9 +399,9 @@ class ClassValues(NamedTuple):
 
 def class_values(membership: Array, outputs: Array, m: float = 2.0) -> ClassValues:
     """Return centre, variance and decision value of outputs (n, q) by memberships (n, c)."""
-    weight = membership.T**m
+    weight = _raised(membership.T, m)
     weight /= weight.sum(axis=1, keepdims=True)
-    center = weight @ outputs
+    center = portable.matmul(weight, outputs)
     apart = outputs - center[:, np.newaxis]
     variance = np.einsum('cn,cnq->cq', weight, apart**2)
     nearest = np.abs(apart).argmin(axis=1)
@@ -452,10 +457,10 @@ def _spread_seeds(points: Array, count: int, rng: np.random.Generator) -> Array:
 def _round_covariance(points: Array, regularisation: float) -> Array:
     """Return the share g d0 I of the round covariance that is mixed into each cluster's."""
     size = points.shape[1]
-    total = points.T @ points / len(points)
+    total = portable.matmul(points.T, points) / len(points)
     value = np.linalg.eigvalsh(total)
     if value[0] > value[-1] / _CONDITION_MAX:
-        volume = float(np.exp(np.log(value).mean()))
+        volume = float(portable.exp(portable.log(value).mean()))
     else:
         volume = float(value.sum()) / size
     return np.asarray(regularisation * volume * np.eye(size))
@@ -473,15 +478,15 @@ def _iterate_with_norms(
     history: list[list[float]] = [[] for _ in range(starts)]
     last: list[tuple[Array, Array, Array, bool]] = [(seeds[0], seeds[0], seeds[0], False)] * starts
     for _ in range(max_iter):
-        weight = membership**m
+        weight = _raised(membership, m)
         total = weight.sum(axis=2, keepdims=True)
-        center = weight @ points / total
+        center = portable.matmul(weight, points) / total
         apart = points - center[:, :, np.newaxis]
-        scatter = (weight[..., np.newaxis] * apart).swapaxes(-1, -2) @ apart
+        scatter = portable.matmul((weight[..., np.newaxis] * apart).swapaxes(-1, -2), apart)
         factor = _norm_factor((1.0 - share) * scatter / total[..., np.newaxis] + mixed)
-        distance = np.maximum(((apart @ factor) ** 2).sum(axis=-1), DISTANCE_MIN)
+        distance = np.maximum((portable.matmul(apart, factor) ** 2).sum(axis=-1), DISTANCE_MIN)
         updated = _memberships_by_distance(distance, m)
-        objective = (updated**m * distance).sum(axis=(1, 2))
+        objective = (_raised(updated, m) * distance).sum(axis=(1, 2))
         change = np.abs(updated - membership).max(axis=(1, 2))
         for at, start in enumerate(active):
             history[start].append(float(objective[at]))
@@ -492,7 +497,7 @@ def _iterate_with_norms(
             break
     best = min(range(starts), key=lambda start: history[start][-1])
     found, center, factor, converged = last[best]
-    norm = factor @ factor.swapaxes(-1, -2)
+    norm = portable.matmul(factor, factor.swapaxes(-1, -2))
     return _Found(found, center, norm, np.array(history[best]), converged)
 
 
@@ -501,5 +506,5 @@ def _norm_factor(covariance: Array) -> Array:
     value, vector = np.linalg.eigh(covariance)
     largest = np.maximum(value[..., -1:], DISTANCE_MIN)
     value = np.maximum(value, largest / _CONDITION_MAX)
-    volume = np.exp(0.5 * np.log(value).mean(axis=-1, keepdims=True))
+    volume = portable.exp(0.5 * portable.log(value).mean(axis=-1, keepdims=True))
     return np.asarray(vector * (volume / np.sqrt(value))[..., np.newaxis, :])

@@ -11,6 +11,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 
 # Pairs are worked off in blocks whose temporaries stay in the processor's cache.
@@ -130,7 +131,7 @@ class Mamdani:
         shared = right[:-1, np.newaxis] * common * (1.0 - common)
         middle = 0.5 * (centre[:-1] + centre[1:])
         total = area.sum(axis=0) - shared.sum(axis=0)
-        return np.asarray((moment.sum(axis=0) - middle @ shared) / total)
+        return np.asarray((moment.sum(axis=0) - portable.matmul(middle, shared)) / total)
 
     @cached_property
     def _widths(self) -> tuple[Array, Array, Array]:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 
 
@@ -46,7 +47,7 @@ def normalised_firing(logarithm: Array, axis: int = -1) -> Array:
     The strongest rule is taken out before the exponential: far from all sets every strength
     underflows, and 0/0 would follow.
     """
-    strength = np.exp(logarithm - logarithm.max(axis=axis, keepdims=True))
+    strength = portable.exp(logarithm - logarithm.max(axis=axis, keepdims=True))
     return np.asarray(strength / strength.sum(axis=axis, keepdims=True))
 
 

@@ -86,8 +86,8 @@ class ContouringConfig(Config):
         '2.1517e-04'
         """
         gain, window = self.position_gain, self.filter_samples * self.interpolation_period
-        loops = 0.5 / gain**2 - 1.0 / (gain * self.velocity_bandwidth)
-        return loops + window**2 / 24.0
+        loops = 0.5 / (gain * gain) - 1.0 / (gain * self.velocity_bandwidth)
+        return loops + window * window / 24.0
 
 
 def loop_of_constant(constant: float, nominal: ContouringConfig | None = None) -> ContouringConfig:
@@ -117,13 +117,13 @@ def loop_of_constant(constant: float, nominal: ContouringConfig | None = None) -
     """
     base = nominal or ContouringConfig()
     window = base.filter_samples * base.interpolation_period
-    loops = constant - window**2 / 24.0
+    loops = constant - window * window / 24.0
     if not loops > 0.0:
         raise ValueError(
-            f'contour_constant: expected more than {window**2 / 24.0:.3g} s^2, which the '
+            f'contour_constant: expected more than {window * window / 24.0:.3g} s^2, which the '
             f'interpolator alone leaves, but found {constant:g} s^2'
         )
-    factor = sqrt((base.contour_constant - window**2 / 24.0) / loops)
+    factor = sqrt((base.contour_constant - window * window / 24.0) / loops)
     fast = max(1, round(base.control_steps * factor))
     return replace(
         base,

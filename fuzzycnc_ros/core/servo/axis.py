@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
+from math import frexp, isfinite
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 
 
@@ -133,15 +134,29 @@ class LinearAxis:
         >>> f'{dynamics[0, 0]:.6f} {duty[0]:.6f} {disturbance[0]:.6f}'
         '0.942873 0.016338 -0.016338'
         """
-        # Here, since a machine without servo axes does without: it starts sooner.
-        from scipy.linalg import expm
-
         size = len(self.a)
         whole = np.zeros((size + 2, size + 2))
         whole[:size, :size] = self.a
         whole[:size, size], whole[:size, size + 1] = self.b, self.disturbance
-        held = expm(whole * self.period)
+        held = _exponential(whole * self.period)
         return held[:size, :size], held[:size, size], held[:size, size + 1]
+
+
+_TERMS = 20
+"""Terms of the series, of which the last is below 1e-24 for a matrix of half."""
+
+
+def _exponential(matrix: Array) -> Array:
+    """Return the exponential of a matrix: of a small part by its series, squared up again."""
+    halvings = max(0, frexp(float(np.abs(matrix).sum(axis=1).max()))[1] + 1)
+    part = np.ldexp(matrix, -halvings)
+    found = term = np.eye(len(matrix))
+    for order in range(1, _TERMS):
+        term = portable.matmul(term, part) / order
+        found = found + term
+    for _ in range(halvings):
+        found = portable.matmul(found, found)
+    return found
 
 
 def velocity_lag(axis: LinearAxis) -> float:

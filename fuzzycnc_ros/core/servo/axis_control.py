@@ -263,7 +263,7 @@ def _pid(data: AxisData, settings: Mapping[str, float]) -> AxisController:
     axis, common = _common(data)
     bandwidth, estimator = _bandwidths(data, axis, settings)
     lag, gain = velocity_lag(axis), abs(axis.gain)
-    proportional = bandwidth**2 * lag / gain
+    proportional = bandwidth * bandwidth * lag / gain
     return _FrictionFedPid(
         axis,
         _reference_friction(data, axis),
@@ -348,7 +348,7 @@ def _reference_friction(data: AxisData, axis: LinearAxis) -> ReferenceFriction:
 def _reading_error(data: AxisData) -> float:
     """Return the RMS of a reading's error [m]."""
     plant = data.known_plant()
-    return sqrt(plant.count**2 / 12.0 + plant.noise**2) or 1e-8
+    return sqrt(plant.count * plant.count / 12.0 + plant.noise * plant.noise) or 1e-8
 
 
 def _relief(data: AxisData) -> StickSlipParams:

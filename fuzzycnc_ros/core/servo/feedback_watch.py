@@ -166,7 +166,9 @@ class FeedbackWatch:
         self.limits = limits
         self._full = _FULL * duty_max
         self._swing_periods = round(_SWING_TIME / period)
-        self._jump = limits.acceleration_max * period**2 + 4.0 * limits.count + 12.0 * limits.noise
+        self._jump = (
+            limits.acceleration_max * (period * period) + 4.0 * limits.count + 12.0 * limits.noise
+        )
         self._fade = min(period / limits.response_lag, 1.0)
         self._direction = direction
         self._still = _SPEED_MIN * speed_full * period

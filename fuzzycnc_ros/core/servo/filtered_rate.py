@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
-from math import exp, inf, isfinite
+from math import inf, isfinite
+
+from fuzzycnc_ros.core import portable
 
 STILL = 2e-3
 """Speed up to which an axis off its target counts as stuck [m/s]: three counts per period."""
@@ -35,7 +37,7 @@ class FilteredRate:
         if not (isfinite(lag) and lag >= 0.0):
             raise ValueError(f'rate_lag: expected 0 s or more but found {lag} s')
         self.lag = lag
-        self.share = (1.0 - exp(-period / lag)) if lag else 1.0
+        self.share = (1.0 - portable.exp(-period / lag)) if lag else 1.0
         self._frequency = 1.0 / period
         self._period = period
         self.reset(0.0)

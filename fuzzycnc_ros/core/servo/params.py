@@ -152,7 +152,7 @@ class VariableUniverseParams:
         """
         crossover = default_crossover(axis) if crossover is None else crossover
         lag = velocity_lag(axis)
-        per_error = crossover**2 * lag / abs(axis.gain)
+        per_error = crossover * crossover * lag / abs(axis.gain)
         per_rate = (2.0 * damping * crossover * lag - 1.0) / abs(axis.gain)
         if not per_rate > 0.0:
             raise ValueError(

@@ -256,7 +256,7 @@ def _steady_velocity(way: float, velocity: float, limits: ProfileLimits) -> floa
 def _time(change: float, limits: ProfileLimits) -> float:
     """Return how long a change of velocity takes [s]."""
     size = abs(change)
-    if size * limits.jerk < limits.acceleration**2:
+    if size * limits.jerk < limits.acceleration * limits.acceleration:
         return 2.0 * sqrt(size / limits.jerk)
     return size / limits.acceleration + limits.acceleration / limits.jerk
 

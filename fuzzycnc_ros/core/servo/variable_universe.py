@@ -17,6 +17,7 @@ from math import inf
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
@@ -58,8 +59,8 @@ class ContractedSurface:
         e = np.clip(np.asarray(error, dtype=np.float64) / p.error_range, -1.0, 1.0)
         c = np.clip(np.asarray(rate, dtype=np.float64) / p.rate_range, -1.0, 1.0)
         return (
-            np.asarray(e / (np.abs(e) ** p.error_exponent + p.error_floor)),
-            np.asarray(c / (np.abs(c) ** p.rate_exponent + p.rate_floor)),
+            np.asarray(e / (portable.power(np.abs(e), p.error_exponent) + p.error_floor)),
+            np.asarray(c / (portable.power(np.abs(c), p.rate_exponent) + p.rate_floor)),
         )
 
     def duty(self, error: ArrayLike, rate: ArrayLike) -> Array:
@@ -78,8 +79,8 @@ class ContractedSurface:
             e = 1.0 if e > 1.0 else -1.0 if e < -1.0 else e
             c = rate * per_rate
             c = 1.0 if c > 1.0 else -1.0 if c < -1.0 else c
-            x = e / (abs(e) ** error_exponent + error_floor)
-            return scale * infer(x, c / (abs(c) ** rate_exponent + rate_floor))
+            x = e / (portable.power(abs(e), error_exponent) + error_floor)
+            return scale * infer(x, c / (portable.power(abs(c), rate_exponent) + rate_floor))
 
         return law
 
@@ -422,7 +423,10 @@ class VariableUniverseController(AxisController):
 
     def _factor(self) -> float:
         """Return the scale of the output's universe [-] that the next output gets."""
-        return float(abs(self._output) ** self.params.output_exponent + self.params.output_floor)
+        return (
+            portable.power(abs(self._output), self.params.output_exponent)
+            + self.params.output_floor
+        )
 
     def _commit(self, duty: float, position: float) -> None:
         """Go on to the next period, in which the duty [-] as limited is held."""

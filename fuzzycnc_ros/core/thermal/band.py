@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 
 
@@ -39,7 +40,7 @@ SCATTER_WEIGHT = 3.0
 GAIN_MIN = 0.1
 """Least gain that is worth another model [-]: the natural logarithm of the residuals' ratio."""
 
-_GAIN_MAX = float(np.log(2.0))
+_GAIN_MAX = float(portable.log(2.0))
 """Most that one fold may say for or against a model at all [-]: it halves the error."""
 
 RESIDUAL_MIN = 1e-12
@@ -59,7 +60,7 @@ def log_residual(square: Array) -> Array:
     ndarray, shape (..., c)
         Logarithm of the root mean square.
     """
-    return np.asarray(0.5 * np.log(np.maximum(np.nanmean(square, axis=-2), RESIDUAL_MIN**2)))
+    return np.asarray(0.5 * portable.log(np.maximum(np.nanmean(square, axis=-2), RESIDUAL_MIN**2)))
 
 
 def better(square: Array, other: Array, independent: int, rivals: int = 1) -> bool:
@@ -106,8 +107,9 @@ def worth_using(square: Array, none: Array, independent: int) -> bool:
         Number of folds that share no sample.
     """
     with np.errstate(divide='ignore', invalid='ignore'):
-        gain = 0.5 * np.log(
-            np.maximum(none, RESIDUAL_MIN**2) / np.maximum(square, RESIDUAL_MIN**2)
+        gain = 0.5 * portable.log(
+            np.maximum(none, RESIDUAL_MIN * RESIDUAL_MIN)
+            / np.maximum(square, RESIDUAL_MIN * RESIDUAL_MIN)
         )
     gain = np.clip(gain[~np.isnan(none)], -_GAIN_MAX, _GAIN_MAX)
     if np.isnan(gain).any() or not len(gain):
@@ -225,7 +227,7 @@ def fitted_band(residual: Array, distance: Array, folds: int) -> Band:
 def _surprise(residual: Array, deviation: Array) -> float:
     """Return the negative logarithm of the likelihood per sample, up to a constant."""
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
-        values = 0.5 * (residual / deviation) ** 2 + np.log(deviation)
+        values = 0.5 * (residual / deviation) ** 2 + portable.log(deviation)
     values = values[np.isfinite(residual) & np.isfinite(values)]
     return float(values.mean()) if len(values) else 0.0
 

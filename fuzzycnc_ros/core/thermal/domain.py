@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.moments import Fold
 
@@ -77,7 +78,7 @@ class Domain:
     def parts(self, rise: Array) -> tuple[Array, Array]:
         """Return how far rises (..., p) lie along and across the directions, in borders [-]."""
         apart = rise - self.mean
-        score = apart @ self.directions.T
+        score = portable.matmul(apart, self.directions.T)
         along = np.sqrt(((score / self.reach) ** 2).sum(axis=-1))
         square = (apart**2).sum(axis=-1) - (score**2).sum(axis=-1)
         return np.asarray(along), np.asarray(np.sqrt(np.maximum(square, 0.0)) / self.thickness)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.document import ModelFileError, Node, parse_document
 from fuzzycnc_ros.core.names import text_hash
@@ -756,7 +757,7 @@ def _read_ellipsoid(node: Node, inputs: int, first: bool) -> Domain:
     inverse = node.get('inverse_covariance').matrix(inputs)
     if inverse.shape != (inputs, inputs):
         node.get('inverse_covariance').refuse(f'{inputs} rows')
-    curvature, directions = np.linalg.eigh(0.5 * (inverse + inverse.T))
+    curvature, directions = portable.eigh(0.5 * (inverse + inverse.T))
     if not (curvature > 0.0).all():
         node.get('inverse_covariance').refuse('a positive definite matrix')
     return Domain(

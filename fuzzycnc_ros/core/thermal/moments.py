@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 
 
@@ -63,7 +64,7 @@ class Moments:
         sums = np.empty((*lead, blocks, table.shape[-1], table.shape[-1]))
         for number in range(blocks):
             rows = table[..., block[used] == number, :]
-            sums[..., number, :, :] = np.swapaxes(rows, -1, -2) @ rows
+            sums[..., number, :, :] = portable.matmul(np.swapaxes(rows, -1, -2), rows)
         return Moments(sums, features.shape[-1])
 
     def over(self, blocks: Sequence[int]) -> Array:
@@ -119,9 +120,9 @@ def ridge_from_sums(
     right = right / scale[..., :, np.newaxis]
     if ridge > 0.0:
         penalty = ridge * count[..., np.newaxis, np.newaxis] * np.eye(inputs)
-        solution = np.linalg.solve(normal + penalty, right)
+        solution = portable.solve(normal + penalty, right)
     else:
-        solution = np.linalg.pinv(normal, hermitian=True) @ right
+        solution = portable.matmul(np.linalg.pinv(normal, hermitian=True), right)
     weight = solution / scale[..., :, np.newaxis]
     if not intercept:
         return weight, np.zeros_like(level)
@@ -137,7 +138,7 @@ def mean_square_error(sums: Array, weight: Array, constant: Array) -> Array:
     # Residual = (1, features, targets) @ [-constant; -weight; identity].
     identity = np.broadcast_to(np.eye(channels), (*weight.shape[:-2], channels, channels))
     combination = np.concatenate([-constant[..., np.newaxis, :], -weight, identity], axis=-2)
-    energy = np.einsum('...ic,...ij,...jc->...c', combination, sums, combination, optimize=True)
+    energy = (combination * portable.matmul(sums, combination)).sum(axis=-2)
     count = sums[..., 0, 0, np.newaxis]
     return np.where(count > 0.0, np.maximum(energy, 0.0) / np.maximum(count, 1.0), np.nan)
 

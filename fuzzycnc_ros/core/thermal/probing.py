@@ -11,6 +11,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.band import Band
 
@@ -128,8 +129,15 @@ class OffsetGainFilter:
         verdict = np.full(len(self.probed), int(Verdict.ABSENT), dtype=np.int64)
         for channel in np.flatnonzero(np.isfinite(measured)):
             row = np.array([1.0, predicted[channel]])
-            innovation = measured[channel] - predicted[channel] - row @ self.estimate[channel]
-            variance = row @ self.covariance[channel] @ row + noise[channel] ** 2
+            innovation = (
+                measured[channel]
+                - predicted[channel]
+                - portable.matmul(row, self.estimate[channel])
+            )
+            variance = (
+                portable.matmul(portable.matmul(row, self.covariance[channel]), row)
+                + noise[channel] * noise[channel]
+            )
             if abs(innovation) > max(self._jump_max, GATE * np.sqrt(variance)):
                 # Not for NaN, of a channel whose last probe was not doubted.
                 if not abs(innovation - self._doubted[channel]) <= self._jump_max:
@@ -138,9 +146,9 @@ class OffsetGainFilter:
                     continue
                 self.covariance[channel] = self._prior()
                 # How far a jump goes, no variance of a healthy machine tells.
-                self.covariance[channel, 0, 0] += innovation**2
+                self.covariance[channel, 0, 0] += innovation * innovation
             self._doubted[channel] = np.nan
-            self._learn(int(channel), row, innovation, noise[channel] ** 2)
+            self._learn(int(channel), row, innovation, noise[channel] * noise[channel])
             self.probed[channel] = True
             verdict[channel] = Verdict.ACCEPTED
         return verdict
@@ -210,9 +218,11 @@ class OffsetGainFilter:
 
     def _learn(self, channel: int, row: Array, innovation: float, noise_variance: float) -> None:
         covariance = self.covariance[channel]
-        gain = covariance @ row / (row @ covariance @ row + noise_variance)
+        gain = portable.matmul(covariance, row) / (
+            portable.matmul(portable.matmul(row, covariance), row) + noise_variance
+        )
         self.estimate[channel] += gain * innovation
-        updated = covariance - np.outer(gain, row @ covariance)
+        updated = covariance - np.outer(gain, portable.matmul(row, covariance))
         # Rounding must not make the two cross terms differ.
         self.covariance[channel] = 0.5 * (updated + updated.T)
 
@@ -270,7 +280,7 @@ class GainAdaptation:
             raise ValueError(f'bound: expected a fraction in (0, 1), but found {bound}')
         self._bound = bound
         # Two standard deviations reach the bound: larger gains are not expected at all.
-        variance = (0.5 * bound) ** 2
+        variance = 0.25 * bound * bound
         self._filter = OffsetGainFilter(
             channels, ProbeVariances(gain=variance, gain_rate=variance / FORGET_AFTER)
         )

@@ -4,6 +4,7 @@
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 
 DISTINGUISHING_COEFFICIENT = 0.5
@@ -43,7 +44,7 @@ def correlation_of(first: Array, second: Array) -> Array:
     """Return the correlations of columns, shape (s, t); 0 for a constant column."""
     one, two = first - first.mean(axis=0), second - second.mean(axis=0)
     norm = np.outer(np.linalg.norm(one, axis=0), np.linalg.norm(two, axis=0))
-    return np.asarray((one.T @ two) / np.where(norm > 0.0, norm, 1.0))
+    return np.asarray(portable.matmul(one.T, two) / np.where(norm > 0.0, norm, 1.0))
 
 
 def _unit_range(series: Array) -> Array:

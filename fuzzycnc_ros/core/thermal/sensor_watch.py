@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array, check_shapes
 from fuzzycnc_ros.core.document import Node
 
@@ -106,7 +107,7 @@ Indices = NDArray[np.int64]
 
 def moment_of(rise: Array) -> Array:
     """Return the sums of products of rises (n, s) [K], shape (s, s) [K^2]."""
-    return np.asarray(rise.T @ rise)
+    return np.asarray(portable.matmul(rise.T, rise))
 
 
 def _scale_of(moment: Array) -> Array:
@@ -137,14 +138,14 @@ def mate_weights(moment: Array, target: int, mates: Indices) -> Array:
     scale = _scale_of(moment)[mates]
     alike = moment[np.ix_(mates, mates)] / np.outer(scale, scale)
     own = moment[target, mates] / scale
-    return np.asarray(np.linalg.solve(alike + MATE_RIDGE * np.eye(len(mates)), own) / scale)
+    return np.asarray(portable.solve(alike + MATE_RIDGE * np.eye(len(mates)), own) / scale)
 
 
 def unexplained(moment: Array, target: int, mates: Indices, weights: Array) -> float:
     """Return the root mean square of what an estimate misses in training [K]."""
-    seen = moment[target, mates] @ weights
+    seen = portable.matmul(moment[target, mates], weights)
     square = moment[target, target] - 2.0 * seen
-    square += weights @ moment[np.ix_(mates, mates)] @ weights
+    square += portable.matmul(portable.matmul(weights, moment[np.ix_(mates, mates)]), weights)
     return float(np.sqrt(max(square, 0.0)))
 
 
@@ -214,7 +215,7 @@ class Leverage:
     def __init__(self, moment: Array, targets: Indices, usable: Indices) -> None:
         scale = _scale_of(moment)[usable]
         alike = moment[np.ix_(usable, usable)] / np.outer(scale, scale)
-        inverse = np.linalg.inv(alike + LEVERAGE_RIDGE * np.eye(len(usable)))
+        inverse = portable.solve(alike + LEVERAGE_RIDGE * np.eye(len(usable)), np.eye(len(usable)))
         self.metric = np.zeros_like(moment)
         """Inverse of the penalised moments, shape (s, s) [1/K^2]; 0 for what is not usable."""
         self.metric[np.ix_(usable, usable)] = inverse / np.outer(scale, scale)
@@ -225,7 +226,7 @@ class Leverage:
 
     def of(self, rise: Array) -> Array:
         """Return the squared distance of rises (..., s) [K] without each target, (..., p) [-]."""
-        return self.without_targets(rise, rise @ self.metric)
+        return self.without_targets(rise, portable.matmul(rise, self.metric))
 
     def without_targets(self, rise: Array, pulled: Array) -> Array:
         """Return what `of` does, from the product of rises and `metric` that is known already.
@@ -455,7 +456,7 @@ class SensorWatch:
             self._prepare(usable)
         known = read if self._whole else np.where(usable, read, 0.0)
         # One product serves the voters and the distance from the training.
-        product = self._weights @ known
+        product = portable.matmul(self._weights, known)
         expected, pulled = product[: self._voices], product[self._voices :]
         residual = read[self._columns] - expected.reshape(VOTERS, -1)
         distance = self._leverage.without_targets(known, pulled)
@@ -565,7 +566,9 @@ class MateEstimate:
         _, mates, weights, missed = weighed
         if not len(mates):
             return Estimate(np.nan, np.inf, '')
-        return Estimate(float(weights @ rise[mates]), missed, self._model.sensor[mates[0]])
+        return Estimate(
+            float(portable.matmul(weights, rise[mates])), missed, self._model.sensor[mates[0]]
+        )
 
     def _weigh(self, number: int, usable: NDArray[np.bool_]) -> tuple[Indices, Array, float]:
         """Return the mates of an input, best first, their weights, and what they miss [K]."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.simulation.controller.moves import Moves
 
@@ -167,7 +168,7 @@ def junctions(moves: Moves, own: MoveLimits, limits: ControllerLimits) -> Juncti
     before = moves.tangent(one, np.ones(count - 1))
     after = moves.tangent(other, np.zeros(count - 1))
     cosine = np.clip(np.einsum('ij,ij->i', before, after), -1.0, 1.0)
-    turn = np.arccos(cosine)
+    turn = portable.arccos(cosine)
     slower = np.minimum(own.speed[:-1], own.speed[1:])
     rise = np.array(limits.acceleration)
     jump = (slower / limits.period + own.acceleration[1:])[:, np.newaxis] * np.abs(after - before)
@@ -234,16 +235,16 @@ class _Blends:
         lines = ~(moves.arc[:-1] | moves.arc[1:])
         goal = np.minimum(goal, np.maximum(flat, np.where(lines, _altitude(own.most, turn), 0.0)))
         with np.errstate(divide='ignore', invalid='ignore'):
-            tolerated = np.cos(half) * rounding / (1.0 - np.sin(half))
+            tolerated = portable.cos(half) * rounding / (1.0 - portable.sin(half))
             away = np.minimum(reach, tolerated)
-            largest = np.tan(half) * away
+            largest = portable.tan(half) * away
             across = _NORMAL * self.acceleration
             plan = np.minimum(np.sqrt(across * largest), goal)
             # a parabola of half the acceleration tells how much of the moves is used
             gentle = 0.5 * self.acceleration
             span = np.minimum(np.sqrt(2.0 * gentle * away), plan) / gentle * plan
             radius = np.maximum(plan**2 / across, np.minimum(span / turn, largest))
-            trim = radius / np.tan(half)
+            trim = radius / portable.tan(half)
         useful = np.isfinite(plan) & np.isfinite(trim) & (radius * turn > _SHORTEST) & (trim > 0.0)
         self.speed = np.where(useful, plan, 0.0)
         self.trim = np.where(useful, trim, 0.0)
@@ -271,12 +272,12 @@ def _in_plane(normal: Array, limit: Array) -> Array:
 
 def _altitude(speed: Array, turn: Array) -> Array:
     """Return the speed midway between those of two moves, as vectors [m/s]."""
-    wide = np.cos(np.minimum(turn, 0.49 * np.pi))
+    wide = portable.cos(np.minimum(turn, 0.49 * np.pi))
     first = np.minimum(speed[:-1], speed[1:] / wide)
     second = np.minimum(speed[1:], speed[:-1] / wide)
-    square = first**2 + second**2 - 2.0 * first * second * np.cos(turn)
+    square = first**2 + second**2 - 2.0 * first * second * portable.cos(turn)
     with np.errstate(divide='ignore', invalid='ignore'):
-        return np.asarray(first * second * np.sin(turn) / np.sqrt(np.maximum(square, 0.0)))
+        return np.asarray(first * second * portable.sin(turn) / np.sqrt(np.maximum(square, 0.0)))
 
 
 def _overlaps(moves: Moves, own: MoveLimits, turn: Array) -> tuple[Array, Array]:
@@ -291,6 +292,8 @@ def _overlaps(moves: Moves, own: MoveLimits, turn: Array) -> tuple[Array, Array]
         first = np.minimum(peak[:-1], time * rise[:-1])
         second = np.minimum(peak[1:], time * rise[1:])
         half = 0.5 * (np.pi - turn)
-        within = 2.0 * np.sqrt(rise[:-1] * moves.rounding[:-1] / np.maximum(np.cos(half), 1e-3))
+        within = 2.0 * np.sqrt(
+            rise[:-1] * moves.rounding[:-1] / np.maximum(portable.cos(half), 1e-3)
+        )
     first, second = np.minimum(first, within), np.minimum(second, within)
-    return np.asarray(0.5 * np.sin(half) * (first + second)), first
+    return np.asarray(0.5 * portable.sin(half) * (first + second)), first

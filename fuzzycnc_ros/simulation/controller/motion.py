@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.simulation.controller.blends import (
     ARC,
@@ -227,17 +228,20 @@ class _Plan:
         into = trim[move] / moves.length[after]
         first, last = moves.position(move, out), moves.position(after, into)
         one, other = moves.tangent(move, out), moves.tangent(after, into)
-        turn = np.arccos(np.clip(np.einsum('ij,ij->i', one, other), -1.0, 1.0))
+        turn = portable.arccos(np.clip(np.einsum('ij,ij->i', one, other), -1.0, 1.0))
         chord = np.linalg.norm(last - first, axis=1)
         with np.errstate(divide='ignore', invalid='ignore'):
-            arm = (4.0 / 3.0) * np.tan(0.25 * turn) * chord / (2.0 * np.sin(0.5 * turn))
+            arm = (
+                (4.0 / 3.0) * portable.tan(0.25 * turn) * chord / (2.0 * portable.sin(0.5 * turn))
+            )
         arm = np.where(turn > 1e-6, arm, chord / 3.0)[:, np.newaxis]
         s = share[:, np.newaxis]
+        rest = 1.0 - s
         point = (
-            (1.0 - s) ** 3 * first
-            + 3.0 * (1.0 - s) ** 2 * s * (first + arm * one)
-            + 3.0 * (1.0 - s) * s**2 * (last - arm * other)
-            + s**3 * last
+            rest**2 * rest * first
+            + 3.0 * rest**2 * s * (first + arm * one)
+            + 3.0 * rest * s**2 * (last - arm * other)
+            + s**2 * s * last
         )
         low = moves.place[move, 0] + out * np.diff(moves.place, axis=1)[move, 0]
         high = moves.place[after, 0] + into * np.diff(moves.place, axis=1)[after, 0]
@@ -260,7 +264,9 @@ def _parts(moves: Moves, speed: Array, rise: Array, joined: Junctions, period: f
     low, high = np.zeros(size), np.ones(size)
     low[where], high[where] = before, np.maximum(1.0 - trim, before)
     length[where] = np.maximum(moves.length * (1.0 - trim - before), 1e-12)
-    length[arcs] = joined.turn[blended] * joined.trim[blended] / np.tan(0.5 * joined.turn[blended])
+    length[arcs] = (
+        joined.turn[blended] * joined.trim[blended] / portable.tan(0.5 * joined.turn[blended])
+    )
     most[where], most[arcs] = speed, joined.speed[blended]
     gain[where], gain[arcs] = rise, TANGENTIAL * joined.acceleration[blended]
     whole = length.copy()

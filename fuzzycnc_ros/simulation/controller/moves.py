@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 
 _CHAIN_MAX = 100
@@ -95,7 +96,9 @@ class Moves:
         if bent.any():
             one, at = index[bent], share[bent]
             angle = self.sweep[one, np.newaxis] * at
-            turned = np.cos(angle) * self.radial[one] + np.sin(angle) * self.across[one]
+            turned = (
+                portable.cos(angle) * self.radial[one] + portable.sin(angle) * self.across[one]
+            )
             grown = 1.0 + self.growth[one, np.newaxis] * at
             found[bent] = self.centre[one] + grown * turned + self.rise[one] * at
         return np.asarray(found)
@@ -107,7 +110,7 @@ class Moves:
         if bent.any():
             one, at = index[bent], share[bent, np.newaxis]
             sweep, growth = self.sweep[one, np.newaxis], self.growth[one, np.newaxis]
-            cosine, sine = np.cos(sweep * at), np.sin(sweep * at)
+            cosine, sine = portable.cos(sweep * at), portable.sin(sweep * at)
             radial, across = self.radial[one], self.across[one]
             along[bent] = (
                 growth * (cosine * radial + sine * across)
@@ -130,7 +133,7 @@ def merged(moves: Moves) -> Moves:
         As programmed.
     """
     tolerance = np.where(moves.rapid, 0.0, moves.merging)
-    half = moves.radius() * (1.0 - np.cos(0.5 * np.minimum(moves.sweep, 2.0 * np.pi)))
+    half = moves.radius() * (1.0 - portable.cos(0.5 * np.minimum(moves.sweep, 2.0 * np.pi)))
     small = moves.arc & moves.flat & (half < tolerance)
     if small.any():
         moves, tolerance = _halved(moves, small), np.repeat(tolerance, 1 + small)

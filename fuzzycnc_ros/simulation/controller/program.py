@@ -13,6 +13,7 @@ from math import inf, nan
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Role
 from fuzzycnc_ros.core.feedrate.gcode.lexer import read_line
@@ -288,4 +289,4 @@ def turns(moves: Moves) -> Array:
     before = moves.tangent(index[:-1], np.ones(len(index) - 1))
     after = moves.tangent(index[1:], np.zeros(len(index) - 1))
     cosine = np.clip(np.einsum('ij,ij->i', before, after), -1.0, 1.0)
-    return np.append(np.arccos(cosine), 0.0)
+    return np.append(portable.arccos(cosine), 0.0)

@@ -218,8 +218,8 @@ class Contour:
         row = np.arange(len(place))
         # An end of the nearest segment is at most half a segment farther along it; all vertices
         # nearer than the last neighbour have been tried.
-        bound = square[row, best] + 0.25 * self._longest**2
-        proven = radius[:, -1] ** 2 >= bound
+        bound = square[row, best] + 0.25 * (self._longest * self._longest)
+        proven = radius[:, -1] * radius[:, -1] >= bound
         return square[row, best], fraction[row, best], candidate[row, best], proven
 
     def _whole_window(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.motion.limits import reachable_speed
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
@@ -125,13 +126,13 @@ def travel(arc_length: ArrayLike, speed: ArrayLike, period: float) -> tuple[Arra
         raise ValueError('speed: expected more than 0 m/s everywhere')
     step, change = np.diff(arc), np.diff(velocity)
     rise = change / velocity[:-1]
-    moment = np.append(0.0, np.cumsum(step / velocity[:-1] / _ratio(rise, np.log1p(rise))))
+    moment = np.append(0.0, np.cumsum(step / velocity[:-1] / _ratio(rise, portable.log1p(rise))))
     duration = float(moment[-1])
     time = period * np.arange(int(np.ceil(duration / period)) + 1)
     segment = np.clip(np.searchsorted(moment, time, side='right') - 1, 0, len(step) - 1)
     rate = change[segment] / step[segment]
     since = time - moment[segment]
-    way = velocity[segment] * since * _ratio(np.expm1(rate * since), rate * since)
+    way = velocity[segment] * since * _ratio(portable.expm1(rate * since), rate * since)
     return np.minimum(arc[segment] + way, arc[-1]), duration
 
 
@@ -249,7 +250,7 @@ def circle_contour_constant(
         if not (np.isfinite(value) and value > 0.0):
             raise ValueError(f'{name}: expected more than 0 {unit} but found {value} {unit}')
     driven = np.linalg.norm(place - middle, axis=1).mean()
-    return float((radius - driven) * radius / speed**2)
+    return float((radius - driven) * radius / (speed * speed))
 
 
 def identify_contour_constant(
@@ -286,7 +287,7 @@ def identify_contour_constant(
     # the lag dies out within ten time constants of the position loop
     lead = max(2.0 * turn, 10.0 * machine.delay)
     angle = speed / radius * np.arange(0.0, lead + turn, machine.interpolation_period)
-    circle = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    circle = radius * np.column_stack([portable.cos(angle), portable.sin(angle)])
     driven = ContouringAxes(circle[0], machine).follow(circle)
     last = driven[round(lead / machine.interpolation_period) :]
     return circle_contour_constant(last, [0.0, 0.0], radius, speed)

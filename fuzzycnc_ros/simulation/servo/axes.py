@@ -13,11 +13,12 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from math import copysign, exp, isfinite, log1p, nan, pi, sin
+from math import copysign, isfinite, nan, pi
 from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.axis_models import (
     BallscrewAxisConfig,
@@ -158,7 +159,7 @@ def stribeck_friction(
     if velocity == 0.0:
         return drive if abs(drive) <= breakaway else copysign(breakaway, drive)
     ratio = velocity / stribeck_velocity
-    return copysign(coulomb + (breakaway - coulomb) * exp(-ratio * ratio), velocity)
+    return copysign(coulomb + (breakaway - coulomb) * portable.exp(-ratio * ratio), velocity)
 
 
 def stribeck_frictions(
@@ -166,7 +167,7 @@ def stribeck_frictions(
 ) -> Array:
     """Return `stribeck_friction` of many axes at once; all arguments of shape (cases,)."""
     ratio = velocity / stribeck_velocity
-    moving = np.copysign(coulomb + (breakaway - coulomb) * np.exp(-ratio * ratio), velocity)
+    moving = np.copysign(coulomb + (breakaway - coulomb) * portable.exp(-ratio * ratio), velocity)
     return np.where(velocity == 0.0, np.clip(drive, -breakaway, breakaway), moving)
 
 
@@ -235,7 +236,7 @@ class PositionSensor:
             return nan
         if config.sensor == 'encoder':
             turn = 2.0 * pi / config.screw_lead * position
-            position -= config.periodic_error * sin(turn) + config.pitch_error * position
+            position -= config.periodic_error * portable.sin(turn) + config.pitch_error * position
         position += self._noise
         if config.count:
             count = config.count * (config.count_factor if step >= self._changes else 1.0)
@@ -287,7 +288,7 @@ class PositionSensors:
     def read(self, position: Array) -> Array:
         """Return the readings [m] at positions [m], shape (cases,); NaN where one is missing."""
         step = self._step
-        wrong = self._periodic * np.sin(self._turns * position) + self._pitch * position
+        wrong = self._periodic * portable.sin(self._turns * position) + self._pitch * position
         position = position - wrong + self._amplitude * self._ahead[step % _BLOCK]
         count = self._counts * np.where(step >= self._changes, self._factors, 1.0)
         count[~self._counted] = 1.0
@@ -422,10 +423,10 @@ def substep_shares(config: LatheAxisConfig) -> tuple[float, float, float, float]
     """
     step = config.period / config.substeps
     return (
-        1.0 - exp(-step / config.amplifier_lag),
-        1.0 - exp(-step / config.torque_lag),
-        exp(-step / config.velocity_lag),
-        1.0 - exp(-step / config.sensor_lag),
+        1.0 - portable.exp(-step / config.amplifier_lag),
+        1.0 - portable.exp(-step / config.torque_lag),
+        portable.exp(-step / config.velocity_lag),
+        1.0 - portable.exp(-step / config.sensor_lag),
     )
 
 
@@ -499,11 +500,11 @@ class BallscrewAxis(_Slide):
                 break
             if config.stribeck_velocity:
                 ratio = velocity / config.stribeck_velocity
-                coulomb += (breakaway - coulomb) * exp(-ratio * ratio)
+                coulomb += (breakaway - coulomb) * portable.exp(-ratio * ratio)
             steady, lag = (force - sign * coulomb) / viscous, self._mass / viscous
             stops = sign * velocity > 0.0 > sign * steady
-            time = min(lag * log1p(-velocity / steady), left) if stops else left
-            keep = exp(-time / lag)
+            time = min(lag * portable.log1p(-velocity / steady), left) if stops else left
+            keep = portable.exp(-time / lag)
             self._move(steady * time + (velocity - steady) * lag * (1.0 - keep))
             velocity = 0.0 if time < left else steady + (velocity - steady) * keep
             left -= time
@@ -518,7 +519,7 @@ class BallscrewAxis(_Slide):
     def _lagged(self, duty: float) -> float:
         """Return the mean of the lagged duty [-] over the next period."""
         lag = self._config.drive_lag
-        keep = exp(-self.period / lag)
+        keep = portable.exp(-self.period / lag)
         away = self._drive - duty
         self._drive = duty + away * keep
         return duty + away * (1.0 - keep) * lag / self.period

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array, Seed
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.simulation.servo.axes import (
@@ -186,6 +187,6 @@ def random_moves(count: int = 200, *, hard: bool = False, seed: Seed = 0) -> lis
             breakaway=coulomb * rng.uniform(1.0, ratio_max),
             seed=int(rng.integers(2**31)),
         )
-        way = float(np.exp(rng.uniform(np.log(5e-5), np.log(0.15))))
+        way = float(portable.exp(rng.uniform(portable.log(5e-5), portable.log(0.15))))
         moves.append(LatheMove(config, float(rng.choice([-1.0, 1.0])) * way))
     return moves

@@ -5,12 +5,13 @@
 Rows are in the paper's units, degrees and millimetres, as the models of deformation take them.
 """
 
-from math import cos, radians, sin
+from math import radians
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.simulation.soft.foam_sheet import STITCH_NOISE, FoamSheet
 
@@ -140,15 +141,19 @@ def _sample(
     stitched = sheet.stitch(points, 1e-3 * depth, 1 if kind == ARC else 0) + noise
     drift = points - stitched
     way = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
-    offset = _REFERENCE_LENGTH_MM * (way @ (drift - drift[0])) / (way @ way)
+    offset = (
+        _REFERENCE_LENGTH_MM * portable.matmul(way, drift - drift[0]) / portable.matmul(way, way)
+    )
     return np.asarray(offset)
 
 
 def _course(kind: float, angle: float, steps: int) -> Array:
     """Return points of a sample whose middle is the origin, shape (steps + 1, 2) [m]."""
-    along = np.array([cos(angle), sin(angle)])
+    along = np.array([portable.cos(angle), portable.sin(angle)])
     if kind == LINE:
         return np.outer(np.linspace(-0.5, 0.5, steps + 1) * LINE_LENGTH, along)
     left = np.array([-along[1], along[0]])
     turned = np.linspace(-0.5, 0.5, steps + 1) * ARC_LENGTH / ARC_RADIUS
-    return ARC_RADIUS * (np.outer(np.sin(turned), along) + np.outer(1.0 - np.cos(turned), left))
+    return ARC_RADIUS * (
+        np.outer(portable.sin(turned), along) + np.outer(1.0 - portable.cos(turned), left)
+    )

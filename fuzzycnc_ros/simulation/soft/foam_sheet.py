@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import cos, exp, hypot, isfinite, log, pi, radians, sin
+from math import hypot, isfinite, pi, radians
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 
 FOOT_RADIUS = 5e-3
@@ -95,8 +96,8 @@ class FoamSheet:
         """Return the sheet of one run: modulus, then friction, drawn around their means."""
         return replace(
             self,
-            young_modulus=self.young_modulus * exp(rng.normal(0.0, _MODULUS_SCATTER)),
-            friction=self.friction * exp(rng.normal(0.0, _FRICTION_SCATTER)),
+            young_modulus=self.young_modulus * portable.exp(rng.normal(0.0, _MODULUS_SCATTER)),
+            friction=self.friction * portable.exp(rng.normal(0.0, _FRICTION_SCATTER)),
         )
 
     def normal_force(self, depth: float) -> float:
@@ -114,7 +115,7 @@ class FoamSheet:
         """
         strain = self._strain(depth)
         stiffening = 1.0 + 2.0 * strain * strain / (1.0 - strain)
-        return pi * FOOT_RADIUS**2 * self.young_modulus * strain * stiffening
+        return pi * (FOOT_RADIUS * FOOT_RADIUS) * self.young_modulus * strain * stiffening
 
     def compliance(self, point: ArrayLike, depth: float) -> Array:
         """Return displacement of the sheet under the foot per force on it, shape (2, 2) [m/N].
@@ -135,9 +136,10 @@ class FoamSheet:
         edge = max(min(x, y, self.size[0] - x, self.size[1] - y), 0.0)
         shear = 0.5 * self.young_modulus / (1.0 + self.poisson_ratio)
         pressed = self.thickness * (1.0 - self._strain(depth))
-        mean = (3.0 - self.poisson_ratio) * log(1.0 + edge / FOOT_RADIUS) / (
+        reach = FOOT_RADIUS + 0.5 * pressed
+        mean = (3.0 - self.poisson_ratio) * portable.log(1.0 + edge / FOOT_RADIUS) / (
             8.0 * pi * shear * self.thickness
-        ) + pressed / (shear * pi * (FOOT_RADIUS + 0.5 * pressed) ** 2)
+        ) + pressed / (shear * pi * reach * reach)
         return mean * _ANISOTROPIC
 
     def stitch(
@@ -246,14 +248,16 @@ class FoamStitching:
             twist = _ARC_TWIST * turn
             along = np.array(
                 [
-                    cos(twist) * feed_x - sin(twist) * feed_y,
-                    sin(twist) * feed_x + cos(twist) * feed_y,
+                    portable.cos(twist) * feed_x - portable.sin(twist) * feed_y,
+                    portable.sin(twist) * feed_x + portable.cos(twist) * feed_y,
                 ]
             )
-            memory = exp(-length / ELASTIC_MEMORY)
-            pull = compliance @ (drag / length * along)
+            memory = portable.exp(-length / ELASTIC_MEMORY)
+            pull = portable.matmul(compliance, drag / length * along)
             self._elastic = memory * self._elastic + (1.0 - memory) * pull
-        self._locked = exp(-length / RELAXATION_LENGTH) * self._locked + _LOCKED * self._elastic
+        self._locked = (
+            portable.exp(-length / RELAXATION_LENGTH) * self._locked + _LOCKED * self._elastic
+        )
         self._commanded = target
         self.stitched = self._observed(target - self._locked - _PROMPT * self._elastic)
         return self.stitched
@@ -273,10 +277,10 @@ def _finite_point(point: ArrayLike) -> Array:
 
 def _anisotropic() -> Array:
     """Return Rot(th0) diag(1 + 0.45, 1 - 0.45) Rot(th0)^T."""
-    c, s = cos(_SOFT_AXIS), sin(_SOFT_AXIS)
+    c, s = portable.cos(_SOFT_AXIS), portable.sin(_SOFT_AXIS)
     rotation = np.array([[c, -s], [s, c]])
     stretch = np.diag([1.0 + _ANISOTROPY, 1.0 - _ANISOTROPY])
-    return np.asarray(rotation @ stretch @ rotation.T)
+    return np.asarray(portable.matmul(portable.matmul(rotation, stretch), rotation.T))
 
 
 _ANISOTROPIC = _anisotropic()

@@ -5,12 +5,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import degrees, hypot, isfinite, pi, sin, tan
+from math import degrees, hypot, isfinite, pi
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 
 FEEDRATE = 240.0 / (4 * 2.86) * 1e-3
@@ -87,8 +88,8 @@ class FoamTrack:
                 )
         if not np.isfinite(centre).all():
             raise ValueError(f'centre: expected finite coordinates [m] but found {centre}')
-        rise = side * sin(angle)
-        along, up = np.array([base, 0.0]), np.array([rise / tan(angle), rise])
+        rise = side * portable.sin(angle)
+        along, up = np.array([base, 0.0]), np.array([rise / portable.tan(angle), rise])
         corner = np.asarray(centre) - 0.5 * (along + up)
         points, corners = [corner], [0]
         for edge, length in ((along, base), (up, side), (-along, base), (-up, side)):
@@ -184,10 +185,10 @@ def _line_through(points: Array) -> tuple[Array, float]:
     """Return direction of the total-least-squares line, in the order of points, and spread."""
     centred = points - points.mean(axis=0)
     _, _, axes = np.linalg.svd(centred, full_matrices=False)
-    along = axes[0] if (points[-1] - points[0]) @ axes[0] >= 0.0 else -axes[0]
-    return along, float(np.ptp(centred @ axes[1]))
+    along = axes[0] if portable.matmul(points[-1] - points[0], axes[0]) >= 0.0 else -axes[0]
+    return along, float(np.ptp(portable.matmul(centred, axes[1])))
 
 
 def _angle_between(first: Array, second: Array) -> float:
     cross = first[0] * second[1] - first[1] * second[0]
-    return float(np.arctan2(abs(cross), first @ second))
+    return float(portable.arctan2(abs(cross), portable.matmul(first, second)))

@@ -8,10 +8,11 @@ It is a lumped thermal network.
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from itertools import pairwise
-from math import exp, isfinite, pi, sin
+from math import isfinite, pi
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.simulation.thermal.thermal_network import ThermalNetwork
 
@@ -91,7 +92,9 @@ def grinder_step(temperatures: Array, ambient: float, heat: Array) -> Array:
     heat : ndarray, shape (nodes,)
         Heat that flows into each node during the step [W].
     """
-    return np.asarray(_SOLVED @ (_STORAGE * temperatures + GRINDER_LOSS * ambient + heat))
+    return np.asarray(
+        portable.matmul(_SOLVED, _STORAGE * temperatures + GRINDER_LOSS * ambient + heat)
+    )
 
 
 Heat = Callable[[float, Array], Array]
@@ -124,7 +127,7 @@ def running_heat(running: Callable[[float], bool]) -> Heat:
             return _OIL_IDLE
         watts = _RUNNING.copy()
         # Warm grease rubs less.
-        watts[_SPINDLE] += 230.0 * exp(-0.010 * (float(temperatures[_SPINDLE]) - 22.0))
+        watts[_SPINDLE] += 230.0 * portable.exp(-0.010 * (float(temperatures[_SPINDLE]) - 22.0))
         return watts
 
     return heat
@@ -154,7 +157,7 @@ def surface_heat(flux: Callable[[float], Array]) -> Heat:
     """
 
     def heat(time: float, temperatures: Array) -> Array:
-        return np.asarray((_FLUX_AREA * flux(time)) @ _FLUX_SPREAD)
+        return np.asarray(portable.matmul((_FLUX_AREA * flux(time)), _FLUX_SPREAD))
 
     return heat
 
@@ -173,8 +176,10 @@ _ERROR_GROUPS: dict[tuple[str, ...], tuple[float, float]] = {
 }
 _EXPANSION = 10.2e-6  # of cast iron, m/(m K), on a length of 1 m
 _ERROR_WEIGHTS = _EXPANSION * (
-    np.array(list(_ERROR_GROUPS.values())).T
-    @ np.array([_mean_row(*nodes) for nodes in _ERROR_GROUPS])
+    portable.matmul(
+        np.array(list(_ERROR_GROUPS.values())).T,
+        np.array([_mean_row(*nodes) for nodes in _ERROR_GROUPS]),
+    )
 )
 
 
@@ -191,7 +196,9 @@ def grinder_displacement(rise: Array) -> Array:
     ndarray, shape (..., 2)
         Actual minus nominal position in Y and Z [m].
     """
-    linear = 1e6 * (rise @ _ERROR_WEIGHTS.T)  # the quadratic term is defined in micrometres
+    linear = 1e6 * (
+        portable.matmul(rise, _ERROR_WEIGHTS.T)
+    )  # the quadratic term is defined in micrometres
     return np.asarray(1e-6 * (linear + 0.006 * linear * np.abs(linear)))
 
 
@@ -252,7 +259,9 @@ class _GrinderSensors:
 
     def target(self, temperatures: Array, ambient: float) -> Array:
         """Return where the sensors are heading, shape (38,) [degC]."""
-        return np.asarray(self.weights @ temperatures + self.air * ambient + self.shift)
+        return np.asarray(
+            portable.matmul(self.weights, temperatures) + self.air * ambient + self.shift
+        )
 
 
 def _draw_sensors() -> _GrinderSensors:
@@ -277,7 +286,7 @@ def _draw_sensors() -> _GrinderSensors:
         weights=(1.0 - air)[:, np.newaxis] * weights,
         air=air,
         shift=shift,
-        memory=np.exp(-GRINDER_STEP / lag),
+        memory=portable.exp(-GRINDER_STEP / lag),
         offset=offset,
     )
 
@@ -333,7 +342,7 @@ class AmbientCourse:
 
     def at(self, time: float) -> float:
         """Return the temperature at `time` [s] after the start of the run [degC]."""
-        swing = sin(2.0 * pi * time / self.period + self.phase) - sin(self.phase)
+        swing = portable.sin(2.0 * pi * time / self.period + self.phase) - portable.sin(self.phase)
         return self.base + self.amplitude * swing
 
 

@@ -9,6 +9,7 @@ from math import isfinite, pi, sqrt
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.simulation.thermal.grinder import (
@@ -96,7 +97,7 @@ _REGULAR_PERIOD = 60.0 * np.array([120.0, 96.0, 80.0, 160.0])  # s
 
 
 def _regular(time: float) -> Array:
-    wave = np.sin(2.0 * pi * time / _REGULAR_PERIOD - pi / 2.0)
+    wave = portable.sin(2.0 * pi * time / _REGULAR_PERIOD - pi / 2.0)
     return np.asarray(0.5 * _FLUX_MAX * (1.0 + wave))
 
 

@@ -9,11 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain, pairwise
-from math import exp, isfinite, pi, sin
+from math import isfinite, pi, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.simulation.thermal.sensor_faults import FaultInjector, SensorFault
 from fuzzycnc_ros.simulation.thermal.thermal_network import ThermalNetwork
 
@@ -123,10 +124,10 @@ class _ThermalStep:
         source = np.empty(len(MILL_NODES) + 4)
         source[: len(MILL_NODES)] = temperatures
         source[-4] = ambient
-        source[-3] = front * exp(-0.012 * (temperatures[_FRONT] - 20.0))
-        source[-2] = rear * exp(-0.012 * (temperatures[_REAR] - 20.0))
+        source[-3] = front * portable.exp(-0.012 * (temperatures[_FRONT] - 20.0))
+        source[-2] = rear * portable.exp(-0.012 * (temperatures[_REAR] - 20.0))
         source[-1] = 1.0
-        return self.matrix @ source
+        return portable.matmul(self.matrix, source)
 
 
 @lru_cache(maxsize=64)
@@ -159,15 +160,21 @@ def mill_step(spindle_speed: float) -> _ThermalStep:
     loss[_INDEX['sh']] *= 1.0 + 0.3 * u
     loss[_INDEX['mo']] *= 1.0 + 0.5 * u
     heat = np.zeros(len(MILL_NODES))
-    heat[_INDEX['mo']] = 40.0 * u + 25.0 * u**2
+    heat[_INDEX['mo']] = 40.0 * u + 25.0 * u * u
     if u > 0.0:  # the screws warm up while a program moves the axes
         heat[_INDEX['zs']] = 12.0
         heat[_INDEX['ys']] = 15.0
     solved, storage = _NETWORK.implicit_euler(MILL_STEP, loss)
     matrix = np.column_stack(
-        [solved * storage, solved @ loss, solved[:, _FRONT], solved[:, _REAR], solved @ heat]
+        [
+            solved * storage,
+            portable.matmul(solved, loss),
+            solved[:, _FRONT],
+            solved[:, _REAR],
+            portable.matmul(solved, heat),
+        ]
     )
-    return _ThermalStep(matrix, (55.0 * u**1.5, 35.0 * u**1.5))
+    return _ThermalStep(matrix, (55.0 * u * sqrt(u), 35.0 * u * sqrt(u)))
 
 
 def _along(names: tuple[str, ...], count: int) -> list[NDArray[np.float64]]:
@@ -246,7 +253,9 @@ def mill_displacement(rise: NDArray[np.float64]) -> NDArray[np.float64]:
     ndarray, shape (..., 2)
         Actual minus nominal position in Y and Z [m].
     """
-    linear = 1e6 * (rise @ _ERROR_WEIGHTS.T)  # the quadratic term is defined in micrometres
+    linear = 1e6 * (
+        portable.matmul(rise, _ERROR_WEIGHTS.T)
+    )  # the quadratic term is defined in micrometres
     return np.asarray(1e-6 * _ERROR_SCALE * (linear + 0.0015 * linear**2))
 
 
@@ -285,7 +294,7 @@ def _draw_sensors() -> _Sensors:
     return _Sensors(
         weights=contact[:, None] * sensor_weights(),
         contact=contact,
-        memory=np.exp(-MILL_STEP / lag),
+        memory=portable.exp(-MILL_STEP / lag),
         offset=offset,
     )
 
@@ -374,7 +383,7 @@ class ThermalMill:
 
     def ambient(self, time: float) -> float:
         """Return the ambient temperature at `time` [s] after the start of the run [degC]."""
-        swing = sin(2.0 * pi * time / _DAY + self._phase) - sin(self._phase)
+        swing = portable.sin(2.0 * pi * time / _DAY + self._phase) - portable.sin(self._phase)
         return self._base + self._amplitude * swing
 
     def advance(self, duration: float, spindle_speed: float) -> None:
@@ -402,7 +411,7 @@ class ThermalMill:
         for index in range(self._steps + 1, self._time_ns // _STEP_NS + 1):
             ambient = self.ambient(float(index * MILL_STEP))
             nodes = step.advance(nodes, ambient)
-            target = sensors.weights @ nodes + (1.0 - sensors.contact) * ambient
+            target = portable.matmul(sensors.weights, nodes) + (1.0 - sensors.contact) * ambient
             lagged = target + sensors.memory * (lagged - target)
         self._steps = self._time_ns // _STEP_NS
         self._nodes, self._lagged = nodes, lagged

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 
 
@@ -76,8 +77,8 @@ class ThermalNetwork:
         """
         storage = self.capacity / step
         lost = self.loss if loss is None else loss
-        solved = np.linalg.inv(np.diag(storage + lost) + self.conductance)
-        return np.asarray(solved, dtype=np.float64), storage
+        matrix = np.diag(storage + lost) + self.conductance
+        return portable.solve(matrix, np.eye(len(matrix))), storage
 
     def mean_row(self, *names: str) -> Array:
         """Return weights that average the named nodes, shape (n,) [-]."""

@@ -4,6 +4,7 @@
 
 import math
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.feedrate.gcode.segments import ProgramError
 
 PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
@@ -59,7 +60,7 @@ def centred(
     if math.dist(start, end) < POINT_ROUNDING:
         sweep = _FULL
     else:
-        turn = math.atan2(end[1] - centre[1], end[0] - centre[0]) - math.atan2(
+        turn = portable.arctan2(end[1] - centre[1], end[0] - centre[0]) - portable.arctan2(
             start[1] - centre[1], start[0] - centre[0]
         )
         sweep = (-turn if clockwise else turn) % _FULL
@@ -121,6 +122,6 @@ def by_radius(
         0.5 * (start[0] + end[0]) - side * across[1],
         0.5 * (start[1] + end[1]) + side * across[0],
     )
-    short = 2.0 * math.atan2(half, height)
+    short = 2.0 * portable.arctan2(half, height)
     sweep = short if radius > 0.0 else _FULL - short
     return centre, -sweep if clockwise else sweep

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.feedrate.gcode import modal
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Note, Role
 from fuzzycnc_ros.core.feedrate.gcode.expressions import Expression, ExpressionError
@@ -66,7 +67,7 @@ def _xy(value: dict[str, float | None], state: State) -> tuple[float | None, flo
     if not state.absolute or math.isnan(radius + angle):
         if not math.isfinite(x + y) or x == y == 0.0 or not state.assumed.isdisjoint('XY'):
             return None, None
-        before = math.hypot(x, y), math.degrees(math.atan2(y, x))
+        before = math.hypot(x, y), math.degrees(portable.arctan2(y, x))
         if state.absolute:
             radius = before[0] if math.isnan(radius) else radius
             angle = before[1] if math.isnan(angle) else angle
@@ -78,7 +79,7 @@ def _xy(value: dict[str, float | None], state: State) -> tuple[float | None, flo
     if math.isnan(way):
         return None, None
     turn = math.radians(angle)
-    place = (radius * math.cos(turn), radius * math.sin(turn))
+    place = (radius * portable.cos(turn), radius * portable.sin(turn))
     if state.absolute:
         return place
     return (place[0] - start[0]) / way, (place[1] - start[1]) / way

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 
@@ -158,11 +159,13 @@ class ArcSegment(Segment):
         first, second, across = self.axes
         share = np.linspace(0.0, 1.0, count + 1)
         start, end = self.radii
-        angle = math.atan2(self.start[second] - self.centre[1], self.start[first] - self.centre[0])
+        angle = portable.arctan2(
+            self.start[second] - self.centre[1], self.start[first] - self.centre[0]
+        )
         radius = start + (end - start) * share
         point = np.empty((count + 1, 3))
-        point[:, first] = self.centre[0] + radius * np.cos(angle + self.sweep * share)
-        point[:, second] = self.centre[1] + radius * np.sin(angle + self.sweep * share)
+        point[:, first] = self.centre[0] + radius * portable.cos(angle + self.sweep * share)
+        point[:, second] = self.centre[1] + radius * portable.sin(angle + self.sweep * share)
         point[:, across] = self.start[across] + (self.end[across] - self.start[across]) * share
         point[0], point[-1] = self.start, self.end  # to the last digit
         return point

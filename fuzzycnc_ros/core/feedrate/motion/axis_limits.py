@@ -122,7 +122,7 @@ def acceleration_bands(geometry: PathGeometry, table: Array) -> Bands:
     tangent, bend = geometry.derivative(1), geometry.derivative(2)
     # Lines have one coefficient, all but for the rounding of positions in second differences.
     largest = np.abs(geometry.coefficient).max(axis=(1, 2))
-    rounding = 64.0 * np.finfo(float).eps * largest * 80.0 * half**2
+    rounding = 64.0 * np.finfo(float).eps * largest * 80.0 * (half * half)
     straight = (np.abs(bend) <= rounding[:, np.newaxis, np.newaxis]).all(axis=(1, 2))
     tangent[straight] = tangent[straight, :1]
     bend[straight] = 0.0

@@ -127,8 +127,8 @@ def reachable_speed(
             raise ValueError(f'{name}: expected a speed of 0 m/s or more, but found {value}')
     if len(place) == 0:
         return cap
-    cap[0] = min(cap[0], start**2)
-    cap[-1] = min(cap[-1], end**2)
+    cap[0] = min(cap[0], start * start)
+    cap[-1] = min(cap[-1], end * end)
     return np.sqrt(sweep(sweep(cap[::-1], rise[::-1])[::-1], rise))
 
 

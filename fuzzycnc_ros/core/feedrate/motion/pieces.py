@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
@@ -164,8 +165,8 @@ class Pieces:
         """
         if not len(self):
             return self
-        fastest = min(feed_max, float(np.linalg.norm(table[0, 1:])), table[0, 0])
-        braking = fastest**2 / (2.0 * min(table[1, 0], float(np.linalg.norm(table[1, 1:]))))
+        fastest = min(feed_max, portable.norm(table[0, 1:]), table[0, 0])
+        braking = fastest * fastest / (2.0 * min(table[1, 0], portable.norm(table[1, 1:])))
         count = np.clip(np.ceil(self.length / (0.1 * braking)), 1, _PARTS_MAX).astype(int)
         rests = self.stop.copy()
         rests[0] |= resting

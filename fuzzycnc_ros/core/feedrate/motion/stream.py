@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.motion.axis_limits import acceleration_bands
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
@@ -72,7 +73,7 @@ def _shares(geometry: PathGeometry, cap: Array, table: Array) -> Array:
     for bound in (
         (velocity / own) ** 2,
         0.7 * acceleration / side,
-        (0.5 * jerk / twist) ** (2.0 / 3.0),
+        np.square(portable.cube_root(0.5 * jerk / twist)),
     ):
         cap = np.minimum(cap, bound.min(axis=1))
     square, speed = cap[:, np.newaxis], np.sqrt(cap)[:, np.newaxis]
@@ -518,7 +519,7 @@ class MotionStream:
         if path.geometry.axes != self._axes:
             raise ValueError(f'path: expected {self._axes} axes, but found {path.geometry.axes}')
         square = squares(speed, len(path.geometry.coefficient))
-        if (square > self._feed_max**2 * (1.0 + 1e-9)).any():
+        if (square > self._feed_max * self._feed_max * (1.0 + 1e-9)).any():
             raise ValueError(
                 f'speed: expected at most feed_max, {self._feed_max} m/s, but found '
                 f'{np.sqrt(square.max())} m/s'

@@ -64,9 +64,10 @@ class WaypointCurve:
             place = change - width * (known[1] + width * known[2])
             rate = width * (speed[1:] - known[1] - width * acceleration[:-1])
             bend = width**2 * np.diff(acceleration, axis=0)
-            known.append((10.0 * place - 4.0 * rate + 0.5 * bend) / width**3)
-            known.append((-15.0 * place + 7.0 * rate - bend) / width**4)
-            known.append((6.0 * place - 3.0 * rate + 0.5 * bend) / width**5)
+            cube = width**2 * width
+            known.append((10.0 * place - 4.0 * rate + 0.5 * bend) / cube)
+            known.append((-15.0 * place + 7.0 * rate - bend) / (cube * width))
+            known.append((6.0 * place - 3.0 * rate + 0.5 * bend) / (cube * width**2))
         self._known = np.stack(known)
 
     def at(self, time: Array) -> tuple[Array, Array, Array]:

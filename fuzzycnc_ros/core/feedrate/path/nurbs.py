@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 
 if TYPE_CHECKING:
@@ -300,7 +301,7 @@ class NurbsCurve:
         _, first, second = self._derivatives(parameter, 2)
         square = np.sum(first * first, axis=0)
         span = self.domain[1] - self.domain[0]
-        still = square * span**2 <= (_STILL * self._size) ** 2
+        still = square * (span * span) <= _STILL * self._size * (_STILL * self._size)
         square = np.where(still, 1.0, square)
         # What is left of the second derivative across the tangent: unlike the difference of
         # squares under a root, it keeps its digits where the curve is almost straight.
@@ -464,7 +465,11 @@ class NurbsCurve:
         """
         span = self.domain[1] - self.domain[0]
         higher = self._derivatives(parameter, self.degree + 1)[2:]
-        direction = np.stack([part.T * span**k for k, part in enumerate(higher, 2)], axis=-2)
+        of_span = portable.whole_powers(span, self.degree + 1)
+        direction = np.stack(
+            [part.T * of_span[k] for k, part in enumerate(higher, 2)],
+            axis=-2,
+        )
         norm = np.sqrt(np.sum(direction * direction, axis=-1, keepdims=True))
         still = norm <= _STILL * self._size
         direction = np.where(still, 0.0, direction / np.where(still, 1.0, norm))
@@ -480,7 +485,9 @@ class NurbsCurve:
         """Return the length between parameters [m] by one Gauss rule each."""
         half = 0.5 * (high - low)
         node = (0.5 * (high + low))[..., np.newaxis] + half[..., np.newaxis] * _NODE
-        return np.asarray(half * (self._speed(np.clip(node, *self.domain)) @ _WEIGHT))
+        return np.asarray(
+            half * (portable.matmul(self._speed(np.clip(node, *self.domain)), _WEIGHT))
+        )
 
     @cached_property
     def _pieces(self) -> tuple[Array, Array]:
@@ -505,7 +512,7 @@ class NurbsCurve:
             )
             whole = np.concatenate([left[rest], right[rest]])
         begin, length = np.concatenate(edges), np.concatenate(lengths)
-        order = np.argsort(begin)
+        order = np.argsort(begin, kind='stable')
         total = np.concatenate([[0.0], np.cumsum(length[order])])
         return np.append(begin[order], edge[-1]), total
 

@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array, dot_products, vector_lengths
 
 SMOOTH_TURN = 1e-6
@@ -111,7 +112,7 @@ class PathGeometry:
         if arc_length is None:
             half = 0.25 * chord * (vector_lengths(bend[:-1]) + vector_lengths(bend[1:]))
             half = np.minimum(half, 1.0)
-            length = chord * np.arcsin(half) / np.where(half > 1e-4, half, 1.0)
+            length = chord * portable.arcsin(half) / np.where(half > 1e-4, half, 1.0)
             length = np.where(half > 1e-4, length, chord * (1.0 + half**2 / 6.0))
         else:
             length = np.diff(np.asarray(arc_length, dtype=float))
@@ -151,7 +152,8 @@ class PathGeometry:
         length = np.diff(self.node)[:, np.newaxis, np.newaxis]
         # Differences first: they are nearly exact, quotients are not.
         found = np.diff(coefficient, order, axis=1)
-        return np.asarray(found * (perm(_DEGREE, order) / length**order))
+        width = portable.whole_powers(length, order)[..., order]
+        return np.asarray(found * (perm(_DEGREE, order) / width))
 
     def evaluate(self, arc_length: ArrayLike, order: int = 0) -> Array:
         """Return the path, or a derivative, at arc lengths of shape (k,); shape (k, d)."""
@@ -221,7 +223,7 @@ class PathGeometry:
         found = np.empty((int(pieces.sum()), _DEGREE + 1, self.axes))
         for count in np.unique(pieces):
             chosen = np.flatnonzero(pieces == count)
-            cut = 0.5 - 0.5 * np.cos(np.pi * np.arange(count + 1) / count)
+            cut = 0.5 - 0.5 * portable.cos(np.pi * np.arange(count + 1) / count)
             place = first[chosen, np.newaxis] + np.arange(count)
             length = np.diff(self.node)[chosen, np.newaxis]
             node[place] = self.node[chosen, np.newaxis] + length * cut[:-1]
@@ -247,10 +249,10 @@ def _probed(weight: Array, coefficient: Array) -> Array:
 
 def bernstein(degree: int, share: Array) -> Array:
     """Return the Bernstein polynomials at `share` (k,) in 0..1, shape (k, degree + 1)."""
-    power = np.arange(degree + 1)
-    count = np.array([comb(degree, int(k)) for k in power])
-    at = np.asarray(share)[:, np.newaxis]
-    return np.asarray(count * at**power * (1.0 - at) ** (degree - power))
+    count = np.array([comb(degree, k) for k in range(degree + 1)])
+    at = np.asarray(share)
+    rest = portable.whole_powers(1.0 - at, degree)[:, ::-1]
+    return np.asarray(count * portable.whole_powers(at, degree) * rest)
 
 
 @lru_cache(maxsize=4096)
@@ -261,7 +263,7 @@ def _restriction(low: float, high: float) -> Array:
         # Blossom: the part's coefficient k takes `high` k times and `low` the other times.
         left = bernstein(_DEGREE - row, np.array([low]))[0]
         right = bernstein(row, np.array([high]))[0]
-        found[row] = np.convolve(left, right)
+        found[row] = portable.convolve(left, right)
     return found
 
 
@@ -335,4 +337,4 @@ def turn_angles(before: Array, after: Array) -> Array:
     """Return angles between directions (m, d) [rad], exact also where they are small; (m,)."""
     a = before / vector_lengths(before)[:, np.newaxis]
     b = after / vector_lengths(after)[:, np.newaxis]
-    return np.asarray(2.0 * np.arctan2(vector_lengths(b - a), vector_lengths(b + a)))
+    return np.asarray(2.0 * portable.arctan2(vector_lengths(b - a), vector_lengths(b + a)))

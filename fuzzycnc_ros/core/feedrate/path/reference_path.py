@@ -28,6 +28,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array, dot_products, vector_lengths
 from fuzzycnc_ros.core.feedrate.gcode.segments import DwellSegment, Segment
 from fuzzycnc_ros.core.feedrate.path.path_geometry import (
@@ -127,15 +128,15 @@ def _control_shares(turn: Array, pieces: int) -> tuple[Array, Array]:
     if pieces in (2, 6):
         first, second = _TWO_PIECES if pieces == 2 else _UNIFORM
         return np.full(len(turn), first), np.full(len(turn), second)
-    square = turn**2
-    return 0.28 - 0.02 * square, 0.72 - 0.034 * square - 0.003 * square**2
+    square = turn * turn
+    return 0.28 - 0.02 * square, 0.72 - 0.034 * square - 0.003 * (square * square)
 
 
 def _line_reach(turn: Array, tolerance: float, pieces: int) -> Array:
     """Return the reach at which blends of lines are `tolerance` from them [m], shape (k,)."""
     first, second = _control_shares(turn, pieces)
     middle = (1.0 + 5.0 * (1.0 - first) + 10.0 * (1.0 - second)) / 32.0
-    return np.asarray((1.0 - 1e-9) * tolerance / (middle * np.sin(turn)))
+    return np.asarray((1.0 - 1e-9) * tolerance / (middle * portable.sin(turn)))
 
 
 def _corner_reach(
@@ -228,10 +229,10 @@ def _rounded(
     rate, gain = rate[..., np.newaxis], gain[..., np.newaxis]
     point = base.point + kink * part[0] + ease[0]
     velocity = (base.tangent + ease[1]) * rate + kink * part[1]
-    bend = (base.bend + ease[2]) * rate**2 + (base.tangent + ease[1]) * gain + kink * part[2]
+    bend = (base.bend + ease[2]) * (rate * rate) + (base.tangent + ease[1]) * gain + kink * part[2]
     speed = vector_lengths(velocity)[..., np.newaxis]
     tangent = velocity / speed
-    bend = (bend - dot_products(bend, tangent)[..., np.newaxis] * tangent) / speed**2
+    bend = (bend - dot_products(bend, tangent)[..., np.newaxis] * tangent) / (speed * speed)
     for at in (0, -1):  # where the path goes on, to the last digit
         point[:, at], tangent[:, at] = base.point[:, at], base.tangent[:, at]
         bend[:, at] = base.bend[:, at]
@@ -244,12 +245,12 @@ def _pieces(point: Array, tangent: Array, bend: Array) -> tuple[Array, Array]:
     chord = vector_lengths(np.diff(point, axis=1))
     curvature = vector_lengths(bend)
     half = np.minimum(0.25 * chord * (curvature[:, :-1] + curvature[:, 1:]), 1.0)
-    length = chord * (1.0 + half**2 / 6.0)
+    length = chord * (1.0 + half * half / 6.0)
     weight = bernstein(4, 0.5 * (1.0 + _NODE))
     for _ in range(2):  # the length of a quintic hardly depends on the one it is made with
         coefficient = _between(point, tangent, bend, length)
         velocity = 5.0 * np.einsum('gb,knbd->kngd', weight, np.diff(coefficient, axis=2))
-        length = 0.5 * vector_lengths(velocity) @ _WEIGHT
+        length = portable.matmul(0.5 * vector_lengths(velocity), _WEIGHT)
     return _between(point, tangent, bend, length), length
 
 
@@ -329,13 +330,14 @@ def _jump(shapes: Shapes, index: NDArray[np.intp]) -> Array:
 def _ease(place: Array, reach: Array) -> tuple[Array, Array, Array]:
     """Return l^2 e(s / l) and its first two derivatives by s, each (k, n)."""
     share = np.minimum(np.abs(place) / reach, 1.0)
-    powers = np.arange(1, 6)
+    powers = range(1, 6)
+    of_share, of_reach = portable.whole_powers(share, 5), portable.whole_powers(reach, 2)
     found = []
     factor = _EASE
     for order in range(3):
-        term = [c * share ** max(p - order, 0) for c, p in zip(factor, powers, strict=True)]
-        found.append(np.sum(term, axis=0) * reach ** (2 - order))
-        factor = factor * np.maximum(powers - order, 0)
+        term = [c * of_share[..., max(p - order, 0)] for c, p in zip(factor, powers, strict=True)]
+        found.append(np.sum(term, axis=0) * of_reach[..., 2 - order])
+        factor = factor * np.array([max(p - order, 0) for p in powers])
     sign = np.where(place > 0.0, 1.0, -1.0)
     return found[0] * sign, found[1], found[2] * sign
 
@@ -344,7 +346,7 @@ def _bernstein_values(coefficient: Array, share: Array) -> list[Array]:
     """Return polynomials (k, 6) and their first two derivatives at shares (n,), each (k, n)."""
     found, degree, factor = [], 5, 1.0
     for _ in range(3):
-        found.append(factor * coefficient @ bernstein(degree, share).T)
+        found.append(portable.matmul(factor * coefficient, bernstein(degree, share).T))
         coefficient, factor, degree = np.diff(coefficient, axis=1), factor * degree, degree - 1
     return found
 
@@ -472,7 +474,8 @@ def _assemble(shapes: Shapes, head: float, blend: float, easing: float, *, last:
 def _sizes(shapes: Shapes, low: Array, high: Array) -> NDArray[np.intp]:
     """Return the number of pieces of each shape between its junctions, shape (n,)."""
     span = high - low
-    steps = np.floor(np.log2(np.maximum(span, 1e-12) / (4.0 * _END)) / 2.0) + 1.0
+    _, exponent = np.frexp(np.maximum(span, 1e-12) / (4.0 * _END))
+    steps = (exponent - 1) // 2 + 1.0  # the whole part of the logarithm to the base 4, and one
     found = 1.0 + 2.0 * np.clip(steps, 0.0, _STEPS)
     arcs = shapes.kind == ARC
     turn = np.abs(shapes.arc[arcs, 8]) * span[arcs] / shapes.length[arcs]
@@ -506,7 +509,7 @@ def _bodies(
     place = begin + (end - begin) * (step / size[row])
     graded = (shapes.kind[row] == LINE) & (size[row] > 1)
     near = np.minimum(step, left)
-    distance = np.where(near > 0, _END * 4.0 ** (near - 1.0), 0.0)
+    distance = np.where(near > 0, np.ldexp(_END, 2 * (near.astype(np.intc) - 1)), 0.0)
     place = np.where(graded, np.where(step <= left, begin + distance, end - distance), place)
     place = np.where(left == 0, end, place)
     for k in np.flatnonzero((shapes.kind == CURVE) & (size > 1)).tolist():

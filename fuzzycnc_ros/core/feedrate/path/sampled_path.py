@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.windows import arc_window_maximum
 
@@ -30,7 +31,7 @@ _ROUNDING_STEPS = 4.0 * float(np.finfo(np.float64).eps)
 # Points a block: its arrays stay in the cache, which halves the time of a long path.
 _CURVATURE_BLOCK = 8192
 
-_CORNER_BEND = 4.0 * math.sin(0.5 * CORNER_ANGLE) ** 2
+_CORNER_BEND = 4.0 * portable.sin(0.5 * CORNER_ANGLE) * portable.sin(0.5 * CORNER_ANGLE)
 _FOLDED = 1e-6  # of the stencil: chords so short have no direction
 
 
@@ -236,7 +237,7 @@ def _distinct(points: Array, resolution: float, closed: bool) -> tuple[_Index, _
     step = np.diff(path, axis=0)
     kept = np.ones(len(path), dtype=np.bool_)
     done = 0
-    for k in np.flatnonzero(np.sum(step * step, axis=1) <= resolution**2).tolist():
+    for k in np.flatnonzero(np.sum(step * step, axis=1) <= resolution * resolution).tolist():
         if k < done:
             continue
         done = k + 1
@@ -307,7 +308,7 @@ def _three_points(before: Array, after: Array, bend: Array) -> Array:
 
 
 def _angle(bend: Array) -> Array:
-    return np.asarray(2.0 * np.arcsin(0.5 * np.sqrt(bend)))
+    return np.asarray(2.0 * portable.arcsin(0.5 * np.sqrt(bend)))
 
 
 def _turn_alone(before: Array, after: Array, bend: Array) -> Array:

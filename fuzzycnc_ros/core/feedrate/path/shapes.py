@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array, dot_products, vector_lengths
 from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, NurbsSegment, Segment
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
@@ -211,7 +212,9 @@ def _pieces_needed(curve: NurbsCurve, begin: Array, end: Array, low: float, high
     inner = curvature.max(axis=1)
     ends = np.maximum(curvature[:, 0], curvature[:, -1])
     turn = inner * length
-    count = np.maximum(np.ceil(turn / TURN - 1e-9), np.ceil((off / _OFF) ** (1.0 / 6.0) - 1e-9))
+    count = np.maximum(
+        np.ceil(turn / TURN - 1e-9), np.ceil(np.sqrt(portable.cube_root(off / _OFF)) - 1e-9)
+    )
     count = np.maximum(count, np.where((inner > _SWELL * ends) & (turn > _FLAT), 2.0, 1.0))
     return np.asarray(np.clip(count, 1.0, 8.0).astype(np.intp))
 
@@ -429,7 +432,7 @@ def _arc_numbers(segments: Sequence[ArcSegment], start: Array, end: Array) -> Ar
     for row, segment in zip(number, segments, strict=True):
         first, second, across = segment.axes
         low, high = segment.radii
-        angle = math.atan2(
+        angle = portable.arctan2(
             segment.start[second] - segment.centre[1], segment.start[first] - segment.centre[0]
         )
         height = segment.start[across]
@@ -464,7 +467,7 @@ def _arc_derivatives(number: Array, share: Array) -> tuple[Array, Array, Array]:
     radius, change, angle, sweep, height, rise = number[:, 5:11].T
     row = np.arange(len(number))
     turned = angle + sweep * share
-    cosine, sine = np.cos(turned), np.sin(turned)
+    cosine, sine = portable.cos(turned), portable.sin(turned)
     distance = radius + change * share
     point, first, second = (np.zeros((len(number), 3)) for _ in range(3))
     point[row, axes[:, 0]] = number[:, 3] + distance * cosine

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program
 from fuzzycnc_ros.core.feedrate.gcode.segments import (
@@ -64,7 +65,7 @@ class _ProgramMotion:
     def __init__(self, settings: ProgramSettings) -> None:
         self._settings = settings
         velocity, rise, _ = settings.limits.table(AXIS_COUNT)
-        self._speed_max = min(float(velocity[0]), float(np.linalg.norm(velocity[1:])))
+        self._speed_max = min(float(velocity[0]), portable.norm(velocity[1:]))
         self._ramp = float(rise.min())
         self._stream: MotionStream | None = None
         self._running = 0.0  # time of the stream
@@ -148,7 +149,9 @@ class _ProgramMotion:
             self._running = float(part.time[-1])
             node = part.place + part.geometry.node
             moving = np.append(np.diff(part.arc_length) > 0.0, True)
-            square = np.interp(node, part.arc_length[moving], part.speed[moving] ** 2)
+            square = np.interp(
+                node, part.arc_length[moving], part.speed[moving] * part.speed[moving]
+            )
             speed = np.sqrt(square)
             bend = own_curvature(part.geometry)
             across = square * self._approach(node, speed)
@@ -234,9 +237,9 @@ def straight_time(way: Array, speed: Array, limits: MotionLimits) -> Array:
         # To full speed and back to rest, in units of the mean speed
         ramp = np.where(top < rise * build, 2.0 * np.sqrt(top / jolt), top / rise + build)
         short = np.where(
-            length >= 2.0 * rise * build**2,
-            build + np.sqrt(build**2 + 4.0 * length / rise),
-            4.0 * np.cbrt(0.5 * length / jolt),
+            length >= 2.0 * rise * (build * build),
+            build + np.sqrt(build * build + 4.0 * length / rise),
+            4.0 * portable.cube_root(0.5 * length / jolt),
         )
     return np.asarray(np.where(length >= top * ramp, length / top + ramp, short))
 

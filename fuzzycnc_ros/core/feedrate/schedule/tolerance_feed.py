@@ -11,6 +11,7 @@ from math import inf, sqrt
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.sampled_path import WINDOW_EDGE, SampledPath
 from fuzzycnc_ros.core.feedrate.path.windows import window_maximum
@@ -162,8 +163,8 @@ class ToleranceFeed(Scheduler):
         ndarray
             Decades in the shape of the curvature.
         """
-        full = self.feed_max**2 * self.machine_constant * self.margin / self.tolerance
-        return np.asarray(np.log10(full * np.maximum(curvature, CURVATURE_FLOOR)))
+        full = self.feed_max * self.feed_max * self.machine_constant * self.margin / self.tolerance
+        return np.asarray(portable.log10(full * np.maximum(curvature, CURVATURE_FLOOR)))
 
     def guarded(self, path: SampledPath) -> Array:
         """Return the curvature that each point is scheduled for.
@@ -194,18 +195,18 @@ class ToleranceFeed(Scheduler):
             return near
         own = np.maximum(path.curvature, CURVATURE_FLOOR)
         largest = window_maximum(own, 1, 1, closed=path.closed)
-        return np.maximum(near, own ** (1.0 - self.guard_step) * largest**self.guard_step)
+        return np.maximum(near, own * portable.power(largest / own, self.guard_step))
 
     def _ratio(self, path: SampledPath) -> Array:
         near = self._near(path)
         excess = self.excess(self._beside(path, near))
         if self._approach_time:
-            speed = self.feed_max * 10.0 ** _decades(self.excess(near))
+            speed = self.feed_max * _share(self.excess(near))
             if path.programmed is not None:
                 speed = np.minimum(speed, path.programmed)
             reach = self._approach_time, self._approach_length
-            excess += np.log10(approach_share(path, speed, *reach))
-        return self._gentle(path, 10.0 ** _decades(excess))
+            excess += portable.log10(approach_share(path, speed, *reach))
+        return self._gentle(path, _share(excess))
 
     def _gentle(self, path: SampledPath, ratio: Array) -> Array:
         """Return the ratios lowered so far that the speed falls by no more than the slope.
@@ -223,9 +224,12 @@ class ToleranceFeed(Scheduler):
         return np.asarray(np.minimum(ratio, least[: len(ratio)]))
 
 
-def _decades(excess: Array) -> Array:
-    """Return the logarithm of the ratio: v ~ curvature^-1/2, full feed without an excess."""
-    return np.asarray(-0.5 * np.maximum(excess, 0.0))
+_LN10 = portable.log(10.0)
+
+
+def _share(excess: Array) -> Array:
+    """Return the ratio for an excess in decades: v ~ curvature^-1/2, full feed without any."""
+    return portable.exp(-0.5 * _LN10 * np.maximum(excess, 0.0))
 
 
 def approach_share(path: SampledPath, speed: Array, time: float, length: float) -> Array:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array, Seed
 from fuzzycnc_ros.core.fuzzy.clustering import FuzzyCMeans
 from fuzzycnc_ros.core.thermal.band import largest_of, mean_of_square
@@ -270,7 +271,7 @@ def _cluster(
     correlation = correlation_of(rise, own[:, np.newaxis])[:, 0]
     # A mate that moves the other way follows something else; it must not stand in.
     order = [index for index in np.argsort(-correlation, kind='stable') if correlation[index] > 0]
-    gain = rise.T @ own / np.einsum('nm,nm->m', rise, rise)
+    gain = portable.matmul(rise.T, own) / np.einsum('nm,nm->m', rise, rise)
     return SensorCluster(
         member=tuple(field.sensor[index] for index in members),
         score=tuple(float(score[index]) for index in members),

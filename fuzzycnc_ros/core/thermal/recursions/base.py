@@ -22,6 +22,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array, check_shapes
 from fuzzycnc_ros.core.document import Node
 
@@ -392,17 +393,23 @@ class LinearRecursion(Recursion):
 
     def step(self, rise: Array, state: Array) -> tuple[Array, Array]:
         """Return the thermal errors (c,) [m] and the next state for one sample of rises (p,)."""
-        state = self.pole * state + self.drive @ rise
-        return self.readout @ state + self.direct @ rise + self.offset, state
+        state = self.pole * state + portable.matmul(self.drive, rise)
+        return portable.matmul(self.readout, state) + portable.matmul(
+            self.direct, rise
+        ) + self.offset, state
 
     def run(self, rise: Array) -> Array:
         """Return the thermal errors (n, c) [m] of a whole run of rises (n, p) [K]."""
-        lagged = first_order_lags(self.pole, rise @ self.drive.T)
-        return np.asarray(lagged @ self.readout.T + rise @ self.direct.T + self.offset)
+        lagged = first_order_lags(self.pole, portable.matmul(rise, self.drive.T))
+        return np.asarray(
+            portable.matmul(lagged, self.readout.T)
+            + portable.matmul(rise, self.direct.T)
+            + self.offset
+        )
 
     def with_interval(self, ratio: float) -> 'LinearRecursion':
         """Return the recursion for an interval `ratio` times as long."""
-        pole = self.pole**ratio
+        pole = portable.power(self.pole, ratio)
         gain = (1.0 - pole) / (1.0 - self.pole)
         return replace(self, pole=pole, drive=self.drive * gain[:, np.newaxis])
 
@@ -623,7 +630,7 @@ def combine(recursions: Sequence[Recursion]) -> Recursion:
     starts = np.cumsum([0, *(item.channels for item in recursions)])
     # Position of each channel of `recursions` once the groups are lined up.
     channel = np.concatenate([np.arange(starts[n], starts[n + 1]) for n in lined_up])
-    order = np.argsort(channel)
+    order = np.argsort(channel, kind='stable')
     if len(parts) == 1 and np.array_equal(order, np.arange(len(order))):
         return parts[0]
     return ParallelRecursion(tuple(parts), order)

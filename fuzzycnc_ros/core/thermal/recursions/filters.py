@@ -11,6 +11,7 @@ from typing import ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.document import Node
 from fuzzycnc_ros.core.thermal.recursions.base import Recursion, axes
@@ -119,7 +120,7 @@ class DelayedRecursion(Recursion):
         known = np.concatenate((rise, state))
         weight, constant = self._map
         read = known if self._picked is None else known[self._picked]
-        value = self._output(weight @ read + constant)
+        value = self._output(portable.matmul(weight, read) + constant)
         kept = self._kept
         if not self.history:
             return value, known[:kept]
@@ -130,7 +131,9 @@ class DelayedRecursion(Recursion):
         """Return the thermal errors (n, c) [m] of a whole run of rises (n, p) [K]."""
         weight, constant = self._map
         columns = len(self.delay) * self.inputs
-        drive = delayed_rises(rise, [slice(0, len(rise))], self.delay) @ weight[:, :columns].T
+        drive = portable.matmul(
+            delayed_rises(rise, [slice(0, len(rise))], self.delay), weight[:, :columns].T
+        )
         drive += constant
         if not self.history:
             return self._output(drive)
@@ -138,7 +141,7 @@ class DelayedRecursion(Recursion):
         past = np.zeros(feedback.shape[1])
         values = np.empty((len(rise), self.channels))
         for k, sample in enumerate(drive):
-            values[k] = self._output(sample + feedback @ past)
+            values[k] = self._output(sample + portable.matmul(feedback, past))
             past = np.concatenate((values[k], past[: -self.channels]))
         return values
 
@@ -249,5 +252,7 @@ class FilterNetworkRecursion(DelayedRecursion):
         return np.ascontiguousarray(block_diag(*self.outer))
 
     def _output(self, activation: Array) -> Array:
-        hidden = np.tanh(activation)
-        return np.asarray(self.scale * np.tanh(hidden @ self._outer.T + self.offset))
+        hidden = portable.tanh(activation)
+        return np.asarray(
+            self.scale * portable.tanh(portable.matmul(hidden, self._outer.T) + self.offset)
+        )

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.recursions.base import Recursion, axes, first_order_lags
 
@@ -46,7 +47,7 @@ class GreyRecursion(Recursion):
 
     def step(self, rise: Array, state: Array) -> tuple[Array, Array]:
         """Return the thermal errors (c,) [m] and the next state for one sample of rises (p,)."""
-        drive = self.b @ rise
+        drive = portable.matmul(self.b, rise)
         number = state[0] + 1.0
         total = state[1 : 1 + self.channels] + drive
         previous = state[1 + self.channels :]
@@ -57,18 +58,18 @@ class GreyRecursion(Recursion):
                 kept = value
             else:
                 steady = total / self.a
-                kept = (self.initial - steady) * np.exp(-self.a * (number - 1.0)) + steady
+                kept = (self.initial - steady) * portable.exp(-self.a * (number - 1.0)) + steady
                 value = kept - previous
         return value, np.concatenate([[number], total, kept])
 
     def run(self, rise: Array) -> Array:
         """Return the thermal errors (n, c) [m] of a whole run of rises (n, p) [K]."""
-        drive = rise @ self.b.T
+        drive = portable.matmul(rise, self.b.T)
         total = np.cumsum(drive, axis=0)
         with np.errstate(all='ignore'):
             if not self.exact:
                 steady = total / self.a
-                decay = np.exp(-self.a * np.arange(len(rise))[:, np.newaxis])
+                decay = portable.exp(-self.a * np.arange(len(rise))[:, np.newaxis])
                 accumulated = (self.initial - steady) * decay + steady
                 return np.diff(accumulated, axis=0, prepend=np.zeros((1, self.channels)))
             half = 1.0 + self.a / 2.0
@@ -96,8 +97,13 @@ class GreyRecursion(Recursion):
                 f'interval: expected a model with poles of 0 or more, but found {pole.min():.3g}; '
                 'fit the model anew at the other interval'
             )
-        a = development_of(pole**ratio)
-        gain = (1.0 - pole**ratio) / (1.0 - pole) * (1.0 + a / 2.0) / (1.0 + self.a / 2.0)
+        a = development_of(portable.power(pole, ratio))
+        gain = (
+            (1.0 - portable.power(pole, ratio))
+            / (1.0 - pole)
+            * (1.0 + a / 2.0)
+            / (1.0 + self.a / 2.0)
+        )
         return replace(self, a=a, b=self.b * gain[:, np.newaxis])
 
     def _exact(self, number: float, drive: Array, total: Array, previous: Array) -> Array:

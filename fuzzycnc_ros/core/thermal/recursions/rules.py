@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.fuzzy.takagi_sugeno import log_firing, normalised_firing
 from fuzzycnc_ros.core.thermal.recursions.base import Recursion, axes, part
@@ -80,7 +81,7 @@ class CorrectedRecursion(Recursion):
     def weight(self, rise: Array) -> Array:
         """Return the weight of the corrector in each channel, (..., c), at rises (..., p)."""
         shape = (*rise.shape[:-1], self.channels, self.inputs)
-        apart = (rise @ self._stacked.T - self._center).reshape(shape)
+        apart = (portable.matmul(rise, self._stacked.T) - self._center).reshape(shape)
         distance = np.sqrt((apart * apart).sum(axis=-1))
         inside = (self.outer - distance) / (self.outer - self.inner)
         return np.asarray(np.minimum(np.maximum(inside, 0.0), 1.0))
@@ -124,13 +125,13 @@ class RulesRecursion(Recursion):
     def step(self, rise: Array, state: Array) -> tuple[Array, Array]:
         """Return the thermal errors (c,) [m] and the next state for one sample of rises (p,)."""
         firing = normalised_firing(log_firing(rise, self.center, self._inverse_width))
-        return (firing * (self.slope @ rise + self.offset)).sum(axis=-1), state
+        return (firing * (portable.matmul(self.slope, rise) + self.offset)).sum(axis=-1), state
 
     def run(self, rise: Array) -> Array:
         """Return the thermal errors (n, c) [m] of a whole run of rises (n, p) [K]."""
         values = np.empty((len(rise), self.channels))
         for channel in range(self.channels):
             logarithm = log_firing(rise, self.center[channel], self._inverse_width[channel])
-            output = rise @ self.slope[channel].T + self.offset[channel]
+            output = portable.matmul(rise, self.slope[channel].T) + self.offset[channel]
             values[:, channel] = (normalised_firing(logarithm) * output).sum(axis=-1)
         return values

@@ -1,0 +1,515 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Elementary functions, products and solutions that have the same digits on every processor.
+
+A C library, numpy and BLAS choose their kernels by the processor: polynomials with or without
+fused multiplication, sums in the order of the widest registers.  What a node publishes must not
+depend on that, or a recording made in a shop would not replay in an office.  IEEE 754 fixes the
+result of each single `+ - * /` and square root, and of what only moves digits (`frexp`,
+`ldexp`, `rint`).  All here is made of these, in a written order; numpy's own sums along an axis
+and `einsum` without `optimize` keep their order too.
+
+`test/contract/test_portable.py` keeps the others out of what runs on a machine.
+
+Notes
+-----
+Sources: fdlibm 5.3, Sun Microsystems 1993 (`e_exp.c`, `e_log.c`, `k_sin.c`, `k_cos.c`,
+`e_rem_pio2.c`);
+Cephes 2.8, S. L. Moshier 2000 (`atan.c`, `tanh.c`): polynomials and parts of constants.
+Golub and Van Loan, Matrix Computations, 4th edition: algorithms 3.4.1, 5.2.1 and 8.5.2.
+"""
+
+import math
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.core.arrays import Array
+
+Reals = NDArray[np.floating[Any]]
+"""Array of real numbers, as numpy types the result of its sums and steps."""
+
+_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+_QUARTER = (
+    1.57079632673412561417e00,
+    6.07710050630396597660e-11,
+    2.02226624879595063154e-21,
+)
+"""A quarter turn [rad] in two parts of 33 bits and the rest."""
+
+_PER_LN2, _PER_QUARTER = 1.4426950408889634, 0.63661977236758134
+_ROOT_HALF = 0.70710678118654752
+_EIGHTH, _QUARTER_LOW = 0.78539816339744831, 6.12323399573676603587e-17
+"""An eighth of a turn [rad], and what a double leaves of a quarter."""
+
+_EXP = (
+    4.13813679705723846039e-08,
+    -1.65339022054652515390e-06,
+    6.61375632143793436117e-05,
+    -2.77777777770155933842e-03,
+    1.66666666666666019037e-01,
+)
+_LOG = (
+    1.479819860511658591e-01,
+    1.531383769920937332e-01,
+    1.818357216161805012e-01,
+    2.222219843214978396e-01,
+    2.857142874366239149e-01,
+    3.999999999940941908e-01,
+    6.666666666666735130e-01,
+)
+_SIN = (
+    1.58969099521155010221e-10,
+    -2.50507602534068634195e-08,
+    2.75573137070700676789e-06,
+    -1.98412698298579493134e-04,
+    8.33333333332248946124e-03,
+    -1.66666666666666324348e-01,
+)
+_COS = (
+    -1.13596475577881948265e-11,
+    2.08757232129817482790e-09,
+    -2.75573143513906633035e-07,
+    2.48015872894767294178e-05,
+    -1.38888888888741095749e-03,
+    4.16666666666666019037e-02,
+)
+_ATAN = (
+    -8.750608600031904122785e-01,
+    -1.615753718733365076637e01,
+    -7.500855792314704667340e01,
+    -1.228866684490136173410e02,
+    -6.485021904942025371773e01,
+)
+_ATAN_BELOW = (
+    1.0,
+    2.485846490142306297962e01,
+    1.650270098316988542046e02,
+    4.328810604912902668951e02,
+    4.853903996359136964868e02,
+    1.945506571482613964425e02,
+)
+_TANH = (-9.64399179425052238628e-01, -9.92877231001918586564e01, -1.61468768441708447952e03)
+_TANH_BELOW = (
+    1.0,
+    1.12811678491632931402e02,
+    2.23548839060100448583e03,
+    4.84406305325125486048e03,
+)
+
+
+def _polynomial(coefficients: tuple[float, ...], x: Any) -> Any:
+    """Return a polynomial's value, the highest power first."""
+    total = x * coefficients[0] + coefficients[1]
+    for coefficient in coefficients[2:]:
+        total = total * x + coefficient
+    return total
+
+
+def _exp_less_one(rest: Any) -> Any:
+    """Return `exp(rest) - 1` for at most half of ln 2."""
+    square = rest * rest
+    c = rest - square * _polynomial(_EXP, square)
+    return rest + rest * c / (2.0 - c)
+
+
+def _log_of(rise: Any, exponent: Any) -> Any:
+    """Return `log(2**exponent (1 + rise))` for `1 + rise` about 1."""
+    s = rise / (2.0 + rise)
+    square = s * s
+    half = 0.5 * rise * rise
+    more = square * _polynomial(_LOG, square)
+    return exponent * _LN2_HIGH - ((half - (s * (half + more) + exponent * _LN2_LOW)) - rise)
+
+
+def _turned(x: Any, quarters: Any) -> Any:
+    """Return what of an angle [rad] is left beyond its quarter turns, and that in more digits."""
+    first = x - quarters * _QUARTER[0]
+    part = quarters * _QUARTER[1]
+    second = first - part
+    part = quarters * _QUARTER[2] - ((first - second) - part)
+    rest = second - part
+    return rest, (second - rest) - part
+
+
+def _sin_of(rest: Any, more: Any) -> Any:
+    square = rest * rest
+    cube = square * rest
+    high = _polynomial(_SIN[:-1], square)
+    return rest - ((square * (0.5 * more - cube * high) - more) - cube * _SIN[-1])
+
+
+def _cos_of(rest: Any, more: Any) -> Any:
+    square = rest * rest
+    half = 0.5 * square
+    high = square * square * _polynomial(_COS, square)
+    near = 1.0 - half
+    return near + (((1.0 - near) - half) + (high - rest * more))
+
+
+def _atan_of(x: Any) -> Any:
+    square = x * x
+    return x + x * (square * _polynomial(_ATAN, square) / _polynomial(_ATAN_BELOW, square))
+
+
+def _tanh_of(x: Any) -> Any:
+    square = x * x
+    return x + x * (square * _polynomial(_TANH, square) / _polynomial(_TANH_BELOW, square))
+
+
+def _is_number(x: object) -> bool:
+    return isinstance(x, (float, int))
+
+
+@overload
+def exp(x: float) -> float: ...
+@overload
+def exp(x: Array) -> Array: ...
+def exp(x: Any) -> Any:
+    """Return e to a power, of a number or an array, to 1 unit in the last place.
+
+    Raises
+    ------
+    OverflowError
+        Of a number above 709.78.
+    """
+    if _is_number(x):
+        x = min(float(x), 1000.0)
+        if not x > -746.0:
+            return 0.0 if x < 0.0 else x
+        halvings = round(x * _PER_LN2)
+        rest = (x - halvings * _LN2_HIGH) - halvings * _LN2_LOW
+        return math.ldexp(1.0 + _exp_less_one(rest), halvings)
+    x = np.minimum(np.maximum(x, -746.0), 1000.0)
+    whole = np.rint(x * _PER_LN2)
+    less_one = _exp_less_one((x - whole * _LN2_HIGH) - whole * _LN2_LOW)
+    return _scaled(1.0 + less_one, whole)
+
+
+@overload
+def expm1(x: float) -> float: ...
+@overload
+def expm1(x: Reals) -> Array: ...
+def expm1(x: Any) -> Any:
+    """Return `exp(x) - 1`, of a number or an array, also for a small `x` to its last places."""
+    if _is_number(x):
+        return float(expm1(np.array([x], float))[0])
+    x = np.minimum(np.maximum(x, -746.0), 1000.0)
+    whole = np.rint(x * _PER_LN2)
+    less_one = _exp_less_one((x - whole * _LN2_HIGH) - whole * _LN2_LOW)
+    return _scaled(less_one, whole) + (_scaled(np.ones_like(less_one), whole) - 1.0)
+
+
+@overload
+def log(x: float) -> float: ...
+@overload
+def log(x: Array) -> Array: ...
+def log(x: Any) -> Any:
+    """Return the natural logarithm, of a number or an array, to 1 unit in the last place.
+
+    In an array zero has minus infinity, and what is below has NaN.
+
+    Raises
+    ------
+    ValueError
+        Of a number that is not above 0.
+    """
+    if _is_number(x):
+        if not 0.0 < x < math.inf:
+            return math.log(x)
+        part, exponent = math.frexp(x)
+        if part < _ROOT_HALF:
+            part, exponent = 2.0 * part, exponent - 1
+        return float(_log_of(part - 1.0, float(exponent)))
+    usual = (x > 0.0) & (x < math.inf)
+    if not usual.all():
+        rest = np.where(x == 0.0, -math.inf, np.where(x > 0.0, x, math.nan))
+        return np.where(usual, log(np.where(usual, x, 1.0)), rest)
+    part, exponent = np.frexp(x)
+    low = part < _ROOT_HALF
+    return _log_of(np.where(low, 2.0 * part, part) - 1.0, exponent - low.astype(float))
+
+
+@overload
+def log1p(x: float) -> float: ...
+@overload
+def log1p(x: Array) -> Array: ...
+def log1p(x: Any) -> Any:
+    """Return `log(1 + x)`, of a number or an array, also for a small `x` to its last places."""
+    whole = 1.0 + x
+    return log(whole) + (x - (whole - 1.0)) / whole
+
+
+def log10(x: Array) -> Array:
+    """Return the decimal logarithm of an array, to 2 units in the last place."""
+    return log(x) * 0.43429448190325182765
+
+
+@overload
+def power(x: float, y: float) -> float: ...
+@overload
+def power(x: Array, y: Array | float) -> Array: ...
+def power(x: Any, y: Any) -> Any:
+    """Return powers of what is not negative, each to `1 + |y log x|` units in the last place."""
+    if _is_number(x) and _is_number(y):
+        if x > 0.0:
+            return exp(y * log(x))
+        return float(y == 0.0) if x == 0.0 and y >= 0.0 else math.nan
+    x, y = np.asarray(x, float), np.asarray(y, float)
+    if (x > 0.0).all():
+        return exp(y * log(x))
+    found = exp(y * log(np.where(x > 0.0, x, 1.0)))
+    at_zero = np.where(y > 0.0, 0.0, np.where(y == 0.0, 1.0, math.inf))
+    return np.where(x > 0.0, found, np.where(x == 0.0, at_zero, math.nan))
+
+
+def cube_root(x: Array) -> Array:
+    """Return cube roots of what is not negative, to 1 unit in the last place."""
+    usual = (x > 0.0) & (x < math.inf)
+    finite = np.where(usual, x, 1.0)
+    near = exp(log(finite) / 3.0)
+    return np.where(usual, near - (near - finite / (near * near)) / 3.0, x)
+
+
+@overload
+def sin(x: float) -> float: ...
+@overload
+def sin(x: Array) -> Array: ...
+def sin(x: Any) -> Any:
+    """Return the sine of an angle of up to 1e6 rad, to 1 unit in the last place."""
+    if _is_number(x):
+        return _turn(float(x), 0)
+    return sin_cos(x)[0]
+
+
+@overload
+def cos(x: float) -> float: ...
+@overload
+def cos(x: Array) -> Array: ...
+def cos(x: Any) -> Any:
+    """Return the cosine of an angle of up to 1e6 rad, to 1 unit in the last place."""
+    if _is_number(x):
+        return _turn(float(x), 1)
+    return sin_cos(x)[1]
+
+
+def _turn(x: float, ahead: int) -> float:
+    """Return the sine of an angle [rad] and of quarter turns ahead of it."""
+    if not math.isfinite(x):
+        return math.sin(x)
+    quarters = round(x * _PER_QUARTER)
+    rest, more = _turned(x, float(quarters))
+    quarters += ahead
+    found = _cos_of(rest, more) if quarters % 2 else _sin_of(rest, more)
+    return float(-found if quarters % 4 > 1 else found)
+
+
+def sin_cos(x: Array) -> tuple[Array, Array]:
+    """Return sines and cosines of angles [rad]; those of one without the other cost the same."""
+    quarters = np.rint(x * _PER_QUARTER)
+    rest, more = _turned(x, quarters)
+    sine, cosine = _sin_of(rest, more), _cos_of(rest, more)
+    if not quarters.any():
+        return sine, cosine
+    part = quarters - 4.0 * np.floor(0.25 * quarters)
+    odd, back, beyond = (part == 1.0) | (part == 3.0), part >= 2.0, (part == 1.0) | (part == 2.0)
+    first, second = np.where(odd, cosine, sine), np.where(odd, sine, cosine)
+    return np.where(back, -first, first), np.where(beyond, -second, second)
+
+
+@overload
+def arctan2(y: float, x: float) -> float: ...
+@overload
+def arctan2(y: Array, x: Array) -> Array: ...
+def arctan2(y: Any, x: Any) -> Any:
+    """Return the direction [rad] of points, from -pi to pi, to 2 units in the last place."""
+    if _is_number(x) and _is_number(y):
+        return _direction(float(y), float(x))
+    rise, run = np.abs(y), np.abs(x)
+    large, small = np.maximum(rise, run), np.minimum(rise, run)
+    slope = small / np.where(large > 0.0, large, 1.0)
+    steep = slope > 0.4142135623730950488
+    both = np.where(large > 0.0, large + small, 1.0)
+    turn = _atan_of(np.where(steep, (small - large) / both, slope))
+    turn = np.where(steep, _EIGHTH + (turn + 0.5 * _QUARTER_LOW), turn)
+    turn = np.where(rise > run, (2.0 * _EIGHTH - turn) + _QUARTER_LOW, turn)
+    back = (x < 0.0) | (np.signbit(x) & (large == 0.0))
+    turn = np.where(back, (4.0 * _EIGHTH - turn) + 2.0 * _QUARTER_LOW, turn)
+    return np.copysign(turn, y)
+
+
+def _direction(y: float, x: float) -> float:
+    """Return what `arctan2` does, of numbers: several times as fast as of an array of one."""
+    rise, run = abs(y), abs(x)
+    large, small = max(rise, run), min(rise, run)
+    if not large < math.inf:
+        return math.atan2(y, x)
+    slope = small / large if large > 0.0 else 0.0
+    if slope > 0.4142135623730950488:
+        turn = _EIGHTH + (_atan_of((small - large) / (large + small)) + 0.5 * _QUARTER_LOW)
+    else:
+        turn = _atan_of(slope)
+    if rise > run:
+        turn = (2.0 * _EIGHTH - turn) + _QUARTER_LOW
+    if x < 0.0 or (large == 0.0 and math.copysign(1.0, x) < 0.0):
+        turn = (4.0 * _EIGHTH - turn) + 2.0 * _QUARTER_LOW
+    return math.copysign(turn, y)
+
+
+@overload
+def tan(x: float) -> float: ...
+@overload
+def tan(x: Array) -> Array: ...
+def tan(x: Any) -> Any:
+    """Return the tangent of an angle of up to 1e6 rad, to 3 units in the last place."""
+    return sin(x) / cos(x)
+
+
+def arcsin(x: Array) -> Array:
+    """Return the angles [rad] whose sines these are; NaN beyond one."""
+    return arctan2(x, np.sqrt((1.0 - x) * (1.0 + x)))
+
+
+def arccos(x: Array) -> Array:
+    """Return the angles [rad] whose cosines these are; NaN beyond one."""
+    return arctan2(np.sqrt((1.0 - x) * (1.0 + x)), x)
+
+
+def tanh(x: Array) -> Array:
+    """Return hyperbolic tangents, to 2 units in the last place."""
+    size = np.abs(x)
+    if (size < 0.625).all():
+        return np.asarray(_tanh_of(x))
+    far = 1.0 - 2.0 / (exp(2.0 * np.minimum(size, 20.0)) + 1.0)
+    return np.where(
+        size < 0.625, _tanh_of(np.minimum(np.maximum(x, -1.0), 1.0)), np.copysign(far, x)
+    )
+
+
+def _scaled(part: Array, whole: Array) -> Array:
+    """Return numbers times powers of two; NaN, which has none, stays in the number."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        return np.ldexp(part, whole.astype(np.intc))
+
+
+def matmul(first: Reals, second: Reals) -> Any:
+    """Return `first @ second`, summed in the order of the columns of `first`."""
+    if second.ndim == 1:
+        return np.einsum('...i,i->...', first, second)
+    if first.ndim == 1:
+        return np.einsum('i,...ij->...j', first, second)
+    return np.einsum('...ij,...jk->...ik', first, second)
+
+
+def norm(vector: Array) -> float:
+    """Return the Euclidean length of all numbers of an array together."""
+    return float(np.sqrt(np.sum(vector * vector)))
+
+
+def solve(matrix: Array, right: Array) -> Array:
+    """Return the solutions of linear systems, by elimination with partial pivoting.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (..., n, n)
+        Matrices.
+    right : ndarray, shape (..., n, m)
+        Right-hand sides, or one of shape (n,) for one matrix.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If a matrix is singular.
+    """
+    if right.ndim == 1:
+        return solve(matrix, right[:, np.newaxis])[:, 0]
+    size = matrix.shape[-1]
+    if not size:
+        return right
+    shape = np.broadcast_shapes(matrix.shape[:-2], right.shape[:-2])
+    rows = np.concatenate(
+        [
+            np.broadcast_to(matrix, (*shape, size, size)),
+            np.broadcast_to(right, (*shape, size, right.shape[-1])),
+        ],
+        axis=-1,
+    ).reshape(-1, size, size + right.shape[-1])
+    every = np.arange(len(rows))
+    for column in range(size):
+        pivot = column + np.abs(rows[:, column:, column]).argmax(axis=-1)
+        rows[every, pivot], rows[:, column] = rows[:, column].copy(), rows[every, pivot]
+        if not rows[:, column, column].all():
+            raise np.linalg.LinAlgError('Singular matrix')
+        below = rows[:, column + 1 :, [column]] / rows[:, [column], column, np.newaxis]
+        rows[:, column + 1 :, column:] -= below * rows[:, column, np.newaxis, column:]
+    found = rows[:, :, size:]
+    for row in reversed(range(size)):
+        known = np.einsum('bi,bij->bj', rows[:, row, row + 1 : size], found[:, row + 1 :])
+        found[:, row] = (found[:, row] - known) / rows[:, row, [row]]
+    return found.reshape(*shape, size, -1)
+
+
+def triangle(matrix: Array) -> Array:
+    """Return the upper triangle R, shape (q, q), of the QR decomposition of a matrix (p, q).
+
+    By Householder reflections; it has the products of columns of the matrix.
+    """
+    rest = np.array(matrix, dtype=float)
+    for column in range(min(rest.shape)):
+        mirror = rest[column:, column].copy()
+        mirror[0] += np.copysign(norm(mirror), mirror[0])
+        square = matmul(mirror, mirror)
+        if square > 0.0:
+            share = (2.0 / square) * matmul(mirror, rest[column:, column:])
+            rest[column:, column:] -= mirror[:, np.newaxis] * share
+    return np.triu(rest[: rest.shape[1]])
+
+
+def eigh(matrix: Array) -> tuple[Array, Array]:
+    """Return eigenvalues, rising, and unit eigenvectors, by columns, of a symmetric matrix.
+
+    By cyclic Jacobi rotations, until what is off the diagonal has gone.
+    """
+    rest, vectors = np.array(matrix, dtype=float), np.eye(len(matrix))
+    for _ in range(50):
+        if not np.any(np.triu(rest, 1)):
+            break
+        for first in range(len(rest) - 1):
+            for second in range(first + 1, len(rest)):
+                _rotate(rest, vectors, first, second)
+    values = np.diag(rest)
+    order = np.argsort(values, kind='stable')
+    return values[order], vectors[:, order]
+
+
+def _rotate(rest: Array, vectors: Array, first: int, second: int) -> None:
+    """Turn two axes in place so that their product vanishes."""
+    product, sizes = rest[first, second], (rest[first, first], rest[second, second])
+    if abs(product) <= 1e-17 * math.sqrt(abs(sizes[0] * sizes[1])):
+        rest[first, second] = rest[second, first] = 0.0
+        return
+    slope = (sizes[1] - sizes[0]) / (2.0 * product)
+    tangent = math.copysign(1.0, slope) / (abs(slope) + math.hypot(1.0, slope))
+    cosine = 1.0 / math.hypot(1.0, tangent)
+    sine = tangent * cosine
+    for columns in (rest, vectors, rest.T):
+        one, other = columns[:, first].copy(), columns[:, second].copy()
+        columns[:, first] = cosine * one - sine * other
+        columns[:, second] = sine * one + cosine * other
+
+
+def whole_powers(x: Array | float, highest: int) -> Array:
+    """Return the powers of numbers from the zeroth to the highest, along a new last axis."""
+    power = np.ones((*np.shape(x), highest + 1))
+    for order in range(1, highest + 1):
+        power[..., order] = power[..., order - 1] * x
+    return power
+
+
+def convolve(first: Array, second: Array) -> Array:
+    """Return the full convolution of two series, summed in the order of the second one."""
+    total = np.zeros(len(first) + len(second) - 1)
+    for place, factor in enumerate(second):
+        total[place : place + len(first)] += factor * first
+    return total

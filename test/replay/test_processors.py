@@ -1,0 +1,120 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of all scenarios replay identical, and are the same anew, on any processor."""
+
+import json
+from pathlib import Path
+
+import processors
+import pytest
+import recorded_scenarios
+from kept import kept
+from processors import OLDEST, SETTINGS, result_under
+from recorded_scenarios import FORMS, SCENARIOS, record, replayed
+
+from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.cli.demo.contour import PATHS, TOLERANCE
+from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
+from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+from fuzzycnc_ros.core.deformation.model import write_model
+from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
+from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
+from fuzzycnc_ros.studies.contour.contouring import SETTLE, run_contouring
+from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
+
+SCRIPT = Path(recorded_scenarios.__file__)
+GOLDEN = Path(__file__).parents[2] / 'bags' / 'mill_warm_up'
+
+pytestmark = pytest.mark.replay
+
+
+def golden_model() -> str:
+    """Return the text of the model in a golden bag, which nothing has to train."""
+    with BagReader(GOLDEN) as reader:
+        events = [item.message for item in reader.messages(['/mill/node_event'])]
+    (request,) = (event.request for event in events if event.name == 'use_model')
+    return json.loads(request)['model']
+
+
+@kept
+def foam_model():
+    return write_model(TSFuzzyNetwork().fit(*foam_samples(1000)).model_)
+
+
+@kept
+def thermal_model(name):
+    runs = record_calibration(('D0', 'D0b', 'T1')).runs
+    return train_model(runs, model=name, candidates=(name,)).to_json()
+
+
+@pytest.fixture(scope='module')
+def recorded(tmp_path_factory):
+    """The models of all scenarios, and their bags with the hashes of what is in them."""
+    models = tmp_path_factory.mktemp('scenarios')
+    (models / 'golden.json').write_text(golden_model())
+    (models / 'foam.json').write_text(foam_model())
+    for name in FORMS:
+        (models / f'{name}.json').write_text(thermal_model(name))
+    made = {name: record(name, models, models / 'here' / name) for name in SCENARIOS}
+    return models, made
+
+
+@pytest.mark.slow
+def test_all_that_a_replay_needs_is_recorded(recorded):
+    models, made = recorded
+    for name in made:
+        identical, _ = replayed(models / 'here' / name)
+        assert identical, name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('settings', SETTINGS)
+def test_every_bag_replays_identical(recorded, settings):
+    models, made = recorded
+    bags = [models / 'here' / name for name in made]
+    expected = [list(replayed(bag)) for bag in bags]
+    found = result_under(SETTINGS[settings], SCRIPT, 'replay', *map(str, bags))
+    assert dict(zip(made, found, strict=True)) == dict(zip(made, expected, strict=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('settings', ['C library without FMA', 'Haswell', 'oldest'])
+def test_every_scenario_is_the_same_anew(recorded, settings):
+    """Machines too, which no replay recomputes."""
+    models, made = recorded
+    folder = models / settings
+    found = result_under(SETTINGS[settings], SCRIPT, 'record', str(folder), *made)
+    assert dict(zip(made, found, strict=True)) == made
+
+
+def test_a_bag_replays_identical_on_the_oldest_processor(tmp_path):
+    """One of them all, in all settings at once; `slow` has the others."""
+    bag = tmp_path / 'positioning'
+    record('ballscrew', tmp_path, bag)
+    expected = [list(replayed(bag)), list(replayed(GOLDEN))]
+    assert expected[0][0]
+    assert result_under(OLDEST, SCRIPT, 'replay', str(bag), str(GOLDEN)) == expected
+
+
+@pytest.mark.slow
+def test_the_hash_on_the_first_page_is_that_of_any_processor(tmp_path):
+    """The demo over DDS gives the same as a run in one process."""
+    scheduler = FeedrateSchedulerConfig(tolerance=TOLERANCE, settle=SETTLE)
+    bag = tmp_path / 'bag'
+    with PublishedBag(bag) as sink:
+        run_contouring(PATHS, scheduler, SimulatedMachineConfig(), sink=sink)
+    ((identical, found),) = result_under(OLDEST, SCRIPT, 'replay', str(bag))
+    assert identical
+    page = Path(__file__).parents[2] / 'docs' / 'tutorials' / 'try-it.md'
+    assert f'hash {found[:16]}\n' in page.read_text(encoding='utf-8')
+
+
+def test_settings_change_how_this_computer_computes():
+    """Else the matrix would compare one processor with itself."""
+    script = Path(processors.__file__)
+    usual = result_under({}, script)
+    for kind, settings in (('C library', 'C library without FMA'), ('BLAS', 'BLAS for Prescott')):
+        found = result_under(SETTINGS[settings], script)
+        assert found[kind] != usual[kind], settings
