@@ -111,6 +111,9 @@ class Input(Generic[RecordT]):
     sole : bool
         Whether a machine depends on it, so that two nodes that publish it at once are both
         refused; the host tells the component by the request `sources`.
+    paced : bool
+        Whether records come at a pace, so that silence is a fault.  News, probes and commands of
+        a person come when there are some.
     """
 
     name: str
@@ -120,6 +123,7 @@ class Input(Generic[RecordT]):
     max_age: float = float('inf')
     quiet: bool = False
     sole: bool = False
+    paced: bool = True
 
 
 @dataclass(frozen=True)

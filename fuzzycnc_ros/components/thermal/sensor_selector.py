@@ -67,7 +67,7 @@ class SensorSelector(Component[SensorSelectorConfig]):
     NAME = 'sensor_selector'
     SUMMARY = 'Chooses few representative sensors from calibration runs, with substitutes.'
     CONFIG = SensorSelectorConfig
-    MEASURED = Input('displacement', Displacement)
+    MEASURED = Input('displacement', Displacement, paced=False)
     INPUTS = (MEASURED, Input('temperatures', Temperatures, driving=True))
     OUTPUTS = (Output('sensor_selection', SensorSelection, LATCHED, persistent=True),)
 

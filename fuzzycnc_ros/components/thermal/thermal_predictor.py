@@ -257,7 +257,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         Input(STATE, MachineState, quiet=True, sole=True),
         Input(OWN, SpindleSpeed, quiet=True),
         Input('compensation_applied', CompensationApplied, quiet=True, sole=True),
-        Input('displacement', Displacement, quiet=True),
+        Input('displacement', Displacement, quiet=True, paced=False),
         Input('temperatures', Temperatures, driving=True, sole=True),
     )
     OUTPUTS = (
