@@ -13,6 +13,7 @@ from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisitionConfig
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.records import SECOND, Floats
 
 FIRST_STAMP = SECOND
@@ -22,8 +23,10 @@ FIRST_STAMP = SECOND
 class CsvFile(Source):
     """Play a CSV file: a time column in seconds, or of dates, and one column per sensor in degC.
 
-    Readings carry the times of the file, moved so that the first is at least 1 s; an empty cell
-    is a missing reading.  The whole file is read and checked at once.
+    At the rate of 1 on the wall clock the first row is read now, so that the nodes beside this one
+    take the readings for fresh.  At another rate, or where time is simulated, readings carry the
+    times of the file, moved so that the first is at least 1 s.  An empty cell is a missing
+    reading.  The whole file is read and checked at once.
 
     Raises
     ------
@@ -41,6 +44,8 @@ class CsvFile(Source):
         except BagError as error:
             raise ParameterError(f'parameter csv_file: {error}') from error
         self._stamps = np.rint(seconds * SECOND).astype(np.int64)
+        simulated = bool(node.get_parameter('use_sim_time').value)
+        self.makes_time = simulated or config.csv_rate != 1.0
         self._stamps += max(0, FIRST_STAMP - int(self._stamps[0]))
         self._readings = Readings(node, sensors, frame_id)
         self._rate = config.csv_rate
@@ -51,14 +56,24 @@ class CsvFile(Source):
         # Wall time: the file itself makes machine time, no clock does.
         self._timer = wall_timer(node, period, self._play)
 
+    def health(self) -> list[Health]:
+        """Report which row is played, and whose time its stamps are."""
+        values = {'row': str(self._row), 'rows': str(len(self._stamps))}
+        if self._started is None:
+            return [Health('csv_file', Level.OK, 'waiting for a reader', values)]
+        whose = 'times of the file, at csv_rate 1 of the wall clock' if self.makes_time else 'now'
+        return [Health('csv_file', Level.OK, f'stamped with {whose}', values)]
+
     def _play(self) -> None:
         """Publish the rows that are due."""
         if self._started is None:
             if not self._readings.heard:
                 return
             self._started = time.monotonic_ns()
-        elapsed = (time.monotonic_ns() - self._started) * self._rate
-        due = int(self._stamps[0] + elapsed)
+            if not self.makes_time:
+                self._stamps += self._node.get_clock().now().nanoseconds - self._stamps[0]
+        elapsed = int((time.monotonic_ns() - self._started) * self._rate)
+        due = int(self._stamps[0]) + elapsed
         while self._row < len(self._stamps) and self._stamps[self._row] <= due:
             self._readings.publish(int(self._stamps[self._row]), self._values[self._row])
             self._row += 1

@@ -17,7 +17,15 @@ READINGS = 'sensor_readings'
 
 
 class Source:
-    """A driver; this one brings nothing: readings come on the topic by themselves."""
+    """A driver; this one brings nothing: readings come on the topic by themselves.
+
+    Attributes
+    ----------
+    makes_time : bool
+        True if the stamps of its readings are the machine time of the node, not its clock.
+    """
+
+    makes_time = False
 
     def health(self) -> list[Health]:
         """Report on what the readings come from."""

@@ -75,11 +75,16 @@ class TemperatureAcquisitionConfig(Config):
     csv_file: str = param(
         '',
         '-',
-        'File to read, for the source csv: a time column in s and one column per sensor in degC',
+        'File to play, for the source csv: a time column in s and one column per sensor in degC',
     )
     csv_time: str = param('time', '-', 'Name of the time column of csv_file')
     csv_rate: float = param(
-        1.0, '-', 'Speed at which a file is played, 1 is real time', low=1e-3, high=1e6
+        1.0,
+        '-',
+        'Speed at which a file is played; at 1 its readings are stamped now, else with the times '
+        'of the file',
+        low=1e-3,
+        high=1e6,
     )
     device_file: str = param(
         '',
