@@ -9,6 +9,7 @@ from copy import copy
 from dataclasses import replace
 
 from fuzzycnc_ros.core.feedrate.gcode import modal
+from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Note, Role
 from fuzzycnc_ros.core.feedrate.gcode.expressions import Expression, ExpressionError
 from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, Word, resolved
@@ -26,7 +27,12 @@ from fuzzycnc_ros.core.feedrate.gcode.motion import (
     runs_cycle,
 )
 from fuzzycnc_ros.core.feedrate.gcode.parameters import Parameters
-from fuzzycnc_ros.core.feedrate.gcode.segments import NurbsSegment, ProgramError, Segment
+from fuzzycnc_ros.core.feedrate.gcode.segments import (
+    ArcSegment,
+    NurbsSegment,
+    ProgramError,
+    Segment,
+)
 
 _LETTERS = '@^'
 
@@ -434,6 +440,11 @@ class Interpreter:
             return Role.PLAIN, None
         if segment.rapid:
             return Role.RAPID, segment
+        if isinstance(segment, ArcSegment) and segment.misfit > ABSOLUTE_MISFIT:
+            self._say(
+                'an arc whose start and end are not equally far from its centre: its radius '
+                'changes along the way, as LinuxCNC runs it'
+            )
         if segment.turning:
             self._say('motion of other axes than X, Y and Z: keeps its feed')
         if segment.turning or segment.feed is None:

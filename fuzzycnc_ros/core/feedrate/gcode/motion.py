@@ -14,9 +14,17 @@ from math import isfinite, nan
 
 import numpy as np
 
-from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT, PLANES, by_radius, centred, fits
+from fuzzycnc_ros.core.feedrate.gcode.arcs import (
+    ABSOLUTE_MISFIT,
+    MISFIT_INCH,
+    MISFIT_MILLIMETRE,
+    PLANES,
+    by_radius,
+    centred,
+    fits,
+)
 from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, Word
-from fuzzycnc_ros.core.feedrate.gcode.modal import Cycle, State
+from fuzzycnc_ros.core.feedrate.gcode.modal import INCH, Cycle, State
 from fuzzycnc_ros.core.feedrate.gcode.segments import (
     ArcSegment,
     DwellSegment,
@@ -210,7 +218,7 @@ def _arc(
         offset = [(words.get(letter) or 0.0) * state.length_unit for letter in letters]
         base = (0.0, 0.0) if state.centre_absolute else start2
         centre = (base[0] + offset[0], base[1] + offset[1])
-        if not fits(start2, end2, centre):
+        if not fits(start2, end2, centre, _misfit(state)):
             first, last = math.dist(start2, centre), math.dist(end2, centre)
             raise ProgramError(
                 number,
@@ -220,6 +228,10 @@ def _arc(
             )
         sweep = centred(start2, end2, centre, clockwise, _extra_turns(words, number))
     return ArcSegment(number, begin, end, feed, False, turning, run, axes, centre, sweep)
+
+
+def _misfit(state: State) -> float:
+    return MISFIT_INCH if state.length_unit == INCH else MISFIT_MILLIMETRE
 
 
 def _remedy(
@@ -236,7 +248,8 @@ def _remedy(
     read, other = ('relative to the start', 'absolute ones'), (offset, 'G90.1')
     if state.centre_absolute:
         read, other = (read[1], read[0]), (relative, 'G91.1')
-    if fits(start, end, other[0]):
+    misfit = _misfit(state)
+    if fits(start, end, other[0], misfit):
         return (
             f'{named} are read as {read[0]} and would fit as {read[1]}: write {other[1]} above, '
             'if the control reads them so'
@@ -250,6 +263,7 @@ def _remedy(
         begin,
         (end[0] * share[0], end[1] * share[1]),
         offset if state.centre_absolute else (begin[0] + offset[0], begin[1] + offset[1]),
+        misfit,
     ):
         return 'X would fit as a diameter: write G7 above, if this is a program of a lathe'
     return f'check {named}, which are read as {read[0]}'

@@ -146,6 +146,12 @@ class ArcSegment(Segment):
         )
 
     @property
+    def misfit(self) -> float:
+        """Difference of both radii [m]."""
+        start, end = self.radii
+        return abs(end - start)
+
+    @property
     def length(self) -> float:
         """Length of the way [m], to the second order in the change of the radius."""
         start, end = self.radii
