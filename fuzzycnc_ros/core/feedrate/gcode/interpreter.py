@@ -377,9 +377,10 @@ class Interpreter:
                 codes.append(-1 if value is None else round(10.0 * value))
             elif letter == 'M':
                 ms.append(value)
-        if codes and not modal.LATHE_CYCLES.isdisjoint(codes) and _names(line, 'Q'):
-            self.lose(f'turning cycle (G70 to G72): {_LOST}, the feed until F')
-            return Role.SEALED, None
+        if codes and not modal.SHARED.isdisjoint(codes):
+            role = self._shared(codes, line)
+            if role is not None:
+                return role, None
         elsewhere, feed_unit = 'SUPA' in line.names, state.feed_unit
         moves, gone = True, False
         for code in codes:
@@ -416,6 +417,25 @@ class Interpreter:
         if state.motion in (52, 62):
             return self._begin_curve(line)
         return self._move(line)
+
+    def _shared(self, codes: list[int], line: Line) -> Role | None:
+        """Heed a cycle whose G word is a unit elsewhere; None where it is none."""
+        letters = {word.letter for word in line.words} | line.assigned.keys()
+        meaning = modal.shared_meaning(codes, letters)
+        if not meaning:
+            return None
+        name = f'G{next(code for code in codes if code in modal.SHARED) / 10:g}'
+        if meaning == 'home':
+            self._say(f'{name} HP=: motion to a place of the machine; {_LOST}')
+            self.state.lose()
+            return Role.RAPID if self.state.motion == 0 else Role.KEPT
+        if meaning == 'turning':
+            self.lose(f'turning cycle ({name}): {_LOST}, the feed until F')
+        else:
+            self._set_feed(line)
+            self._say(f'pattern of holes or pocket ({name}), which keeps its feed: {_LOST}')
+            self.state.lose()
+        return Role.SEALED
 
     def _move(self, line: Line) -> tuple[Role, Segment | None]:
         state = self.state

@@ -25,8 +25,47 @@ OFFSETS = frozenset({540, 550, 560, 570, 580, 590, 591, 592, 593})
 CALLS = frozenset({650, 660, 661})
 """Calls of macros."""
 
-LATHE_CYCLES = frozenset({700, 710, 711, 712, 720, 721, 722})
-"""With a word Q LinuxCNC's turning cycles, which end where their subprogram says."""
+SHARED = frozenset({120, 130, 200, 210, 700, 710, 711, 712, 720, 721, 722, 730, 750, 1500})
+"""Words that are units, places or modes on one controller and cycles on another."""
+
+_CONTOUR = frozenset('PQ')
+_OWN_WORDS = frozenset('PQLRUWIJK')
+_ARC_WORDS = frozenset('PRUWIJK')
+
+
+def shared_meaning(codes: list[int], letters: set[str]) -> str:
+    """Return what words that controllers share mean beside others.
+
+    Parameters
+    ----------
+    codes : list of int
+        G words of the line in tenths.
+    letters : set of str
+        Letters of all its words, and names to which it assigns.
+
+    Returns
+    -------
+    str
+        `pattern` of holes or a pocket (Haas: G70 I J L, G71, G72, G12, G13), `turning` cycle
+        (P and Q of Fanuc, Q of LinuxCNC, the first line G71 U R), `home` (Okuma's G20 HP=);
+        empty for a unit, a fixed cycle or whatever else the word is by itself.
+    """
+    shared = SHARED.intersection(codes)
+    if shared & {200, 210}:
+        return 'home' if 'HP' in letters else ''
+    if shared & {120, 130, 1500}:
+        return 'pattern'
+    if 730 in shared:
+        return 'turning' if letters >= _CONTOUR and letters.isdisjoint('XYZ') else ''
+    if 750 in shared:
+        return 'turning' if letters & _CONTOUR else ''
+    own = _OWN_WORDS & letters
+    if MOTION.intersection(codes):
+        own -= _ARC_WORDS
+    if not own or 40 in codes:  # P of a wait
+        return ''
+    return 'turning' if own & {*_CONTOUR, *'RUW'} else 'pattern'
+
 
 TOOL_LENGTHS = frozenset({430, 431, 432, 440})
 
