@@ -368,6 +368,11 @@ class Interpreter:
             self.lose(f'O-words are not followed here: {_LOST}, the feed until F')
             self.parameters.forget(everything=True)
             return Role.SEALED, None
+        if line.kept:
+            self._say(f'{line.kept}: kept, with what stands beside it')
+        if line.names and line.names[0] in modal.KLIPPER:
+            self._say(f'{line.names[0]}: passed through')
+            return Role.PLAIN, None
         if not modal.DECLARATIONS.isdisjoint(line.names):
             self._say('declaration: passed through')
             return Role.PLAIN, None
@@ -527,6 +532,11 @@ class Interpreter:
                         self._say('feed below 1 mm/min: if it is one per revolution, say G95')
 
     def _machine(self, numbers: list[float | None]) -> None:
+        if not modal.PRINTER_M.isdisjoint(numbers):
+            self.state.printer = True
+        if not modal.MOVING_M.isdisjoint(numbers):
+            self.state.lose()
+            self._say(f'motion or shift by M: {_LOST}')
         if any(number in modal.STOPS for number in numbers):
             self.state.kind = ''
         if any(number in modal.ENDS for number in numbers):
@@ -603,6 +613,8 @@ class _GWords:
             return 'elsewhere'
         elif code in modal.CALLS:
             return 'call'
+        elif code == 100 and state.printer and not any(w.letter in 'LXYZ' for w in line.words):
+            self._say('G10 of a printer: passed through')
         elif code in modal.FRAMES:
             state.lose()
             self._say(f'G{code / 10:g}: new coordinates; {_LOST}')
@@ -650,6 +662,10 @@ class _GWords:
     def _set_place(self, line: Line) -> None:
         """G92: the tool stands where the words say, from now on."""
         state = self._state
+        letters = {word.letter for word in line.words}
+        if letters & {'S', 'E'} and letters.isdisjoint('XYZABCUVW'):
+            self._say('G92 without an axis (limit of the spindle, extruder): passed through')
+            return
         state.kind = ''
         self._say('G92: new coordinates')
         for letter, value, _, _ in line.words:

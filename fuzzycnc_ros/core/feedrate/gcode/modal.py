@@ -69,7 +69,7 @@ def shared_meaning(codes: list[int], letters: set[str]) -> str:
 
 TOOL_LENGTHS = frozenset({430, 431, 432, 440})
 
-ELSEWHERE = frozenset({280, 300, 530, 1530, 382, 383, 384, 385, 750})
+ELSEWHERE = frozenset({270, 280, 290, 300, 530, 1530, 382, 383, 384, 385, 750})
 """The axes that are named end at a place that the program does not say (references, probing)."""
 
 HARMLESS = frozenset(
@@ -100,6 +100,23 @@ STOPS = frozenset({0, 1, 6, 60})
 """M words at which the tool stands still before the next block."""
 
 ENDS = frozenset({2, 30})
+
+PRINTER_M = frozenset({82, 83, 104, 109, 140, 190})
+"""M words that 3D printers alone know: extruder modes and temperatures."""
+
+MOVING_M = frozenset({125, 206, 290, 428, 600, 665, 666, 701, 702})
+"""M words of 3D printers that move axes or shift coordinates."""
+
+KLIPPER = frozenset(
+    'SET_VELOCITY_LIMIT SET_PRESSURE_ADVANCE SET_RETRACTION SET_PRINT_STATS_INFO SET_PIN '
+    'SET_FAN_SPEED SET_HEATER_TEMPERATURE SET_LED SET_DISPLAY_TEXT SET_IDLE_TIMEOUT '
+    'SET_INPUT_SHAPER SET_STEPPER_ENABLE SET_TMC_CURRENT SET_FILAMENT_SENSOR SET_GCODE_VARIABLE '
+    'EXCLUDE_OBJECT EXCLUDE_OBJECT_DEFINE EXCLUDE_OBJECT_START EXCLUDE_OBJECT_END '
+    'TEMPERATURE_WAIT TURN_OFF_HEATERS RESPOND UPDATE_DELAYED_GCODE TIMELAPSE_TAKE_FRAME '
+    'BED_MESH_PROFILE SKEW_PROFILE SAVE_GCODE_STATE QUERY_ENDSTOPS STATUS PRESSURE_ADVANCE '
+    '_TIMELAPSE_NEW_FRAME'.split()
+)
+"""Extended commands of Klipper that move nothing."""
 
 # Names of Siemens controllers.
 SILENT_NAMES = frozenset(
@@ -185,6 +202,8 @@ class State:
         Cutter compensation is in effect.
     offset : int or None
         Work offset in effect as G word in tenths.
+    printer : bool
+        The program is for a 3D printer.
     tool_length, polar, modal_call : bool
         A tool length is in effect; coordinates are polar; each position calls a cycle.
     run : int
@@ -218,6 +237,7 @@ class State:
         'plane',
         'polar',
         'position',
+        'printer',
         'retracts',
         'run',
         'tool_length',
@@ -246,6 +266,7 @@ class State:
         self.offset: int | None = None
         self.tool_length = False
         self.polar = False
+        self.printer = False
         self.modal_call = False
         self.run = 0
         self.kind = ''

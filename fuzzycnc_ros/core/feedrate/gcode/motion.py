@@ -116,8 +116,13 @@ def move(line: Line, number: int, state: State) -> Segment | None:
 
 
 def dwell(line: Line, number: int, state: State) -> DwellSegment:
-    """Return the wait of a line with G4: P, else X, U or F, in seconds."""
+    """Return the wait of a line with G4: P, else X, U or F, in seconds.
+
+    Printers take S in seconds and P in milliseconds.
+    """
     found = {word.letter: word.value for word in line.words}
+    if state.printer:
+        found = {'P': found.get('S', 1e-3 * (found.get('P') or 0.0))}
     duration = next((found[letter] for letter in 'PXUF' if letter in found), 0.0)
     if duration is not None and duration < 0.0:
         raise ProgramError(number, f'expected a wait of at least 0 s but found {duration} s')

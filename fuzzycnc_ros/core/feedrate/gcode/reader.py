@@ -578,6 +578,8 @@ class _Run:
         """Begin M98 P100 L2."""
         value = {word.letter: word.value for word in line.words}
         program, repeats = value.get('P'), value.get('L', 1.0)
+        if program is None and not line.computed:  # P"file" of RepRap
+            return self._interpreter.read(text, line, number)
         if line.computed or program is None or repeats is None:
             raise _AstrayError('M98 with a computed number')
         start = self._main.labelled(str(round(program)))
