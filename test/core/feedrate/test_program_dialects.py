@@ -144,3 +144,106 @@ def test_printers_wait_in_milliseconds():
     program = read_program('M104 S200\nG4 P500\nG4 S2\nG1 X1 F60\n')
     assert [part.duration for part in program.segments[:2]] == [0.5, 2.0]
     assert read_program('G4 P5\n').segments[0].duration == 5.0
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        'g 0 1 x 1 0 f 6 0 0 0',
+        'G1 X1 0 F6000',
+        'G01X 1 0 . 0 F 6 0 0 0 .',
+        'n 1 0 g 1 x + 1 0 f 6000 (hi)',
+        'g1 x [ 5 + 5 ] f[ 6 0 * 1 0 0 ]',
+        'F6 000 o 1 0 0 sub\no100 endsub\nG1 X10',
+    ],
+)
+def test_blanks_inside_of_words_are_ignored(text):
+    text = text.replace(' o ', '\no ')
+    segment = read_program(f'{text}\nM2\n').segments[-1]
+    assert segment.length == pytest.approx(10.0 * MM)
+    assert segment.feed == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        'BEGIN PGM A MM\nTOOL CALL 1 Z S4000\n',
+        '0  BEGIN PGM 14 MM\n1 L X+9 FMAX\n',
+        '\ufeffBEGIN PGM A MM\n',
+        '; Datei 14.h\n\n0 BEGIN PGM 14 MM\n',
+        '\nTOOL CALL 1 Z S4000\nL X+9 FMAX\n',
+        '1 BLK FORM 0.1 Z X+0 Y+0 Z-20\n',
+        'begin pgm a inch\n',
+    ],
+)
+def test_plain_text_of_heidenhain_is_recognised_wherever_it_begins(text):
+    with pytest.raises(ProgramError, match="Heidenhain's plain-text language"):
+        read_program(text)
+
+
+def test_a_feed_beside_the_first_unit_is_in_it():
+    program = read_program('G20 F6\nG1 X1\nG20 X2\n')
+    assert [segment.feed for segment in program.segments] == pytest.approx([6 * 25.4e-3 / 60] * 2)
+    assert 'as controllers differ' in notes(program)
+    # a change in the middle is 25 times as fast on one controller as on another
+    program = read_program('G21 F60\nG1 X1\nG20 X2 F6\nX3\nF6 X4\n')
+    assert [segment.schedulable for segment in program.segments] == [True, False, False, True]
+
+
+FRAME = 'G21 G90\nG0 X0 Y0 Z5\nF600\n{}\nG1 X10\nG1 X20 Y0 Z5\nX30\nM30\n'
+
+
+@pytest.mark.parametrize(
+    'line',
+    [
+        'G68.2 X0 Y0 Z0 I0 J30 K0', 'G68.2', 'G68.3 R0', 'G69.1', 'G51.1 X0', 'G50.1', 'G53.1',
+        'G54.4 P1', 'G43.4 H1', 'G43.5 H1', 'G234 H1', 'G254', 'G268 X0 Y0 Z0', 'TRAORI',
+        'TRAORI(1)', 'TRAFOOF', 'TOROT', 'CYCLE800(1,"X",0)', 'PLANE SPATIAL SPA+0 SPB+45 SPC+0',
+        'M128', 'FUNCTION TCPM F TCP AXIS POS',
+    ],
+)  # fmt: skip
+def test_new_frames_lose_the_place(line):
+    program = read_program(FRAME.format(line))
+    assert lengths(program) == {2: 5.0, 7: 10.0}
+    assert program.segments[-1].schedulable
+    assert any(
+        note.line == 4 and 'until all axes are named' in str(note) for note in program.notes
+    )
+
+
+@pytest.mark.parametrize(
+    ('begin', 'end'),
+    [
+        ('G12.1', 'G13.1'), ('G112', 'G113'), ('G7.1 C30.', 'G7.1 C0'),
+        ('G07.1 C30.', 'G07.1 C0.'), ('G107 C30.', 'G107'), ('TRANSMIT', 'TRAFOOF'),
+        ('TRACYL(40)', 'TRAFOOF'),        ('TRANSMIT(1)', 'TRAORI'), ('G51.2 P1 Q2', 'G50.2'), ('G137 C0', 'G136'),
+    ],
+)  # fmt: skip
+def test_nothing_is_chosen_in_bent_coordinates(begin, end):
+    text = FRAME.format(f'{begin}\nG1 X1 Y1 Z1\nX2 Y1 Z1\nG81 X1 Y1 Z-1 R1\nG80\n{end}')
+    program = read_program(text)
+    assert not [part for part in program.segments if part.line < 12 and part.schedulable]
+    assert lengths(program)[12] == 10.0
+    assert 'in the coordinates of' in notes(program)
+
+
+def test_the_direction_of_a_tool_is_no_centre():
+    program = read_program('G43.5 H1\nG1 X0 Y0 Z0 F600\nX1\nX2 I0.1 K0.9\nG49 X3 Y0 Z0\nX4 I1\n')
+    assert [part.line for part in program.segments if part.schedulable] == [3, 6]
+
+
+@pytest.mark.parametrize(
+    ('first', 'second', 'same'),
+    [
+        ('G54.1 P1', 'G54.1 P2', False),
+        ('G54.1 P1', 'G54.1 P1', True),
+        ('G154 P1', 'G154 P3', False),
+        ('G54', 'G54.1 P1', False),
+        ('G54', 'G110', False),
+        ('G500', 'G505', False),
+        ('G505', 'G505', True),
+    ],
+)
+def test_other_work_offsets_lose_the_place(first, second, same):
+    program = read_program(f'{first}\nF60 G1 X0 Y0 Z0\nX1\n{second}\nX2\n')
+    assert [part.line for part in program.segments if part.length] == ([3, 5] if same else [3])

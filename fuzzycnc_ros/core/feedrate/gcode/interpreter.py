@@ -387,6 +387,7 @@ class Interpreter:
             if role is not None:
                 return role, None
         elsewhere, feed_unit = 'SUPA' in line.names, state.feed_unit
+        changed = state.unit_said or state.feed is not None or len(state.assumed) < 3
         moves, gone = True, False
         for code in codes:
             kind = self._words.take(code, line)
@@ -397,10 +398,18 @@ class Interpreter:
             self._set_feed(line)
             if state.feed_unit != feed_unit and _names(line, 'F'):
                 # LinuxCNC takes it in the old unit, GRBL in the new one: 25 times as fast or slow.
-                self._say(
-                    'feed beside a change of units: unknown, as controllers differ; give F alone'
-                )
-                state.lose_feed()
+                # Before any unit was said, the old one is that of a machine that is set up for it.
+                if changed:
+                    self._say(
+                        'feed beside a change of units: unknown, as controllers differ; give F '
+                        'alone'
+                    )
+                    state.lose_feed()
+                else:
+                    self._say(
+                        'feed beside the first unit: taken in it, as controllers differ (LinuxCNC '
+                        "in the machine's own one); give F alone"
+                    )
         if ms:
             self._machine(ms)
         if line.names or line.calls or line.strange:
@@ -498,9 +507,13 @@ class Interpreter:
             return Role.SEALED
         for name in names & modal.DIAMETER_NAMES.keys():
             state.x_share = modal.DIAMETER_NAMES[name]
-        if names & modal.FRAME_NAMES:
+        frames = (names | set(line.calls)) & modal.FRAME_NAMES
+        if frames:
             state.lose()
-            self._say(f'{sorted(names & modal.FRAME_NAMES)[0]}: new coordinates; {_LOST}')
+            if frames & modal.TRANSFORM_ENDS:
+                state.transform = ''
+            state.transform = min(frames & modal.TRANSFORM_NAMES, default=state.transform)
+            self._say(f'{min(frames)}: new coordinates; {_LOST}')
             return Role.PLAIN
         calls = [call for call in line.calls if call not in modal.SILENT_CALLS]
         unknown = names - modal.SILENT_NAMES - modal.MACHINE_NAMES - modal.DIAMETER_NAMES.keys()
@@ -534,6 +547,9 @@ class Interpreter:
     def _machine(self, numbers: list[float | None]) -> None:
         if not modal.PRINTER_M.isdisjoint(numbers):
             self.state.printer = True
+        if not modal.FRAME_M.isdisjoint(numbers):
+            self.state.lose()
+            self._say(f'M128 or M129: new coordinates; {_LOST}')
         if not modal.MOVING_M.isdisjoint(numbers):
             self.state.lose()
             self._say(f'motion or shift by M: {_LOST}')
@@ -622,6 +638,11 @@ class _GWords:
         elif code == 920:
             self._set_place(line)
             return 'shift'
+        elif code in modal.TRANSFORMED or code in modal.CYLINDERS:
+            return self._bend(code, line)
+        elif code in modal.TRANSFORMED.values():
+            self._set_transform('', code)
+            return 'shift'
         else:
             return self._other_code(code, line)
         return ''
@@ -629,11 +650,17 @@ class _GWords:
     def _other_code(self, code: int, line: Line) -> str:
         """Heed a G word that moves nothing by itself."""
         state = self._state
-        if code in modal.OFFSETS:
-            if state.offset not in (None, code):
+        if code in modal.OFFSETS and not (1100 <= code < 1300 and named_axes(line)):
+            number = next((word.value for word in line.words if word.letter == 'P'), None)
+            offset = (code, number if code in (541, 1540) else None)
+            if state.offset not in (None, offset):
                 state.lose()
                 self._say(f'change of the work offset: {_LOST}')
-            state.offset = code
+            state.offset = offset
+        elif code in modal.PIVOTS or (code == 490 and state.pivot):
+            state.pivot = state.tool_length = code != 490
+            state.lose()
+            self._say(f'G{code / 10:g}: coordinates of the tip of the tool; {_LOST}')
         elif code in modal.TOOL_LENGTHS or (code == 490 and state.tool_length):
             state.tool_length = code != 490
             state.lose('Z')
@@ -658,6 +685,25 @@ class _GWords:
                 state.lose()
                 return 'gone'
         return ''
+
+    def _bend(self, code: int, line: Line) -> str:
+        """Begin polar or cylindrical coordinates; words beside them are no motion."""
+        name = f'G{code / 10:g}'
+        if code in modal.CYLINDERS:
+            size = [word.value for word in line.words if word.letter in 'CRXYA']
+            self._set_transform(name if any(value != 0.0 for value in size) else '', code)
+        elif code == 1120 and named_axes(line):  # a pole of Siemens
+            self._say(f'unknown word {name}: passed through')
+            self._state.lose()
+            return 'gone'
+        else:
+            self._set_transform(name, code)
+        return 'shift'
+
+    def _set_transform(self, name: str, code: int) -> None:
+        self._state.transform = name
+        self._state.lose()
+        self._say(f'G{code / 10:g}: new coordinates; {_LOST}')
 
     def _set_place(self, line: Line) -> None:
         """G92: the tool stands where the words say, from now on."""

@@ -13,6 +13,7 @@ from copy import copy
 from typing import NamedTuple
 
 from fuzzycnc_ros.core.feedrate.gcode.expressions import (
+    SPACED_NUMBER,
     Expression,
     ExpressionError,
     Target,
@@ -133,7 +134,9 @@ _PLAIN = re.compile(
     rf'[ \t]*(?:[A-Z][ \t]*{_NUMBER}[ \t]*)*(?:;[^\r\n]*)?[\r\n]*', re.IGNORECASE | re.ASCII
 )
 _WORD = re.compile(rf'([A-Z])[ \t]*({_NUMBER})', re.IGNORECASE | re.ASCII)
-_LONE_WORD = re.compile(rf'([A-Z])[ \t]*({_NUMBER})(?![\d.]|[ \t]*=)', re.IGNORECASE | re.ASCII)
+# LinuxCNC ignores blanks wherever they stand.
+_SPACED = rf'[-+]?[ \t]*(?:{SPACED_NUMBER})'
+_LONE_WORD = re.compile(rf'([A-Z])[ \t]*({_SPACED})(?![\d.]|[ \t]*=)', re.IGNORECASE | re.ASCII)
 _ASSIGNMENT = re.compile(
     r'([A-Z_][A-Z0-9_]*(?:\[[^\]\r\n]*\])?)[ \t]*=[ \t]*',
     re.IGNORECASE | re.ASCII,
@@ -142,7 +145,7 @@ _CORNER = re.compile(rf',[ \t]*([ACR])[ \t]*{_NUMBER}', re.IGNORECASE | re.ASCII
 _NAME = re.compile(r'(?:[A-Z]_?[A-Z]|_)[A-Z0-9_]*', re.IGNORECASE | re.ASCII)
 _WHOLE_NUMBER = re.compile(_NUMBER, re.ASCII)
 _FLOW = re.compile(
-    r'O[ \t]*(?:(\d+)|<([^>\r\n]+)>|(?=[#\[]))[ \t]*'
+    r'O[ \t]*(?:(\d(?:[ \t]*\d)*)|<([^>\r\n]+)>|(?=[#\[]))[ \t]*'
     # As in LinuxCNC a keyword may be longer than it is: callsub is a call.
     r'(?:(SUB|ENDSUB|CALL|DO|WHILE|REPEAT|IF|ELSEIF|ELSE|ENDIF|BREAK|CONTINUE|ENDWHILE|ENDREPEAT'
     r'|RETURN)[A-Z]*)?',
@@ -157,7 +160,7 @@ _COMPUTED = re.compile(
 _BRACKET = re.compile(r'(?:[ \t]|\([^)\r\n]*\))*(?=\[)')
 _EQUALS = re.compile(r'[ \t]*=')
 _GOES_ON = re.compile(r'[ \t]*(?:[-+*/]|(?:AND|X?OR|MOD)(?![A-Z]))', re.IGNORECASE | re.ASCII)
-_POLAR = re.compile(rf'([@^])[ \t]*({_NUMBER})', re.ASCII)
+_POLAR = re.compile(rf'([@^])[ \t]*({_SPACED})', re.ASCII)
 _SPINDLE = re.compile(r'\$[ \t]*-?\d+', re.ASCII)
 _SILENT = re.compile(r'(?:[\s%]|\([^)\r\n]*\))*(?:;[^\r\n]*[\r\n]*)?')
 _STRING = re.compile(r'"[^"\r\n]*"')
@@ -306,7 +309,10 @@ def _keep_command(text: str, line: Line) -> bool:
 
 
 def _word(match: re.Match[str], number: int) -> Word:
-    value = float(match[2])
+    try:
+        value = float(match[2])
+    except ValueError:
+        value = float(''.join(match[2].split()))
     if not math.isfinite(value):
         raise ProgramError(number, f'expected a finite number but found {match[0][:30]!r}...')
     letter = match[1].upper()
@@ -478,7 +484,8 @@ def _flow(text: str, match: re.Match[str], number: int, line: Line) -> int:
     """Read an O-word with what stands in brackets after it."""
     end, kind = match.end(), match[3]
     try:
-        name: str | Expression = parameter_name(match[2] or str(int(match[1] or 0)))
+        digits = ''.join((match[1] or '0').split())
+        name: str | Expression = parameter_name(match[2] or str(int(digits)))
         if not match[1] and not match[2]:
             name, end = read_value(text, end)
             word = _KEYWORD.match(text, end)

@@ -16,11 +16,32 @@ MOTION = frozenset({0, 10, 20, 30, 52, 62})
 CYCLES = frozenset({730, 740, 760, 810, 820, 830, 840, 850, 860, 870, 880, 890})
 """Fixed cycles: they move by themselves, in every line that follows."""
 
-FRAMES = frozenset({510, 500, 680, 690, 921, 922, 923, 520, 100})
+FRAMES = frozenset(
+    {
+        *(510, 500, 511, 501, 680, 690, 921, 922, 923, 520, 100, 101),
+        *(681, 682, 683, 684, 685, 691, 531, 536, 542, 544),  # tilted planes, Fanuc
+        *(2340, 2540, 2550, 2680, 2690),  # the same, Haas
+    }
+)
 """Scaling, rotation and shifts of the coordinates: where the tool stands in them is unknown."""
 
-OFFSETS = frozenset({540, 550, 560, 570, 580, 590, 591, 592, 593})
-"""Work offsets: a change of them shifts the coordinates."""
+TRANSFORMED = {121: 131, 1120: 1130, 512: 502, 1370: 1360}
+"""G words that bend the coordinates, such as polar interpolation, by those that end it."""
+
+CYLINDERS = frozenset({71, 1070})
+"""G7.1 and G107: coordinates on a cylinder of radius C (R of Haas); 0 or none ends them."""
+
+TRANSFORM_NAMES = frozenset({'TRANSMIT', 'TRACYL'})
+"""The same of Siemens' controllers."""
+
+TRANSFORM_ENDS = frozenset({'TRAFOOF', 'TRAORI', 'TRAANG'})
+
+PIVOTS = frozenset({433, 434, 435, 438, 439})
+"""Tool lengths that go with the rotary axes: the coordinates are those of the tool's tip."""
+
+OFFSETS = frozenset({540, 550, 560, 570, 580, 590, 591, 592, 593, 541, 1540, 5000})
+OFFSETS |= {*range(5050, 6000, 10)} | {1100, 1110, *range(1140, 1300, 10)}
+"""Work offsets: a change of them shifts the coordinates.  That of G54.1 and G154 is their P."""
 
 CALLS = frozenset({650, 660, 661})
 """Calls of macros."""
@@ -133,9 +154,12 @@ DECLARATIONS = frozenset({'DEF', 'PROC', 'EXTERN', 'MSG'})
 
 FRAME_NAMES = frozenset(
     'TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR TRAFOOF TRAORI TRANSMIT '
-    'TRACYL TRAANG TOROT TOROTOF TOFRAME TCARR'.split()
+    'TRACYL TRAANG TRACON TOROT TOROTOF TOFRAME TCARR PLANE FUNCTION TCPM'.split()
 )
 """Turn or shift the coordinates; letters beside them are no motion."""
+
+FRAME_M = frozenset({128, 129})
+"""M words of Heidenhain after which the coordinates are those of the tool's tip, or not."""
 
 MACHINE_NAMES = frozenset({'SUPA'})
 """The axes that are named move in the coordinates of the machine, in this block only."""
@@ -200,12 +224,16 @@ class State:
         Those of X, Y and Z that have not been named: the origin as their place is assumed.
     cutter : bool
         Cutter compensation is in effect.
-    offset : int or None
-        Work offset in effect as G word in tenths.
+    offset : tuple or None
+        Work offset in effect: its G word in tenths and, where it has one, its P.
+    pivot : bool
+        Coordinates are those of the tip of a tool whose direction I, J and K may say.
     printer : bool
         The program is for a 3D printer.
     tool_length, polar, modal_call : bool
         A tool length is in effect; coordinates are polar; each position calls a cycle.
+    transform : str
+        What bends the coordinates, as text; empty for nothing.
     run : int
         Number of the run, see `Segment.run`.
     kind : str
@@ -234,6 +262,7 @@ class State:
         'offset',
         'others',
         'percents',
+        'pivot',
         'plane',
         'polar',
         'position',
@@ -241,6 +270,7 @@ class State:
         'retracts',
         'run',
         'tool_length',
+        'transform',
         'unit_said',
         'x_share',
     )
@@ -263,10 +293,12 @@ class State:
         self.x_share = (1.0, 1.0)
         self.assumed = set('XYZ')
         self.cutter = False
-        self.offset: int | None = None
+        self.offset: tuple[int, float | None] | None = None
         self.tool_length = False
         self.polar = False
+        self.pivot = False
         self.printer = False
+        self.transform = ''
         self.modal_call = False
         self.run = 0
         self.kind = ''

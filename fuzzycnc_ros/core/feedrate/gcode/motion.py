@@ -79,6 +79,7 @@ def move(line: Line, number: int, state: State) -> Segment | None:
     target = start.copy()
     arc_words = named = False
     moved = ''
+    pivot = state.pivot and state.motion in (0, 10)
     assumed = state.assumed if state.absolute else None
     for letter, value, _, _ in line.words:
         if letter in _XYZ:
@@ -91,6 +92,8 @@ def move(line: Line, number: int, state: State) -> Segment | None:
             moved += letter if _turn(letter, value, state) else ''
         elif letter in _CENTRES or letter == 'R':
             arc_words = True
+            if pivot and letter != 'R':  # the direction of the tool
+                moved += letter
     turning = bool(moved)
     motion = state.motion
     is_arc = motion in (20, 30)
@@ -98,7 +101,8 @@ def move(line: Line, number: int, state: State) -> Segment | None:
         return None
     _check_feed(number, state)
     strange = [name for name in line.assigned if not (is_arc and name in _ARC_NAMES)]
-    if motion not in (0, 10, 20, 30) or strange or state.polar or state.modal_call:
+    bent = state.polar or state.transform or state.modal_call
+    if motion not in (0, 10, 20, 30) or strange or bent:
         state.lose(named_axes(line))
         raise UnreadableError(_why(motion, strange, state))
     state.position = target
@@ -180,6 +184,8 @@ def _why(motion: int | None, strange: list[str], state: State) -> str:
         return f'a motion with {", ".join(sorted(strange))}'
     if state.polar:
         return 'a motion in polar coordinates (G16)'
+    if state.transform:
+        return f'a motion in the coordinates of {state.transform}'
     if state.modal_call or motion == -1:
         return 'a position at which a cycle runs'
     return 'a motion without G0 to G3 in effect'
@@ -322,7 +328,8 @@ def run_cycle(line: Line, state: State) -> bool:
     state.kind = ''
     first, second, across = PLANES[state.plane]
     value = {word.letter: word.value for word in line.words}
-    plain = not line.assigned and not state.polar and not state.modal_call
+    bent = state.polar or state.transform or state.modal_call
+    plain = not line.assigned and not bent
     if cycle.code not in _FOLLOWED or not plain or not value.keys().isdisjoint('ABCUVW'):
         state.lose()
         return False

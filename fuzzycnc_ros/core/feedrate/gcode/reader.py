@@ -670,7 +670,10 @@ def jump_targets(lines: Iterable[str]) -> frozenset[int] | None:
     return frozenset(found)
 
 
-_CONVERSATIONAL = re.compile(r'\s*\d+\s+BEGIN\s+PGM\b', re.IGNORECASE | re.ASCII)
+_CONVERSATIONAL = re.compile(
+    r'\ufeff?\s*(?:\d+\s+)?(?:BEGIN\s+PGM|BLK\s+FORM|TOOL\s+(?:CALL|DEF)|CYCL\s+DEF)\b',
+    re.IGNORECASE,
+)
 _LINE = re.compile(r'[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+')
 _UNITS = {'mm': MILLIMETRE, 'inch': INCH}
 
@@ -746,11 +749,12 @@ class ProgramReader:
                     interpreter.notes.add(number, 'text after the end of the program: not read')
                 yield from interpreter.pass_by(text, number)
                 continue
-            if number == 1 and _CONVERSATIONAL.match(text):
+            if empty and _CONVERSATIONAL.match(text):
                 raise ProgramError(
-                    1,
-                    "expected G-code but found Heidenhain's plain-text language (BEGIN PGM): post "
-                    'the program for a control that reads G-code',
+                    number,
+                    "expected G-code but found Heidenhain's plain-text language "
+                    f'({text.split(";")[0].strip()[:30]}): post the program for a control that '
+                    'reads G-code',
                 )
             line = read_line(text, number)
             empty = empty and line.end == 0
