@@ -157,7 +157,8 @@ def schedule(
         fuzzycnc schedule part.ngc --tolerance 10um --blend 0.01mm --feed 12000mm/min \
             --machine params/feedrate_scheduler.yaml --out fast.ngc --report fast.html
     """
-    from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, jump_targets
+    from fuzzycnc_ros.core.feedrate.gcode.outline import outline_of
+    from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
     from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramScheduler
     from fuzzycnc_ros.studies.programs.program_page import (
         ScheduleFigures,
@@ -176,8 +177,8 @@ def schedule(
         files = subroutine_files(program)
         words, trace = Words(), PathTrace()
         with open_program(source) as file:
-            jumps = jump_targets(file)
-        reader = ProgramReader(units, follow=True, files=files, jumps=jumps)
+            outline = outline_of(file)
+        reader = ProgramReader(units, follow=True, files=files, outline=outline)
         rest = 0.0 if settings.blend else settings.settle  # at corners
         scheduler = ProgramScheduler(settings, trace.add if report is not None else None)
         try:
@@ -206,7 +207,7 @@ def schedule(
                 say_unkept(figures.verdict)
         write_json(json_file, schedule_document(figures))
         if report is not None:
-            reader = ProgramReader(units, follow=True, files=files, jumps=jumps)
+            reader = ProgramReader(units, follow=True, files=files, outline=outline)
             stretch = _stretch(source, reader, words.stretch, figures.times.blocks)
             _write_report(report, stretch, figures, trace, known)
     if not figures.kept:

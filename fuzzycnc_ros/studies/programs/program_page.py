@@ -126,7 +126,8 @@ class ScheduleFigures:
             )
         if times.untimed:
             lines.append(
-                f'left out of both: {times.untimed:,} motions whose time the program does not tell'
+                f'left out of both times: {times.untimed:,} motions, cycles or calls whose time '
+                'the program does not tell; the notes say which'
             )
         if times.stops:
             where = 'corners within a run' if settings.blend == 0.0 else 'what cannot be blended'
@@ -208,6 +209,8 @@ def schedule_table(figures: ScheduleFigures) -> Table:
     )
     if settings.override != 1.0:
         title += f', override {100.0 * settings.override:g} %'
+    if times.untimed:
+        title += f'; {times.untimed:,} motions left out of the times'
     warning = frozenset() if figures.kept else frozenset({(1, len(columns) - 1)})
     return Table(
         title, columns, tuple(rows), warning=warning, warning_means='the tolerance is not kept'

@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Words that mean one thing on one controller and something else on another."""
 
+import math
+
+import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Role
@@ -216,7 +219,8 @@ def test_new_frames_lose_the_place(line):
     [
         ('G12.1', 'G13.1'), ('G112', 'G113'), ('G7.1 C30.', 'G7.1 C0'),
         ('G07.1 C30.', 'G07.1 C0.'), ('G107 C30.', 'G107'), ('TRANSMIT', 'TRAFOOF'),
-        ('TRACYL(40)', 'TRAFOOF'),        ('TRANSMIT(1)', 'TRAORI'), ('G51.2 P1 Q2', 'G50.2'), ('G137 C0', 'G136'),
+        ('TRACYL(40)', 'TRAFOOF'),
+        ('TRANSMIT(1)', 'TRAORI'), ('G51.2 P1 Q2', 'G50.2'), ('G137 C0', 'G136'),
     ],
 )  # fmt: skip
 def test_nothing_is_chosen_in_bent_coordinates(begin, end):
@@ -247,3 +251,123 @@ def test_the_direction_of_a_tool_is_no_centre():
 def test_other_work_offsets_lose_the_place(first, second, same):
     program = read_program(f'{first}\nF60 G1 X0 Y0 Z0\nX1\n{second}\nX2\n')
     assert [part.line for part in program.segments if part.length] == ([3, 5] if same else [3])
+
+
+LATHE = 'O1\nG21 G40\n{}\nG97 S500 M3\nT0101\nG0 X60. Z2.\nG98 G1 Z-20. F3000\nX64. Z-22.\n'
+
+
+@pytest.mark.parametrize(
+    'line', ['G50 S2500', 'S2500 G50', 'G28 U0 W0', 'G28 U0.', 'N7 G30 U0. W0.', 'G53 G0 W-10. U0']
+)
+def test_a_lathe_of_fanucs_kind_has_diameters_and_no_y(line):
+    program = read_program(LATHE.format(line))
+    # X64 from X60 is 2 mm, in the plane of X and Z
+    assert lengths(program)[7] == 22.0
+    assert lengths(program)[8] == pytest.approx(2.0 * 2**0.5, abs=1e-6)
+    assert [part.line for part in program.segments if part.schedulable] == [7, 8]
+    assert 'a lathe' in notes(program)
+
+
+def test_words_of_lathes():
+    text = LATHE.format('G50 S2500') + 'G2 U4. W-2. R2.\nG3 X70. Z-25. I0 K-1.\nG1 U2. W-1.\n'
+    program = read_program(text)
+    assert lengths(program)[9] == pytest.approx(math.pi, abs=1e-6)
+    assert lengths(program)[10] == pytest.approx(0.5 * math.pi, abs=1e-6)
+    assert lengths(program)[11] == pytest.approx(2.0**0.5, abs=1e-6)
+    assert program.segments[-1].schedulable
+
+
+def test_a_way_home_of_a_lathe_loses_the_axes_that_it_names():
+    text = LATHE.format('G50 S2500') + 'G28 U0\nG1 W-5.\nG28 W0\nG1 X50.\nG1 X40. Z0\nX30.\n'
+    program = read_program(text)
+    # where X stands does not matter for a way along Z
+    assert lengths(program)[10] == 5.0
+    assert [part.line for part in program.segments if part.schedulable] == [7, 8, 14]
+
+
+@pytest.mark.parametrize(
+    ('line', 'chosen'),
+    [
+        ('G1 Z-9. F0.2', False),
+        ('G99 G1 Z-9. F0.2', False),
+        ('G95 G1 Z-9. F0.2', False),
+        ('G98 G1 Z-9. F200', True),
+        ('G94 G1 Z-9. F200', True),
+    ],
+)
+def test_feeds_of_lathes_are_per_revolution_unless_they_say_per_minute(line, chosen):
+    program = read_program(f'G50 S2500\nG0 X60. Z2.\n{line}\nX50. Z-9.\n')
+    assert [part.schedulable for part in program.segments[1:]] == [chosen, chosen]
+
+
+@pytest.mark.parametrize(
+    'cycle',
+    ['G90 X50. Z-20. F0.2', 'G92 X50. Z-20. F1.5', 'G94 X50. Z-20. F0.2', 'G32 Z-20. F1.5'],
+)
+def test_cycles_and_threads_of_lathes_are_no_moves(cycle):
+    text = f'G50 S2500\nG98 F100\nG0 X60. Z2.\n{cycle}\nX48.\nG1 X50. Z0 F100\nX40.\n'
+    program = read_program(text)
+    assert [part.line for part in program.segments if part.schedulable] == [7]
+    assert [block.role for block in program.blocks[3:5]] == [Role.SEALED] * 2
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        'G50 S2500\nG0 X60. Y1. Z2.\n',  # a mill
+        'G50 S2500\nG91\nG90 G0 X60. Z2.\n',  # a control on which U and W are axes
+        'G18 G7\nG96 D2500 S200\nG0 X60. Z2.\n',  # LinuxCNC
+        'G50 (S2500)\nG0 X60. Z2.\n',
+    ],
+)
+def test_other_programs_are_of_no_such_lathe(text):
+    program = read_program(text + 'G98 G1 U5 F100\n')
+    assert 'a lathe' not in notes(program)
+    assert program.segments[-1].turning
+
+
+def test_a_limit_of_the_spindle_shifts_nothing_anywhere():
+    for word in ('G50 S2500', 'G92 S2500'):
+        program = read_program(f'G1 X0 Y0 Z0 F100\n{word}\nX1\n')
+        assert program.segments[-1].schedulable
+        assert 'imit of the spindle' in notes(program)
+    assert read_program('G1 X5 Y0 F100\nG92 X0 S2500\nX1\n').segments[-1].length == MM
+
+
+def test_nobody_waits_for_an_axis_that_no_line_names():
+    # of a laser, which has no Z, and of a lathe, which has no Y
+    for text, line in (('G28\nG1 X0 Y0 F100\nX1\n', 3), ('G28\nG1 X0 Z0 F100\nX1\n', 3)):
+        assert [part.line for part in read_program(text).segments if part.schedulable] == [line]
+    # a subroutine in a file of its own may name it
+    text = 'o<down> call\nG1 X0 Y0 F100\nX1\n'
+    assert not any(part.schedulable for part in read_program(text).segments)
+
+
+@pytest.mark.parametrize(
+    ('words', 'length'),
+    [
+        ('G1 X100 F500', 100.0),
+        ('G1 X3 Y4 F500', 5.0),
+        ('G2 X10 Y0 I5 J0 F500', 5.0 * math.pi),
+        ('G3 X0 Y10 R5 F500', 5.0 * math.pi),
+        ('G2 I5 P2 Z1 F500', math.hypot(20.0 * math.pi, 1.0)),
+        ('G0 Z-7', 7.0),
+    ],
+)
+def test_a_relative_move_from_an_unknown_place_has_a_known_length(words, length):
+    program = read_program(f'G21 G17\nG1 X1 Y1 Z1 F100\nG10 L2 P1 X0\nG91\n{words}\nM2\n')
+    segment = program.segments[-1]
+    assert segment.line == 5
+    assert segment.length == pytest.approx(length * MM)
+    assert not segment.schedulable
+    assert not np.isfinite([segment.start, segment.end]).all()
+    assert program.blocks[4].role is (Role.RAPID if words.startswith('G0') else Role.KEPT)
+
+
+@pytest.mark.parametrize(
+    'words', ['G90 X5', 'G1 X#5', 'G90.1 G2 X5 I5', 'G90 G1 Y3', 'G5.1 I1 J1 X3']
+)
+def test_no_length_is_guessed_where_the_place_counts(words):
+    program = read_program(f'G1 X1 Y1 Z1 F100\nG10 L2 P1 X0\nG91\n{words}\nM2\n')
+    assert [segment.line for segment in program.segments] == [1]
+    assert program.blocks[3].role in (Role.KEPT, Role.SEALED)

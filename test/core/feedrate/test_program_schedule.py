@@ -246,10 +246,41 @@ def test_what_is_not_scheduled_counts_as_well():
     assert found.rapid == pytest.approx(2.0 * math.sqrt(0.01 / 4.0), rel=1e-12)
     assert found.dwell == 1.5
     assert found.kept == pytest.approx(0.03 / 0.1, rel=1e-12)
-    assert found.untimed == 1  # G93; where Z goes at last is no motion of the program's
+    assert found.untimed == 2  # G93, and where Z goes at last, which the control computes
     line = 0.03 / 0.1 + 0.1 / 1.5
     assert found.duration == pytest.approx(line + found.rapid + 1.5 + found.kept, rel=1e-12)
     assert found.programmed == pytest.approx(found.duration, rel=1e-12)
+
+
+def test_relative_moves_from_an_unknown_place_are_timed():
+    text = 'G0 X0 Y0 Z0\nG10 L2 P1 X0\nG91\nG1 X100 F500\nY100\nG0 Z10\nG1 X-100\n'
+    found = schedule_program(read_program(text), made()).times
+    assert found.kept == pytest.approx(36.0, rel=1e-12)
+    assert found.rapid == pytest.approx(2.0 * math.sqrt(0.01 / 4.0), rel=1e-12)
+    assert (found.duration, found.untimed) == (found.programmed, 0)
+    assert found.duration == pytest.approx(36.0 + found.rapid, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ('line', 'untimed', 'kept'),
+    [
+        ('G28 Z0', 1, 0.0),
+        ('G81 X1 Y1 Z-1 R1', 1, 0.0),
+        ('M98 P100', 1, 0.0),
+        ('CYCLE81(1,2)', 1, 0.0),
+        ('G4 P#5', 1, 0.0),
+        ('G4 S30', 1, 0.0),
+        ('G1 E5', 1, 0.0),
+        ('G1 A90', 1, 0.0),
+        ('/G1 X40', 0, 6.0),  # the feed of a line that may be skipped is known
+        ('M8', 0, 0.0),
+        ('G54', 0, 0.0),
+    ],
+)
+def test_what_is_not_timed_is_counted(line, untimed, kept):
+    text = f'G1 X30 Y0 Z0 F100\n{line}\n'
+    found = schedule_program(read_program(text), made()).times
+    assert (found.untimed, found.kept) == (untimed, pytest.approx(kept))
 
 
 def test_the_time_of_a_whole_path_is_that_of_the_motion_along_it():

@@ -15,6 +15,7 @@ from fuzzycnc_ros.core.feedrate.gcode.expressions import Expression, ExpressionE
 from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, Word, resolved
 from fuzzycnc_ros.core.feedrate.gcode.modal import State
 from fuzzycnc_ros.core.feedrate.gcode.motion import (
+    NO_PLACE,
     CurveBlock,
     KnotCurveBlock,
     PlaneCurveBlock,
@@ -26,12 +27,14 @@ from fuzzycnc_ros.core.feedrate.gcode.motion import (
     run_cycle,
     runs_cycle,
 )
+from fuzzycnc_ros.core.feedrate.gcode.outline import Outline
 from fuzzycnc_ros.core.feedrate.gcode.parameters import Parameters
 from fuzzycnc_ros.core.feedrate.gcode.segments import (
     ArcSegment,
     NurbsSegment,
     ProgramError,
     Segment,
+    UnplacedSegment,
 )
 
 _LETTERS = '@^'
@@ -111,6 +114,7 @@ _CALL_LETTERS = frozenset('XYZABCUVWG')
 _CURVE_LETTERS = frozenset('GNFXYZPLKRABCUVW')
 _CALL_M = frozenset({97, 98, 99})
 _NO_JUMPS: frozenset[int] = frozenset()
+_NO_OUTLINE = Outline()
 _LINE_NUMBER = re.compile(r'[ \t/]*N[ \t]*0*(\d{1,9})(?!\d)', re.IGNORECASE | re.ASCII)
 
 
@@ -121,8 +125,8 @@ class Interpreter:
     ----------
     length_unit : float
         What a length of 1 is before the program says G20 or G21 [m].
-    jumps : frozenset of int or None
-        Numbers N of the lines that jumps may lead to, None where it may be any line.
+    outline : Outline
+        What is known of the whole program.
 
     Attributes
     ----------
@@ -139,10 +143,10 @@ class Interpreter:
     def __init__(
         self,
         length_unit: float = modal.MILLIMETRE,
-        jumps: frozenset[int] | None = frozenset(),
+        outline: Outline = _NO_OUTLINE,
     ) -> None:
         self.state = modal.State(length_unit)
-        self._jumps = jumps
+        self._jumps = outline.jumps
         self._curve: CurveBlock | None = None
         self._held: list[Block] = []
         self._saved: list[tuple[dict[str, object], bool] | None] = [None]
@@ -151,6 +155,14 @@ class Interpreter:
         self.parameters = Parameters(self.state)
         self.followed = False
         self._words = _GWords(self.state, self._say)
+        self.state.unnamed = outline.unnamed
+        if outline.lathe:
+            self.state.set_lathe()
+            self.notes.add(
+                1,
+                'a lathe (limit of the spindle by G50, or home by U and W): X is a diameter, U '
+                'and W are relative, and feeds are per revolution until G94 or G98',
+            )
 
     def read(self, text: str, line: Line, number: int) -> list[Block]:
         """Read the next line.
@@ -334,7 +346,7 @@ class Interpreter:
         word = None
         for letter, value, start, end in line.words:
             if letter == 'F' and value is not None and state.feed_mode == 94:
-                word = (start, end)
+                word = None if state.motion in modal.THREADS else (start, end)
             elif letter == 'G' and value == 4.0:  # a wait: its F is no feed
                 word = None
                 break
@@ -417,13 +429,17 @@ class Interpreter:
             if role is not None:
                 return role, None
         if 40 in codes:
-            return Role.PLAIN, dwell(line, self._line, state)
+            wait = dwell(line, self._line, state)
+            if wait is None:
+                self._say('a wait whose time the program does not tell')
+                return Role.SEALED, None
+            return Role.PLAIN, wait
         if modal.CALLS & set(codes) or (ms and _CALL_M & set(ms)) or self._called(line):
             self.lose(f'call of a subprogram: {_LOST}, the feed until F')
             self.parameters.forget()
             return Role.SEALED, None
         if elsewhere:
-            state.lose(named_axes(line) or 'XYZ')
+            state.lose(named_axes(line, relative=True) or 'XYZ')
             self._say('motion to a place of the machine (G28, G30, G53, G75, SUPA, probing)')
             return (Role.RAPID if state.motion == 0 else Role.KEPT), None
         if not moves or gone:
@@ -469,9 +485,16 @@ class Interpreter:
             self._say(f'{reason}: passed through with its own feed')
             if state.motion == 0 and not state.modal_call:
                 return Role.RAPID, None
-            return (Role.SEALED if state.motion == -1 or state.modal_call else Role.KEPT), None
+            sealed = state.motion == -1 or state.motion in modal.THREADS or state.modal_call
+            return (Role.SEALED if sealed else Role.KEPT), None
         if segment is None:
+            if state.motion in (0, 10) and _names(line, 'E'):  # filament alone
+                state.kind = ''
+                return (Role.RAPID if state.motion == 0 else Role.KEPT), None
             return Role.PLAIN, None
+        if isinstance(segment, UnplacedSegment):
+            self._say(f'{NO_PLACE}: passed through with its own feed')
+            return (Role.RAPID if segment.rapid else Role.KEPT), segment
         if segment.rapid:
             return Role.RAPID, segment
         if isinstance(segment, ArcSegment) and segment.misfit > ABSOLUTE_MISFIT:
@@ -534,7 +557,9 @@ class Interpreter:
         state = self.state
         for letter, value, _, _ in line.words:
             if letter == 'F' and state.feed_mode == 94:
-                if value is None:
+                if state.motion in modal.THREADS:
+                    state.lose_feed()
+                elif value is None:
                     self._say('computed feed: kept')
                     state.lose_feed()
                 elif value < 0.0:
@@ -584,6 +609,22 @@ def _names(line: Line, letter: str) -> bool:
 _LOST = 'where the tool stands is unknown until all axes are named'
 
 
+def _axes(line: Line) -> bool:
+    """Whether a line names an axis."""
+    return any(word.letter in 'XYZABCUVW' for word in line.words)
+
+
+def _limits_spindle(line: Line) -> bool:
+    """Whether a line with G50 or G92 is about the speed of the spindle alone."""
+    return _names(line, 'S') and not _axes(line)
+
+
+def _is_box(line: Line) -> bool:
+    """Whether G90, G92 or G94 of a lathe is a cycle: an axis stands beside it, and no motion."""
+    moves = any(word.letter == 'G' and word.value in (0.0, 1.0, 2.0, 3.0) for word in line.words)
+    return not moves and bool(named_axes(line, relative=True))
+
+
 class _GWords:
     """Takes G words, as numbers in tenths: 53 is G5.3, below 0 is one that is computed.
 
@@ -605,6 +646,13 @@ class _GWords:
         if code in modal.MOTION:
             state.motion = code
             state.cycle = None
+        elif code in modal.THREADS:
+            self._thread(code, line)
+        elif state.lathe and code in modal.BOXES and _is_box(line):
+            begin_cycle(code, state)
+            state.motion = -1
+        elif state.lathe and code in (980, 990):
+            self._feed_mode(94 if code == 980 else 95)
         elif code in modal.PLANE:
             state.plane = modal.PLANE[code]
         elif code in modal.LENGTH_UNIT:
@@ -631,12 +679,14 @@ class _GWords:
             return 'call'
         elif code == 100 and state.printer and not any(w.letter in 'LXYZ' for w in line.words):
             self._say('G10 of a printer: passed through')
+        elif code == 500 and _limits_spindle(line):
+            self._say('limit of the spindle (G50 S): passed through')
+        elif code == 920 or (code == 500 and state.lathe and named_axes(line, relative=True)):
+            self._set_place(line)
+            return 'shift'
         elif code in modal.FRAMES:
             state.lose()
             self._say(f'G{code / 10:g}: new coordinates; {_LOST}')
-            return 'shift'
-        elif code == 920:
-            self._set_place(line)
             return 'shift'
         elif code in modal.TRANSFORMED or code in modal.CYLINDERS:
             return self._bend(code, line)
@@ -686,6 +736,14 @@ class _GWords:
                 return 'gone'
         return ''
 
+    def _thread(self, code: int, line: Line) -> None:
+        """Begin a thread."""
+        state = self._state
+        state.motion, state.cycle = code, None
+        if _names(line, 'F'):
+            state.lose_feed()
+        self._say(f'threading (G{code / 10:g}): keeps its pitch; the feed is unknown until F')
+
     def _bend(self, code: int, line: Line) -> str:
         """Begin polar or cylindrical coordinates; words beside them are no motion."""
         name = f'G{code / 10:g}'
@@ -706,15 +764,21 @@ class _GWords:
         self._say(f'G{code / 10:g}: new coordinates; {_LOST}')
 
     def _set_place(self, line: Line) -> None:
-        """G92: the tool stands where the words say, from now on."""
+        """G92, or G50 of lathes: the tool stands where the words say, from now on."""
         state = self._state
-        letters = {word.letter for word in line.words}
-        if letters & {'S', 'E'} and letters.isdisjoint('XYZABCUVW'):
+        if _limits_spindle(line) or (state.printer and _names(line, 'E') and not _axes(line)):
             self._say('G92 without an axis (limit of the spindle, extruder): passed through')
             return
         state.kind = ''
-        self._say('G92: new coordinates')
+        self._say('G92: new coordinates' if not state.lathe else 'G50: new coordinates')
         for letter, value, _, _ in line.words:
+            if state.lathe and letter in 'UVW':
+                if value is None:
+                    state.lose('XYZ'['UVW'.index(letter)])
+                else:
+                    axis = 'UVW'.index(letter)
+                    state.position[axis] += state.length(axis, value, False)
+                continue
             if letter in 'XYZ':
                 if value is None:
                     state.lose(letter)

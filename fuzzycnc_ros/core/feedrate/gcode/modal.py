@@ -101,6 +101,12 @@ HARMLESS = frozenset(
 )
 """No motion of their own: exact stop, path control, ends of cycles and of compensation."""
 
+THREADS = frozenset({320, 330, 331, 340, 350, 360})
+"""Threading: F is a pitch, and the words go on until another motion is named."""
+
+BOXES = frozenset({900, 920, 940})
+"""Cycles of Fanuc's lathes where an axis stands beside them: turning, threading, facing."""
+
 CUTTER = frozenset({410, 411, 420, 421})
 """Cutter compensation: the tool runs beside the path that is programmed."""
 
@@ -230,6 +236,10 @@ class State:
         Coordinates are those of the tip of a tool whose direction I, J and K may say.
     printer : bool
         The program is for a 3D printer.
+    lathe : bool
+        The program is for a lathe of Fanuc's kind, see `Outline`.
+    unnamed : str
+        Axes that the program never names: nobody waits for their place.
     tool_length, polar, modal_call : bool
         A tool length is in effect; coordinates are polar; each position calls a cycle.
     transform : str
@@ -256,6 +266,7 @@ class State:
         'feed_mode',
         'feed_unit',
         'kind',
+        'lathe',
         'length_unit',
         'modal_call',
         'motion',
@@ -272,6 +283,7 @@ class State:
         'tool_length',
         'transform',
         'unit_said',
+        'unnamed',
         'x_share',
     )
 
@@ -296,6 +308,8 @@ class State:
         self.offset: tuple[int, float | None] | None = None
         self.tool_length = False
         self.polar = False
+        self.lathe = False
+        self.unnamed = ''
         self.pivot = False
         self.printer = False
         self.transform = ''
@@ -310,10 +324,16 @@ class State:
         length = value * self.length_unit
         return length if axis else length * self.x_share[0 if absolute else 1]
 
+    def set_lathe(self) -> None:
+        """Take what lathes of Fanuc's kind have in effect when they are switched on."""
+        self.lathe, self.plane, self.x_share = True, 18, (0.5, 0.5)
+        self.feed_mode = 95
+
     def lose(self, axes: str = 'XYZ') -> None:
         """Forget where axes are; the next segment starts a run."""
         for axis in axes:
-            self.position['XYZ'.index(axis)] = nan
+            if axis not in self.unnamed:
+                self.position['XYZ'.index(axis)] = nan
         self.kind = ''
 
     def lose_feed(self) -> None:

@@ -32,6 +32,7 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import (
     Point,
     ProgramError,
     Segment,
+    UnplacedSegment,
 )
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve, check_machinable
 
@@ -41,14 +42,21 @@ _CENTRES = 'IJK'
 _ARC_NAMES = frozenset({'CR', 'TURN'})
 
 
+NO_PLACE = 'a motion from or to a place that the program does not say'
+
+
 class UnreadableError(Exception):
     """A motion whose geometry the program leaves to the controller; its message says why."""
 
 
-def named_axes(line: Line) -> str:
-    """Return which of X, Y and Z a line names."""
+def named_axes(line: Line, relative: bool = False) -> str:
+    """Return which of X, Y and Z a line names, if asked also as U, V and W."""
     named = {word.letter for word in line.words}
-    return ''.join(axis for axis in _XYZ if axis in named)
+    return ''.join(
+        axis
+        for axis, other in zip(_XYZ, 'UVW', strict=True)
+        if axis in named or (relative and other in named)
+    )
 
 
 def move(line: Line, number: int, state: State) -> Segment | None:
@@ -88,6 +96,10 @@ def move(line: Line, number: int, state: State) -> Segment | None:
                 assumed.discard(letter)
             axis = _XYZ.index(letter)
             target[axis] = _coordinate(axis, value, start[axis], state)
+        elif letter in 'UVW' and state.lathe:
+            named = True
+            axis = 'UVW'.index(letter)
+            target[axis] += nan if value is None else state.length(axis, value, False)
         elif letter in _OTHER_AXES:
             moved += letter if _turn(letter, value, state) else ''
         elif letter in _CENTRES or letter == 'R':
@@ -106,35 +118,81 @@ def move(line: Line, number: int, state: State) -> Segment | None:
         state.lose(named_axes(line))
         raise UnreadableError(_why(motion, strange, state))
     state.position = target
-    if not all(map(math.isfinite, (*start, *target))):
+    placed = all(map(math.isfinite, (*start, *target)))
+    if not placed:
         state.kind = ''
-        raise UnreadableError('a motion from or to a place that the program does not say')
+        start, target = _somewhere(line, start, target, state)
     begin, end = (start[0], start[1], start[2]), (target[0], target[1], target[2])
     if turning:
         _lose_relative(line, moved, state)
     feed = None if motion == 0 else state.feed
     run = state.run_of('rapid' if motion == 0 else 'kept' if turning or feed is None else 'feed')
+    segment: Segment
     if is_arc:
-        return _arc(line, number, state, (begin, end, feed, turning, run))
-    return LineSegment(number, begin, end, feed, motion == 0, turning, run)
+        segment = _arc(line, number, state, (begin, end, feed, turning, run))
+    else:
+        segment = LineSegment(number, begin, end, feed, motion == 0, turning, run)
+    if placed:
+        return segment
+    state.kind = ''
+    return UnplacedSegment.of(segment)
 
 
-def dwell(line: Line, number: int, state: State) -> DwellSegment:
+def _somewhere(
+    line: Line, start: list[float], target: list[float], state: State
+) -> tuple[list[float], list[float]]:
+    """Return a start and an end that are as far apart as those of a line without a place.
+
+    Raises
+    ------
+    UnreadableError
+        If its way depends on the place.
+    """
+    begin = [value if isfinite(value) else 0.0 for value in start]
+    end = begin.copy()
+    words = {word.letter: word.value for word in line.words}
+    for axis, letter in enumerate(_XYZ):
+        relative = 'UVW'[axis] if state.lathe and 'UVW'[axis] in words else letter
+        if relative not in words:
+            continue
+        value = words[relative]
+        if isfinite(start[axis]) and isfinite(target[axis]):
+            end[axis] = target[axis]
+        elif value is None or (relative == letter and state.absolute):
+            raise UnreadableError(NO_PLACE)
+        else:
+            end[axis] += state.length(axis, value, False)
+    if state.centre_absolute and state.motion in (20, 30) and 'R' not in words:
+        raise UnreadableError(NO_PLACE)
+    return begin, end
+
+
+DWELL_MAX = 1e7
+"""Longest wait [s]: four months."""
+
+
+def dwell(line: Line, number: int, state: State) -> DwellSegment | None:
     """Return the wait of a line with G4: P, else X, U or F, in seconds.
 
-    Printers take S in seconds and P in milliseconds.
+    Printers take S in seconds and P in milliseconds.  None where the program does not tell how
+    long it is: it is computed, or S counts turns of the spindle (Siemens).
     """
     found = {word.letter: word.value for word in line.words}
     if state.printer:
         found = {'P': found.get('S', 1e-3 * (found.get('P') or 0.0))}
     duration = next((found[letter] for letter in 'PXUF' if letter in found), 0.0)
-    if duration is not None and duration < 0.0:
-        raise ProgramError(number, f'expected a wait of at least 0 s but found {duration} s')
+    if duration is None or (duration == 0.0 and 'S' in found):
+        state.kind = ''
+        return None
+    if not 0.0 <= duration <= DWELL_MAX:
+        raise ProgramError(
+            number,
+            f'expected a wait of at least 0 s and at most {DWELL_MAX:g} s but found '
+            f'{duration:g} s',
+        )
     x, y, z = state.position
     place = (x, y, z)
-    return DwellSegment(
-        number, place, place, None, False, False, state.run_of('dwell'), duration or 0.0
-    )
+    return DwellSegment(number, place, place, None, False, False, state.run_of('dwell'), duration)
 
 
 def _coordinate(axis: int, value: float | None, before: float, state: State) -> float:
@@ -213,7 +271,7 @@ def _arc(
     radius = words.get('CR', words.get('R'))
     plane = f'{_XYZ[axes[0]]} or {_XYZ[axes[1]]}'
     if radius is not None:
-        if not {_XYZ[axes[0]], _XYZ[axes[1]]} & set(words):
+        if not {_XYZ[axes[0]], _XYZ[axes[1]]} & set(named_axes(line, relative=state.lathe)):
             raise ProgramError(
                 number, f'expected an end ({plane}) of an arc with a radius but found none'
             )
