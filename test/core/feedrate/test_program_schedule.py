@@ -3,6 +3,7 @@
 """Part programs scheduled: a feed for each block, times within limits, streams of any length."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -463,3 +464,50 @@ def test_a_real_program_keeps_its_path(gcode, name, blend):
     assert times.duration >= times.programmed * (1.0 - 1e-3)
     # a bound by what the words ask for; braking and rounded corners are the controller's
     assert times.error <= times.programmed_error * (1.0 + 1e-6)
+
+
+CORNERS = '{}\nG0 X0 Y0 Z0\nG1 F6000 X5\nX10 Y1\nX15 Y3\nX20 Y3\nX25 Y2\n'
+
+
+@pytest.mark.parametrize(
+    ('word', 'blend'),
+    [
+        ('G64 P0.01', 1e-5),
+        ('G20\nG64 P0.001\nG21', 25.4e-6),
+        ('G64 P0.01 Q0.02', 1e-5),
+        ('G64 P0.01\nG64 P0.03', 3e-5),
+        ('G61', 0.0),
+        ('G61.1', 0.0),
+        ('G64 P0.01\nG61', 0.0),
+        ('G64', None),
+        ('G64 P0', None),
+        ('G64 P#1', None),
+        ('G642', None),
+        ('', None),
+    ],
+)
+def test_how_the_program_rounds_corners_counts_before_the_setting(word, blend):
+    """P of G64 is a tolerance; without P the control decides, and the setting counts."""
+    if word.startswith('G20'):
+        word, blend = 'G20\nG64 P0.001\nG21', 25.4e-6
+    setting = 5e-5
+    asked = setting if blend is None else blend
+    wanted = schedule_program(read_program(CORNERS.format('')), made(blend=asked)).times
+    program = read_program(CORNERS.format(word))
+    found = schedule_program(program, made(blend=setting)).times
+    # the lines in front count
+    assert replace(found, blocks=0) == replace(wanted, blocks=0)
+    # who gives the setting of a machine that follows it may refuse the program's word
+    other = schedule_program(program, made(blend=setting, own_corners=False)).times
+    plain = schedule_program(read_program(CORNERS.format('')), made(blend=setting)).times
+    assert replace(other, blocks=0) == replace(plain, blocks=0)
+
+
+def test_a_change_of_the_rounding_splits_a_run():
+    text = CORNERS.format('G64 P0.01') + 'G61\nX30 Y5\nX35 Y5\nG64 P0.02\nX40 Y4\nX45 Y5\n'
+    scheduler = ProgramScheduler(made())
+    for _ in scheduler.schedule(read_program(text).blocks):
+        pass
+    assert scheduler.corners == {1e-5, 0.0, 2e-5}
+    # at the changes, at both corners under G61, and at the end
+    assert scheduler.times.stops == 4

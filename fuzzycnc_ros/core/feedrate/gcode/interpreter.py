@@ -361,6 +361,7 @@ class Interpreter:
             feed_unit=state.feed_unit,
             optional=line.optional,
             followed=self.followed,
+            rounding=state.rounding,
         )
 
     def _meaning(self, line: Line) -> tuple[Role, Segment | None]:
@@ -720,6 +721,10 @@ class _GWords:
             self._say(f'cutter compensation (G{code / 10:g}): the path is the programmed one')
         elif code == 400:
             state.cutter = False
+        elif code in modal.EXACT:
+            state.rounding = 0.0
+        elif code in modal.ROUNDS:
+            self._round_corners(code, line)
         elif code in (980, 990):
             state.retracts = code == 990
         elif code in (160, 150):
@@ -735,6 +740,16 @@ class _GWords:
                 state.lose()
                 return 'gone'
         return ''
+
+    def _round_corners(self, code: int, line: Line) -> None:
+        """G64: corners may be rounded off, by as much as P says."""
+        most = next((word.value for word in line.words if word.letter == 'P'), 0.0)
+        self._state.rounding = most * self._state.length_unit if code == 640 and most else None
+        if self._state.rounding is None:
+            self._say(
+                f'G{code / 10:g} does not say how far corners are rounded off: --blend does, or '
+                'they are stopped at'
+            )
 
     def _thread(self, code: int, line: Line) -> None:
         """Begin a thread."""

@@ -123,6 +123,12 @@ LENGTH_UNIT |= {7000: INCH, 7100: MILLIMETRE}
 FEED_UNITS = frozenset({200, 210, 7000, 7100})
 """Of the units those that count for the feed as well; G70 and G71 are for lengths only."""
 
+EXACT = frozenset({610, 611})
+"""Exact path and exact stop: no corner is rounded off."""
+
+ROUNDS = frozenset({640, 6410, 6420, 6430, 6440, 6450})
+"""Path control: G64 of LinuxCNC says in P how far corners may be rounded off."""
+
 STOPS = frozenset({0, 1, 6, 60})
 """M words at which the tool stands still before the next block."""
 
@@ -244,6 +250,8 @@ class State:
         A tool length is in effect; coordinates are polar; each position calls a cycle.
     transform : str
         What bends the coordinates, as text; empty for nothing.
+    rounding : float or None
+        How far corners may be rounded off [m], see `Block.rounding`.
     run : int
         Number of the run, see `Segment.run`.
     kind : str
@@ -279,6 +287,7 @@ class State:
         'position',
         'printer',
         'retracts',
+        'rounding',
         'run',
         'tool_length',
         'transform',
@@ -314,6 +323,7 @@ class State:
         self.printer = False
         self.transform = ''
         self.modal_call = False
+        self.rounding: float | None = None
         self.run = 0
         self.kind = ''
         self.percents = 0

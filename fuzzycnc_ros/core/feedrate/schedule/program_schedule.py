@@ -495,6 +495,8 @@ class ProgramScheduler:
     ----------
     times : ProgramTimes
         Complete once all blocks have been yielded.
+    corners : set of float
+        How far corners were rounded off by the program's own words [m].
 
     Notes
     -----
@@ -530,6 +532,7 @@ class ProgramScheduler:
         self._motion = _ProgramMotion(settings)
         self._own_motion = _ProgramMotion(settings)
         self.times = ProgramTimes()
+        self.corners: set[float] = set()
         self._fixed = _FixedMotions(settings, self.times)
         self._lines = _LoneLines(settings, self.times, (self._motion, self._own_motion))
 
@@ -552,7 +555,7 @@ class ProgramScheduler:
         ValueError
             If the blocks make no path.
         """
-        source, times = Source(blocks), self.times
+        source, times, own = Source(blocks), self.times, self._settings.own_corners
         while (block := source.next) is not None:
             if block.segment is None or not block.segment.schedulable:
                 source.take()
@@ -569,6 +572,8 @@ class ProgramScheduler:
             for item in ProgramRun(self._settings, source, self._drive).schedule():
                 times.blocks += 1
                 times.chosen += item[1] is not None
+                if own and item[0].rounding is not None and item[1] is not None:
+                    self.corners.add(item[0].rounding)
                 if item[0].segment is None:
                     self._fixed.take(item[0])
                 times.curves += isinstance(item[0].segment, NurbsSegment)
