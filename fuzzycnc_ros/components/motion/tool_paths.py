@@ -20,6 +20,7 @@ from fuzzycnc_ros.core.feedrate.gcode.arcs import (
     MISFIT_MOST,
     POINT_ROUNDING,
     RELATIVE_MISFIT,
+    TURNS_MAX,
 )
 from fuzzycnc_ros.core.feedrate.gcode.segments import (
     ArcSegment,
@@ -45,8 +46,6 @@ if TYPE_CHECKING:
 PATH_AXES = ('X', 'Y', 'Z')
 """Axes that a tool path may have."""
 
-TURNS_MAX = 1000.0
-"""Largest number of turns of an arc."""
 _AXIS_MISFIT = 1e-9
 
 

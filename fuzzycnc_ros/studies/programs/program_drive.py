@@ -385,9 +385,13 @@ def drive_words(
         path_velocity=float(path),
         period=machine.interpolation_period,
     )
+    driven = (moves, moves.with_feeds(feeds))
+    least = [float((one.moves.length / np.minimum(one.moves.feed, path)).sum()) for one in driven]
+    if min(least) > LONGEST:
+        return None, None
     judge = ProgramPath(moves)
-    found: list[Judged | None] = []
-    for one in (moves, moves.with_feeds(feeds)):
-        least = float((one.moves.length / np.minimum(one.moves.feed, path)).sum())
-        found.append(None if least > LONGEST else judge.run(one, limits, machine))
+    found = [
+        judge.run(one, limits, machine) if time <= LONGEST else None
+        for one, time in zip(driven, least, strict=True)
+    ]
     return found[0], found[1]

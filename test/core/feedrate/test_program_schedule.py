@@ -511,3 +511,50 @@ def test_a_change_of_the_rounding_splits_a_run():
     assert scheduler.corners == {1e-5, 0.0, 2e-5}
     # at the changes, at both corners under G61, and at the end
     assert scheduler.times.stops == 4
+
+
+_O, _A, _B, _C = (0.0, 0.0), (4.0, 0.0), (8.0, 3.0), (12.0, 0.0)
+REPEATED = {
+    'start of order 3': (3, [_O, _O, _A, _B, _C]),
+    'start, straight': (3, [_O, _O, _A]),
+    'start, more than order 4': (4, [_O, _O, _O, _O, _A, _B, _C]),
+    'middle': (3, [_A, _B, _B, _B, _C, (12.0, 9.0)]),
+    'middle, more than order 4': (4, [_A, _B, _B, _B, _B, _B, _C, _A]),
+    'end': (3, [_A, _B, _C, _C, _C]),
+    'end, more than order 4': (4, [_A, _B, _C, _C, _C, _C, _C]),
+    'everywhere': (3, [_O, _O, _A, _A, _A, _B, _B, _B]),
+    'straight back': (3, [_A, _O]),
+    'back in a knot': (4, [_A, (8.0, 0.0), _A, _O]),
+    'back in the middle': (3, [_A, _C, _A, _C, _A]),
+}
+
+
+@pytest.mark.parametrize('name', REPEATED)
+def test_a_curve_that_stands_still_or_turns_back_is_scheduled(name):
+    order, points = REPEATED[name]
+    words = [f'X{x} Y{y} P1' for x, y in points]
+    text = f'G0 X0 Y0\nF600\nG5.2 L{order} {words[0]}\n' + '\n'.join(words[1:]) + '\nG5.3\n'
+    program = read_program(text)
+    curve = program.segments[-1].curve
+    found = schedule_program(program, made())
+    # the way of a fine polygon, from rest to rest
+    u = np.linspace(*curve.domain, 20_001)
+    way = float(np.linalg.norm(np.diff(curve.point(u), axis=0), axis=1).sum())
+    assert found.times.length == pytest.approx(way, rel=1e-4)
+    feed = float(found.feeds[-1])
+    assert 0.0 < feed <= 0.01
+    assert found.duration >= way / 0.01 * (1.0 - 1e-4)
+    path = found.paths[-1].path
+    assert np.isfinite(path.curvature).all()
+    assert (
+        np.linalg.norm(path.geometry.coefficient[-1, 5, :2] - 1e-3 * np.array(points[-1])) < 1e-9
+    )
+
+
+@pytest.mark.parametrize('words', ['X0 Y0', 'X0 Y0 P2'])
+def test_a_curve_of_one_point_is_refused_by_its_line(words):
+    text = f'G0 X0 Y0\nF600\nG5.2 L3 {words}\n{words}\n{words}\nG5.3\n'
+    with pytest.raises(
+        ValueError, match=r'line 3: no NURBS curve begins here: .*one and the same'
+    ):
+        schedule_program(read_program(text), made())

@@ -33,6 +33,10 @@ POINT_ROUNDING = 1e-9
 """Points closer than this are one [m]: sums of relative moves are off by the last digits."""
 
 
+TURNS_MAX = 1000
+"""Largest number of turns of an arc."""
+
+
 def fits(
     start: tuple[float, float],
     end: tuple[float, float],

@@ -13,7 +13,7 @@ from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Note, Role
 from fuzzycnc_ros.core.feedrate.gcode.expressions import Expression, ExpressionError
 from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, Word, resolved
-from fuzzycnc_ros.core.feedrate.gcode.modal import State
+from fuzzycnc_ros.core.feedrate.gcode.modal import State, least_feed
 from fuzzycnc_ros.core.feedrate.gcode.motion import (
     NO_PLACE,
     CurveBlock,
@@ -110,6 +110,7 @@ class _Notes:
 
 
 _SLOWEST = 1e-3 / modal.MINUTE
+_FASTEST = 1e9
 _CALL_LETTERS = frozenset('XYZABCUVWG')
 _CURVE_LETTERS = frozenset('GNFXYZPLKRABCUVW')
 _CALL_M = frozenset({97, 98, 99})
@@ -563,8 +564,15 @@ class Interpreter:
                 elif value is None:
                     self._say('computed feed: kept')
                     state.lose_feed()
-                elif value < 0.0:
-                    raise ProgramError(self._line, f'expected a feed above 0 but found F{value:g}')
+                elif value != 0.0 and not least_feed(state.feed_unit) <= value <= _FASTEST:
+                    found = f'F{value:g}'
+                    raise ProgramError(
+                        self._line,
+                        f'expected a feed above 0 but found {found}'
+                        if value < 0.0
+                        else f'expected a feed from {least_feed(state.feed_unit):g} to '
+                        f'{_FASTEST:g} but found {found}; of no machine',
+                    )
                 else:
                     state.feed, state.feed_known = value * state.feed_unit, True
                     if 0.0 < state.feed < _SLOWEST:

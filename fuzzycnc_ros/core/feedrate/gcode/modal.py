@@ -9,6 +9,20 @@ MILLIMETRE = 1e-3
 INCH = 25.4e-3
 MINUTE = 60.0
 
+
+def feed_decimals(unit: float) -> int:
+    """Return the decimals that a feed word needs where a feed of 1 is so much [m/s].
+
+    They are fine enough for 0.1 % of 1 mm/min; controllers take that many.
+    """
+    return 5 if unit == INCH / MINUTE else 3
+
+
+def least_feed(unit: float) -> float:
+    """Return the least feed that a word can say, in the unit of the program."""
+    return float(10.0 ** -feed_decimals(unit))
+
+
 # G words in tenths: 53 is G5.3.
 MOTION = frozenset({0, 10, 20, 30, 52, 62})
 """Rapid, line, both arcs, and the NURBS blocks G5.2 and G6.2."""
@@ -256,6 +270,8 @@ class State:
         Number of the run, see `Segment.run`.
     kind : str
         Kind of the last segment; empty where the next one starts a run.
+    turns : int
+        Full turns of all arcs so far, the first of each left out.
     percents : int
         How many lines `%` were met.
     ended : bool
@@ -291,6 +307,7 @@ class State:
         'run',
         'tool_length',
         'transform',
+        'turns',
         'unit_said',
         'unnamed',
         'x_share',
@@ -326,6 +343,7 @@ class State:
         self.rounding: float | None = None
         self.run = 0
         self.kind = ''
+        self.turns = 0
         self.percents = 0
         self.ended = False
 

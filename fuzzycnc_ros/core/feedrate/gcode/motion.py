@@ -19,6 +19,7 @@ from fuzzycnc_ros.core.feedrate.gcode.arcs import (
     MISFIT_INCH,
     MISFIT_MILLIMETRE,
     PLANES,
+    TURNS_MAX,
     by_radius,
     centred,
     fits,
@@ -260,7 +261,9 @@ def _arc(
     axes = PLANES[state.plane]
     words = {word.letter: word.value for word in line.words}
     words |= {name: line.assigned[name] for name in _ARC_NAMES & set(line.assigned)}
-    computed = [name for name in ('R', *_CENTRES, *_ARC_NAMES) if words.get(name, 0.0) is None]
+    computed = [
+        name for name in ('R', 'P', *_CENTRES, *_ARC_NAMES) if words.get(name, 0.0) is None
+    ]
     if computed:
         raise UnreadableError(
             f'an arc whose {", ".join(sorted(computed))} the controller computes'
@@ -295,7 +298,7 @@ def _arc(
                 f'{1e3 * first:.6g} mm and {1e3 * last:.6g} mm: the radius does not fit; '
                 + _remedy(state, words, (start2, end2, (offset[0], offset[1]))),
             )
-        sweep = centred(start2, end2, centre, clockwise, _extra_turns(words, number))
+        sweep = centred(start2, end2, centre, clockwise, _extra_turns(words, number, state))
     return ArcSegment(number, begin, end, feed, False, turning, run, axes, centre, sweep)
 
 
@@ -338,7 +341,11 @@ def _remedy(
     return f'check {named}, which are read as {read[0]}'
 
 
-def _extra_turns(words: dict[str, float | None], number: int) -> int:
+TURNS_IN_ALL = 10_000
+"""Turns of a program beyond the first of each arc: more would take minutes to schedule."""
+
+
+def _extra_turns(words: dict[str, float | None], number: int, state: State) -> int:
     """Return the full turns on top: P counts all begun turns, TURN= the ones on top."""
     turns = words.get('TURN')
     if turns is None:
@@ -347,8 +354,22 @@ def _extra_turns(words: dict[str, float | None], number: int) -> int:
         raise ProgramError(
             number, 'expected a whole number of turns of an arc, P from 1 or TURN= from 0'
         )
+    state.turns += int(turns)
+    for found, most, where in (
+        (turns, TURNS_MAX, 'an arc'),
+        (state.turns, TURNS_IN_ALL, 'all arcs of a program'),
+    ):
+        if found > most:
+            raise ProgramError(
+                number,
+                f'expected no more than {most:,} turns of {where} but found {found:,.0f}; of no '
+                'machine',
+            )
     return int(turns)
 
+
+_FARTHEST = 1e3
+"""Way of repeated holes beyond which nobody knows where they end [m]."""
 
 _FOLLOWED = frozenset({730, 810, 820, 830, 840, 850, 860, 890})
 """Cycles that end above the hole.
@@ -423,7 +444,9 @@ def _above(state: State, axis: int, value: dict[str, float | None]) -> float:
     if state.absolute:
         return length
     repeats = nan if 'K' in value else value.get('L', 1.0)
-    return before + length * round(repeats) if repeats and isfinite(repeats) else nan
+    if not repeats or not isfinite(repeats) or abs(length * repeats) > _FARTHEST:
+        return nan
+    return before + length * round(repeats)
 
 
 def _height(cycle: Cycle, state: State) -> float:
@@ -436,6 +459,9 @@ def _height(cycle: Cycle, state: State) -> float:
         return retract
     return start if state.retracts is False else nan
 
+
+POINTS_MAX = 2000
+"""Control points of a curve at most: each takes up to 0.1 s to schedule."""
 
 _FEWEST_ORDER = 3
 """LinuxCNC takes an L below that for this."""
@@ -468,6 +494,10 @@ class CurveBlock(ABC):
         """Return the curve; `ProgramError` if it is none."""
 
     def _numbers(self, words: list[Word], line: int) -> dict[str, float]:
+        if len(self.control) > POINTS_MAX:
+            raise ProgramError(
+                line, f'expected at most {POINTS_MAX:,} control points of a NURBS block; cut it'
+            )
         if not self.state.absolute:
             raise ProgramError(
                 line, 'expected absolute coordinates (G90) in a NURBS block but found G91'

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
-from math import inf, isnan, nan
+from math import inf, isnan, nan, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -223,6 +223,9 @@ def _joined(path: SampledPath, part: SampledPath) -> SampledPath:
 _CHUNK = 2048
 """Blocks that are taken at a time."""
 
+_TURN = 2.0 * pi
+"""Angle of an arc that counts as a block: arcs of many turns have as many pieces [rad]."""
+
 QUIET = 1000
 """Blocks without motion after which a run is taken to be over."""
 
@@ -353,12 +356,13 @@ class ProgramRun:
                 self._pending.append((block, self._moves))
                 if isinstance(segment, ArcSegment):
                     self._bends[self._moves] = float(segment.curvatures(1).max())
+                    taken += max(int(abs(segment.sweep) / _TURN) - 1, 0)
                 elif not isinstance(segment, LineSegment):
                     self._bends[self._moves] = inf
                 self._moves += 1
                 chunk.append(segment)
             taken += 1
-            if taken == _CHUNK:
+            if taken >= _CHUNK:
                 yield chunk, True
                 chunk, taken = [], 0
         yield chunk, False
