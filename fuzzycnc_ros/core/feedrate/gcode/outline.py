@@ -40,7 +40,8 @@ _AXIS = {
     axis: re.compile(rf'(?<![A-Z_]){letters}(?![A-Z_])', re.IGNORECASE | re.ASCII)
     for axis, letters in (('X', '[XU@^]'), ('Y', '[YV@^]'), ('Z', '[ZW]'))
 }
-_CALL = re.compile(r'O[ \t]*[\d<#\[].*CALL', re.IGNORECASE | re.ASCII)
+_SIGNS = {'X': 'XxUu@^', 'Y': 'YyVv@^', 'Z': 'ZzWw'}
+_CALL = re.compile(r'[ \t/]*(?:N[ \t]*\d+[ \t]*)?O[ \t]*[\d<#\[].*CALL', re.IGNORECASE | re.ASCII)
 # A limit of the spindle by G50, or a way home by U and W: LinuxCNC and mills have neither.
 _LATHE = re.compile(
     r'(?:G[ \t]*0*50(?![\d.]).*S[ \t]*[\d#\[]|S[ \t]*\d.*G[ \t]*0*50(?![\d.])'
@@ -64,18 +65,21 @@ def outline_of(lines: Iterable[str]) -> Outline:
         All lines.
     """
     jumps: set[int] | None = set()
-    unnamed, lathe, relative = dict(_AXIS), False, False
+    unnamed, lathe, relative, signs = dict(_AXIS), False, False, ''.join(_SIGNS.values()) + 'Ss'
     for line in lines:
         if jumps is not None and _MAY_JUMP.search(line) is not None:
             jumps = _more_jumps(jumps, _COMMENT.sub('', line))
         if not unnamed:
             continue
-        text = _COMMENT.sub('', line)
-        if _CALL.search(text):  # what lies in a file of its own may name any axis
+        if _CALL.match(line):  # what lies in a file of its own may name any axis
             unnamed = {}
             continue
+        if not any(sign in line for sign in signs) and '91' not in line:
+            continue  # most lines of a program in a plane
+        text = _COMMENT.sub('', line)
         for axis in [axis for axis, word in unnamed.items() if word.search(text)]:
             del unnamed[axis]
+            signs = ''.join(_SIGNS[axis] for axis in unnamed) + 'SsUuWw' * ('Y' in unnamed)
         lathe = lathe or _LATHE.search(text) is not None
         relative = relative or _RELATIVE.search(text) is not None
     return Outline(

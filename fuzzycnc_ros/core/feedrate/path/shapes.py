@@ -39,7 +39,7 @@ _LEAST = 1e-7
 """Pieces shorter than this share of the stretch are not cut."""
 _JUMP = 1e-6
 """Jump of the curvature at a knot that cuts a curve, as a share of the curvature there [-]."""
-STILL = 2e-9
+STILL_LENGTH = 2e-9
 """Length up to which a stretch is none [m], as with segments."""
 _PROBES = 9
 """Places in a span of a curve at which its speed is looked at."""
@@ -126,7 +126,7 @@ def _curve_stretches(segment: NurbsSegment, start: Array) -> list[_CurveStretch]
     for low, high, length in zip(
         edges[:-1].tolist(), edges[1:].tolist(), way.tolist(), strict=True
     ):
-        if length <= STILL:  # equal control points: the curve stands still
+        if length <= STILL_LENGTH:  # equal control points: the curve stands still
             continue
         shift = (found[-1].end if found else start) - curve.point(low)
         offset = float(curve.arc_length(low))
@@ -168,7 +168,7 @@ def _edges(curve: NurbsCurve) -> Array:
     knot, times = np.unique(curve.knot, return_counts=True)
     inside = (knot > first) & (knot < last)
     span = np.concatenate([[first], knot[inside], [last]])
-    still = np.diff(curve.arc_length(span)) <= STILL
+    still = np.diff(curve.arc_length(span)) <= STILL_LENGTH
     cusps = _cusps(curve, span[:-1][~still], span[1:][~still])
     edges = np.unique([first, *span[:-1][still], *span[1:][still], *cusps, last])
     inner = knot[inside & (times >= curve.degree - 1) & ~np.isin(knot, edges)]
