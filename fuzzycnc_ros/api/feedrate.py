@@ -22,7 +22,9 @@ from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.trajectory import Trajectory, limit_motion
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
+from fuzzycnc_ros.core.feedrate.path.reference_path import smooth_geometry
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
+from fuzzycnc_ros.core.feedrate.path.shapes import STILL_LENGTH
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
@@ -110,9 +112,13 @@ def _geometry(path: NurbsCurve | PathGeometry | ArrayLike, samples: int) -> Path
         return path
     if not isinstance(path, NurbsCurve):
         return PathGeometry.from_samples(path)
+    if not path.length > STILL_LENGTH:
+        raise ValueError('path: expected a curve with a length but found one and the same point')
     u = path.parameter(np.linspace(0.0, path.length, samples))
     first, second = path.derivative(u), path.derivative(u, 2)
     size = np.linalg.norm(first, axis=1, keepdims=True)
+    if size.min() <= 1e-6 * size.max():  # it stands still, or turns back: smooth between only
+        return smooth_geometry(path)
     along = first / size
     across = second - (second * along).sum(axis=1, keepdims=True) * along
     return PathGeometry.from_samples(path.point(u), first, across / size**2)

@@ -166,3 +166,36 @@ def test_the_page_runs_as_it_stands(runs, tmp_path, monkeypatch, root):
     assert (tmp_path / 'friday.png').stat().st_size > 10_000
     assert names['samples'].position.shape[1] == 2
     assert abs(names['duty']) <= 1.0
+
+
+@pytest.mark.parametrize(
+    ('points', 'order'),
+    [
+        ([(0, 0), (0, 0), (0, 0), (4, 0), (8, 3)], 3),
+        ([(0, 0), (4, 0), (8, 3), (8, 3), (8, 3), (8, 3), (12, 0)], 4),
+        ([(0, 0), (4, 0), (8, 3), (8, 3), (8, 3)], 3),
+        ([(0, 0), (4, 0), (0, 0)], 3),
+        ([(0, 0, 1), (4, 0, 2), (4, 0, 2), (4, 0, 2), (8, 0, 1)], 3),
+    ],
+)
+def test_a_curve_that_stands_still_or_turns_back_has_a_motion(points, order):
+    control, count = 1e-3 * np.array(points), len(points)
+    inner = range(1, count - order + 1)
+    knot = [0] * order + [*inner] + [count - order + 1] * order
+    curve = feedrate.NurbsCurve(control, np.ones(count), knot, order - 1)
+    limits = feedrate.MotionLimits(path_velocity=0.2, path_acceleration=1.5)
+    motion = feedrate.schedule(curve, tolerance=1e-5, machine_constant=2e-4, limits=limits)
+    position = motion.sample(1e-3).position
+    assert position.shape[1] == control.shape[1]
+    assert np.isfinite(position).all()
+    assert motion.duration >= 2.0 * (curve.length / 1.5) ** 0.5 * (1.0 - 1e-6)
+
+
+def test_what_has_no_way_on_is_refused_by_its_name():
+    limits = feedrate.MotionLimits(path_velocity=0.2, path_acceleration=1.5)
+    options = {'tolerance': 1e-5, 'machine_constant': 2e-4, 'limits': limits}
+    with pytest.raises(ValueError, match='straight back on itself at point 1'):
+        feedrate.schedule([(0.0, 0.0), (0.01, 0.0), (0.0, 0.0)], **options)
+    point = feedrate.NurbsCurve([(0.0, 0.0)] * 3, np.ones(3), [0, 0, 0, 1, 1, 1], 2)
+    with pytest.raises(ValueError, match='path: expected a curve with a length'):
+        feedrate.schedule(point, **options)
