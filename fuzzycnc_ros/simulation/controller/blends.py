@@ -266,7 +266,7 @@ class Plan:
         )  # fmt: skip
         now.feed, now.rapid = min(now.feed, self._most[index]), self._rapid[index]
         rounding = self._rounding[index]
-        now.tolerance = rounding or inf
+        now.tolerance = rounding if rounding > 0.0 else inf
         now.end = OVERLAP if rounding > 0.0 else STOP
         if self._bent[index]:
             now.arc_share = TANGENTIAL
@@ -350,7 +350,7 @@ class Plan:
         top = self._limits.path_velocity
         first = min(sqrt(gain * before.length * share[0]), before.asked(), top)
         second = min(sqrt(rise * now.length * share[1]), now.asked(), top)
-        if 0.5 * (first + second) < floor:
+        if 0.5 * (first + second) < floor or not first or not second:
             return 0.0, 0.0
         time = min(before.length / first, now.length / second, max(first / gain, second / rise))
         first, second = min(first, time * gain), min(second, time * rise)

@@ -22,8 +22,8 @@ from fuzzycnc_ros.simulation.controller.blends import (
 )
 from fuzzycnc_ros.simulation.controller.moves import Moves, merged
 
-_PLACE = 1e-15
-"""Way that counts as none [m]."""
+_PLACE, _DIGITS = 1e-15, 4e-16
+"""Way that counts as none [m], and share of a way that numbers do not tell from none [-]."""
 _PACE = 1e-11
 """Speed that counts as none [m/s]."""
 _INSTANT = 1e-12
@@ -132,6 +132,7 @@ class _Run:
             self._through(index, one)
             if rest[one.move] > 0.0 and (one.end == STOP or one is self._found[-1]):
                 # a stop is seen in a period of its own
+                one.speed = 0.0
                 self._enter(index, one, round(rest[one.move] / limits.period) + 1, 0.0)
 
     def _set_off(self) -> None:
@@ -241,7 +242,7 @@ class _Run:
         """Split the next period where the segment ends in it; return whether it ended at rest."""
         period = one.cycle = self._period
         left = one.length - one.progress
-        if left <= _PLACE:
+        if left <= _PLACE + _DIGITS * one.length:
             one.progress = one.length
             one.split, one.cycle, one.term_speed = True, 0.0, one.speed
             return one.end == STOP

@@ -213,7 +213,11 @@ class ProgramPath:
         return [Commanded(cut, place, period * (len(cut) - 1))]
 
     def run(
-        self, moves: ProgramMoves, limits: ControllerLimits, machine: ContouringConfig
+        self,
+        moves: ProgramMoves,
+        limits: ControllerLimits,
+        machine: ContouringConfig,
+        deviation: bool = True,
     ) -> Judged:
         """Simulate a program of the same path on a controller, and judge it.
 
@@ -225,8 +229,11 @@ class ProgramPath:
             Of the controller.
         machine : ContouringConfig
             Lags of the axes.
+        deviation : bool
+            Whether the commands are measured too; 0 without.
         """
-        return self.judge(simulate(moves, limits), machine)
+        commanded = simulate(moves, limits)
+        return self._figures(self._courses(commanded, machine, asked=deviation), commanded)
 
 
 def _time(commanded: Sequence[Commanded]) -> float:

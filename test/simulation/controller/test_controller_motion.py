@@ -98,6 +98,15 @@ def test_less_is_slower_and_nearer(seed):
     assert tighter.duration >= path.run(program, LIMITS, ContouringConfig()).duration - PERIOD
 
 
+def test_long_ways_end_and_rests_stand():
+    """A way of 20 m is not told from its end by less than some femtometres."""
+    found = only('G61 G1 X20000 F24000\nG4 P0.5\nX0 Y3\nG4 P0.25\n')
+    still = np.abs(np.diff(found.position, axis=0)).max(axis=1) < 1e-12
+    assert found.position[[0, -1]] == pytest.approx(np.array([[0, 0, 0], [0, 0.003, 0]]))
+    assert still.sum() * PERIOD == pytest.approx(0.75, abs=0.02)
+    assert found.position.max() < 20.0 + 1e-9
+
+
 def test_no_corner_is_faster_than_the_look_ahead_can_brake_for():
     lines = ''.join(f'X{0.3 * k:.1f}\n' for k in range(1, 2000))
     near = only('G1 F20000\n' + lines, PathMode(1e-5, 0.0))
