@@ -145,7 +145,7 @@ class PlannedPart:
         'arc_share', 'blend', 'cycle', 'end', 'feed', 'final', 'gain', 'high', 'kink', 'kink_in',
         'kink_out', 'length', 'low', 'most', 'move', 'nominal', 'on_brake', 'overlapped',
         'overlapping', 'overlaps', 'progress', 'ramp', 'rapid', 'rise', 'speed', 'split',
-        'term_speed', 'tolerance',
+        'term_speed', 'tolerance', 'top',
     )  # fmt: skip
 
     def __init__(
@@ -161,7 +161,7 @@ class PlannedPart:
         # what happens while it runs
         self.progress, self.speed, self.cycle, self.term_speed = 0.0, 0.0, period, 0.0
         self.split, self.on_brake = False, False
-        self.ramp, self.overlapping, self.overlaps = False, False, 0.0
+        self.ramp, self.overlapping, self.overlaps, self.top = False, False, 0.0, 0.0
 
     def acceleration(self) -> float:
         """Return what is left for the speed, beside kinks, overlaps and the bend [m/s^2]."""
@@ -169,12 +169,13 @@ class PlannedPart:
 
     def plain_acceleration(self) -> float:
         """Return what is left beside kinks and overlaps [m/s^2]."""
+        kink = self.kink_in if self.kink_in > self.kink_out else self.kink_out
         half = 0.5 if self.overlapped or self.end == OVERLAP else 1.0
-        return self.rise * (1.0 - max(self.kink_in, self.kink_out)) * half
+        return self.rise * (1.0 - kink) * half
 
     def asked(self) -> float:
         """Return the speed that feed and axes let be [m/s]."""
-        return min(self.feed, self.most)
+        return self.feed if self.feed < self.most else self.most
 
 
 def move_limits(moves: Moves, limits: ControllerLimits) -> tuple[Array, Array]:

@@ -114,7 +114,6 @@ class _Run:
     def __init__(self, plan: Plan, rest: list[float], limits: ControllerLimits) -> None:
         self._plan, self._found = plan, plan.found
         self._period, self._ramp_time = limits.period, limits.ramp_time
-        self._top = limits.path_velocity
         self.segment: list[int] = []
         self.count: list[int] = []
         self.way: list[float] = []
@@ -123,7 +122,7 @@ class _Run:
         self.early: list[tuple[int, int, float]] = []
         self._number = 0
         for one in self._found:
-            one.gain = one.acceleration()
+            one.gain, one.top = one.acceleration(), min(one.asked(), limits.path_velocity)
         for one, after in pairwise(self._found):
             if one.end == OVERLAP:
                 one.overlaps = plan.overlap_speed(one, after)
@@ -177,7 +176,7 @@ class _Run:
     def _start(self, one: PlannedPart) -> None:
         """Choose whether a segment changes its speed evenly."""
         left = one.length - one.progress
-        pace = one.speed + min(one.final, one.asked(), self._top)
+        pace = one.speed + min(one.final, one.top)
         even = left > 0.0 and 2.0 * left < self._ramp_time * pace
         one.ramp = even and one.end == TANGENT and not one.rapid
 
@@ -208,7 +207,7 @@ class _Run:
         """Return the speed that its end shall have [m/s]."""
         if one.end != TANGENT or after is None:
             return 0.0
-        return min(one.final, one.feed, one.most, after.feed, after.most, self._top)
+        return min(one.final, one.top, after.top)
 
     def _step(self, one: PlannedPart, after: PlannedPart | None) -> bool:
         """Run a segment for its part of a period; return whether it rests at its end."""
@@ -223,9 +222,11 @@ class _Run:
             ramp = 0.5 * rise * cycle
             square = final * final + rise * (2.0 * left - speed * cycle) + ramp * ramp
             wanted = sqrt(square) - ramp if square > ramp * ramp else -ramp
-            top = min(one.feed, one.most, self._top)
-            gain = (max(min(wanted, top), -top) - speed) / max(cycle, _INSTANT)
-        gain = max(min(gain, rise), -rise)
+            gain = (min(wanted, one.top) - speed) / (cycle or _INSTANT)
+        if gain > rise:
+            gain = rise
+        elif gain < -rise:
+            gain = -rise
         now = speed + gain * cycle
         if now < 0.0:
             now = 0.0
@@ -233,7 +234,7 @@ class _Run:
                 one.progress = one.length
         else:
             way = one.progress + 0.5 * (now + speed) * cycle
-            one.progress = min(max(way, 0.0), one.length)
+            one.progress = way if way < one.length else one.length
         one.speed = now
         one.on_brake = gain < 0.0 and abs(wanted - now) < _PACE
         return self._near_end(one, final)
@@ -270,13 +271,12 @@ class _Run:
 
     def _leap(self, index: int, one: PlannedPart, after: PlannedPart | None) -> None:
         """Run through the periods in which the acceleration stays, but the last ones."""
-        if one.ramp or one.overlapping:
+        if one.ramp or one.overlapping or one.split:
             return
         period, rise, speed = self._period, one.gain, one.speed
         final = self._final(one, after)
         left = one.length - one.progress
-        top = min(one.feed, one.most, self._top)
-        gain = rise * period
+        top, gain = one.top, rise * period
         spare = 2.0 * rise * left + final * final - speed * speed  # until it has to brake
         if speed < top - gain and spare > 0.0:
             most = min(top, sqrt(speed * speed + 2.0 * rise * left))
