@@ -37,6 +37,7 @@ from fuzzycnc_ros.core.thermal.run import (
     TEMPERATURE_MAX,
     TEMPERATURE_MIN,
 )
+from fuzzycnc_ros.core.thermal.spacing import block_means, sample_interval
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import MachineMode, Status
 from fuzzycnc_ros.runtime.records import (
@@ -59,15 +60,14 @@ WARM = 5.0
 GRID_MAX = 10_000_000
 """Most samples that resampling makes; a week at 10 Hz has 6 million."""
 
-GAP_MAX = 3.0
-"""Longest gap that resampling bridges, in intervals; further apart nothing was measured."""
-
-
 COLD_MIN, COLD_MAX = 5.0, 45.0
 """Temperatures between which a machine is started [degC]."""
 
 WARMING_MIN, WARMING_MAX = 180.0, 3.0 * 86400.0
 """Times between which a machine gains half of its rise [s]."""
+
+EMPTY_SHARE = 0.1
+"""Share of samples without a reading from which an interval is doubted [-]."""
 
 LINES_MAX = 3
 """Single values of a file that are named."""
@@ -190,6 +190,7 @@ def import_csv(
         table.check_even(mapping.time, time)
     else:
         recording = _resampled(path, recording, mapping.resample)
+        doubts += _emptied_line(path, time, recording, mapping.resample)
     start = mapping.epoch if mapping.epoch is not None else (1.0 if date is None else date)
     if start < 0.0 or start + time[-1] >= 2**31:
         raise CsvError(
@@ -469,46 +470,49 @@ def _zeroed(recording: _Recording) -> _Recording:
 
 
 def _resampled(path: Path, recording: _Recording, interval: float) -> _Recording:
-    """Return samples on an even grid, each the mean of the readings up to it.
-
-    Readings are first put on an even grid of about their own spacing, linearly, so that uneven
-    ones weigh as long as they lasted; nothing is invented in gaps.
-    """
-    step = float(np.median(np.diff(recording.time)))
-    block = max(1, round(interval / step))
+    """Return samples on an even grid, each the mean of the readings up to it."""
+    time = recording.time
+    block = max(1, round(interval / float(np.median(np.diff(time)))))
+    samples = time[-1] / interval
+    if samples > GRID_MAX:
+        raise CsvError(
+            f'{path}: expected a recording without long gaps but --resample {interval:g} would '
+            f'make {samples:.0f} samples of {len(time)} rows; import the parts one by one with '
+            '--rows'
+        )
+    block = max(1, min(block, int(GRID_MAX / max(samples, 1.0))))
     fine = interval / block
     # A tenth of a step of slack keeps a last reading that came a little early.
-    count = (int((recording.time[-1] + 0.1 * fine) / fine) + 1) // block
+    count = (int((time[-1] + 0.1 * fine) / fine) + 1) // block
     if count < SAMPLES_MIN:
         raise CsvError(
             f'{path}: expected at least {SAMPLES_MIN} samples but --resample {interval:g} leaves '
-            f'{count} of {recording.time[-1]:.6g} s'
+            f'{count} of {time[-1]:.6g} s'
         )
-    if count * block > GRID_MAX:
-        raise CsvError(
-            f'{path}: expected a recording without long gaps but --resample {interval:g} would '
-            f'make {count * block} samples of {len(recording.time)} rows; import the parts one '
-            'by one with --rows'
-        )
-    grid = np.arange(count * block, dtype=np.float64) * fine
-    after = np.clip(np.searchsorted(recording.time, grid - 1e-9 * step), 1, None)
-    after = np.minimum(after, len(recording.time) - 1)
-    gap = recording.time[after] - recording.time[after - 1] > GAP_MAX * max(fine, step)
-    on_reading = np.isclose(recording.time[after], grid, rtol=0.0, atol=1e-6 * step)
-
-    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        if not values.shape[1]:
-            return np.empty((count, 0))
-        even = np.stack([np.interp(grid, recording.time, column) for column in values.T], axis=1)
-        even[gap & ~on_reading] = np.nan
-        return np.asarray(even.reshape(count, block, -1).mean(axis=1))
-
+    columns = (recording.temperature, recording.displacement, recording.speed)
+    temperature, displacement, speed = (
+        block_means(time, values, interval, block, count) for values in columns
+    )
     return _Recording(
-        time=grid[block - 1 :: block],
-        temperature=mean(recording.temperature),
-        displacement=mean(recording.displacement),
-        speed=mean(recording.speed),
-        readings=block,
+        time=fine * (block * np.arange(1, count + 1) - 1.0),
+        temperature=temperature,
+        displacement=displacement,
+        speed=speed,
+        readings=max(1, round(len(time) / count)),
+    )
+
+
+def _emptied_line(
+    path: Path, time: NDArray[np.float64], samples: _Recording, interval: float
+) -> tuple[str, ...]:
+    """Return that the asked interval leaves samples without readings, which come more rarely."""
+    longer = sample_interval(time)
+    empty = int(np.isnan(samples.temperature).all(axis=1).sum())
+    if longer <= interval or empty < EMPTY_SHARE * len(samples.time):
+        return ()
+    return (
+        f'{path}: {empty} of {len(samples.time)} samples are without a reading, as readings come '
+        f'every {longer:.4g} s; import with --resample {longer:.4g}',
     )
 
 

@@ -24,6 +24,7 @@ from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, SAMPLES_MIN
+from fuzzycnc_ros.core.thermal.spacing import sample_interval
 
 DAY = 86400.0
 """Length of a day [s]."""
@@ -331,7 +332,8 @@ class Table:
         if abs(steps[worst] - median) > JITTER_MAX * median:
             raise CsvError(
                 f'{self.place(worst + 1, name)}: expected even steps of {median:.6g} s but found '
-                f'a step of {steps[worst]:.6g} s; import with --resample {median:.4g}'
+                f'a step of {steps[worst]:.6g} s; import with '
+                f'--resample {sample_interval(time):.4g}'
             )
 
     def place(self, row: int, name: str) -> str:

@@ -341,6 +341,35 @@ def test_resampling_invents_nothing_in_gaps(importing, tmp_path):
     np.testing.assert_allclose(run.temperature[40:, 0], 20 + np.arange(40, 60) * 0.2, rtol=1e-9)
 
 
+def bursts(count=60):
+    """Return three readings 4 s apart, then none for 53 s, again and again."""
+    times = [61 * burst + second for burst in range(count) for second in (0, 4, 8)]
+    return [
+        ['t', 'a', 'b', 'ch'],
+        *([f'{t}', f'{20 + t / 1e3}', '21', f'{t / 1e2}'] for t in times),
+    ]
+
+
+def test_readings_in_bursts_become_samples_a_minute(importing, tmp_path):
+    options = {'time': 't', 'temperatures': ['a', 'b'], 'displacements': ['ch=Z:um']}
+    with pytest.raises(CsvError, match=r'found a step of 53 s; import with --resample 61$'):
+        importing(bursts(), CsvMapping(**options))
+    report = importing(bursts(), CsvMapping(**options, resample=60.0))
+    assert (report.samples, report.missing, report.doubts) == (60, 0, ())
+    run = read_run(tmp_path / 'bag')
+    np.testing.assert_allclose(
+        run.temperature[:, 0], 20 + (60 * np.arange(60) + 28) / 1e3, atol=3e-3
+    )
+    np.testing.assert_allclose(run.displacement[:, 0] * 1e8, 60 * np.arange(60) + 28, atol=3)
+
+
+def test_an_interval_that_keeps_bursts_and_loses_minutes_is_doubted(importing):
+    mapping = CsvMapping(time='t', temperatures=['a', 'b'], displacements=['ch=Z:um'], resample=4)
+    (doubt,) = importing(bursts(), mapping).doubts
+    assert '723 of 902 samples are without a reading' in doubt
+    assert doubt.endswith('as readings come every 61 s; import with --resample 61')
+
+
 def test_time_that_no_recording_lasts(importing):
     cells = rows()
     for k, row in enumerate(cells[1:]):
