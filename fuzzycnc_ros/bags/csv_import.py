@@ -17,7 +17,8 @@ from fuzzycnc_ros.bags.csv_mapping import (
     TEMPERATURE_UNITS,
     CsvMapping,
 )
-from fuzzycnc_ros.bags.csv_table import ISO8601, TIME_UNITS, Table, Times, known_forms
+from fuzzycnc_ros.bags.csv_table import Table, Times
+from fuzzycnc_ros.bags.csv_time import ISO8601, TIME_UNITS, known_forms
 from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
 from fuzzycnc_ros.bags.typestore import ROSBAGS
@@ -178,7 +179,7 @@ def import_csv(
         table.require([mapping.spindle_speed], '--speed')
     names = _names(table, mapping, sensors)
     channels = _names(table, mapping, [channel.column for channel in mapping.channels])
-    times = table.time(mapping.time, mapping.time_unit, mapping.time_format)
+    times = table.time(mapping.time, mapping.time_unit, mapping.time_format, mapping.time_zone)
     time, date = times.seconds, times.date
     recording = _read(table, mapping, sensors, time)
     _check_temperatures(table, mapping, sensors, recording.temperature)
@@ -200,7 +201,10 @@ def import_csv(
     stamps = np.rint((start + recording.time) * 1e9).astype(np.int64)
     if date is not None:  # a date in ns has more digits than a float
         stamps = round(start * 1e6) * 1000 + np.rint(recording.time * 1e9).astype(np.int64)
-    _write(Path(out), mapping, recording, stamps, names, channels)
+    facts = {'imported_by': 'import-csv'}
+    if times.zone is not None:
+        facts['time_zone'] = times.zone.name
+    _write(Path(out), mapping, recording, stamps, names, channels, facts)
     return ImportReport(
         path=Path(out),
         samples=len(stamps),
@@ -224,6 +228,11 @@ def _remarks(table: Table, mapping: CsvMapping, times: Times) -> tuple[str, ...]
         others = [form for form in known_forms(table.cells(mapping.time)) if form != times.form]
         also = f', which could be {" or ".join(others)}: see --time-format' if others else ''
         remarks.append(f'times of {mapping.time!r} read as {times.form}{also}')
+    if times.zone is not None:
+        own = '' if times.zone.chosen else ', the zone of this computer; --time-zone names another'
+        remarks.append(
+            f'times of {mapping.time!r} that name no zone read as {times.zone.name}{own}'
+        )
     if times.midnights:
         lines = ', '.join(str(table.lines[row]) for row in times.midnights[:5])
         remarks.append(f'the clock passes midnight before line {lines}: a day was added')
@@ -494,7 +503,7 @@ def _resampled(path: Path, recording: _Recording, interval: float) -> _Recording
         block_means(time, values, interval, block, count) for values in columns
     )
     return _Recording(
-        time=fine * (block * np.arange(1, count + 1) - 1.0),
+        time=fine * (block * np.arange(1, count + 1, dtype=np.float64) - 1.0),
         temperature=temperature,
         displacement=displacement,
         speed=speed,
@@ -523,11 +532,12 @@ def _write(
     stamps: NDArray[np.int64],
     sensors: list[str],
     channels: list[str],
+    facts: Mapping[str, str],
 ) -> None:
     machine = mapping.machine
     cold_since = int(stamps[0])
     reference_rows = _reference_rows(recording.time)
-    with BagWriter(out, flush_interval=None, custom={'imported_by': 'import-csv'}) as writer:
+    with BagWriter(out, flush_interval=None, custom=facts) as writer:
 
         def write(topic: str, record: Record) -> None:
             writer.write_message(f'/{machine}/{topic}', encode(record, ROSBAGS), record.stamp)

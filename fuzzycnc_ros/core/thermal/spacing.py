@@ -77,7 +77,7 @@ def block_means(time: Array, values: Array, interval: float, block: int, count: 
     the points next to its ends have the readings there, the others have none.
     """
     fine = interval / block
-    grid = np.arange(count * block) * fine
+    grid = np.arange(count * block, dtype=np.float64) * fine
     nearest = np.rint(time / fine).astype(np.int64)
     inside = nearest < len(grid)
     rows = np.bincount(nearest[inside] // block, minlength=count)
