@@ -24,6 +24,7 @@ from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
 from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.names import repeated_names
+from fuzzycnc_ros.core.thermal.no_reading import values_without_reading
 from fuzzycnc_ros.core.thermal.plausibility import (
     DISPLACEMENT_STEP,
     TEMPERATURE_STEP,
@@ -181,12 +182,12 @@ def import_csv(
     channels = _names(table, mapping, [channel.column for channel in mapping.channels])
     times = table.time(mapping.time, mapping.time_unit, mapping.time_format, mapping.time_zone)
     time, date = times.seconds, times.date
-    recording = _read(table, mapping, sensors, time)
+    recording, unread, unsure = _read(table, mapping, sensors, time)
     _check_temperatures(table, mapping, sensors, recording.temperature)
     if mapping.zero and mapping.channels:
         recording = _zeroed(recording)
     _check_displacements(table, mapping, recording)
-    doubts = _doubts(table, mapping, sensors, recording, clock=bool(times.form))
+    doubts = unsure + _doubts(table, mapping, sensors, recording, clock=bool(times.form))
     if mapping.resample is None:
         table.check_even(mapping.time, time)
     else:
@@ -213,7 +214,7 @@ def import_csv(
         sensors=tuple(names),
         channels=tuple(channels),
         missing=int(np.isnan(recording.temperature).sum()),
-        remarks=_remarks(table, mapping, times),
+        remarks=_remarks(table, mapping, times) + unread,
         doubts=doubts,
     )
 
@@ -370,16 +371,33 @@ def _names(table: Table, mapping: CsvMapping, columns: list[str]) -> list[str]:
 
 def _read(
     table: Table, mapping: CsvMapping, sensors: list[str], time: NDArray[np.float64]
-) -> _Recording:
+) -> tuple[_Recording, tuple[str, ...], tuple[str, ...]]:
+    """Return the columns, what was taken for no reading in them, and what looks like it."""
     factor, offset = TEMPERATURE_UNITS[mapping.temperature_unit]
     speed = [mapping.spindle_speed] if mapping.spindle_speed is not None else []
-    return _Recording(
+    raw = _columns(table, sensors)
+    temperature = raw * factor + offset
+    unread, unsure = [], []
+    for item in values_without_reading(raw, temperature):
+        lines = [table.lines[row] for row in item.rows[:LINES_MAX]]
+        more = f' and {len(item.rows) - LINES_MAX} more' if len(item.rows) > LINES_MAX else ''
+        where = f'line {", ".join(map(str, lines))}{more}, column {sensors[item.column]!r}'
+        if item.clear:
+            temperature[item.rows, item.column] = np.nan
+            unread.append(f'{where}: {item.value:g} is {item.meaning}; taken as missing')
+        else:
+            unsure.append(
+                f'{table.path}, column {sensors[item.column]!r}: {item.value:g} throughout is '
+                f'{item.meaning}; see whether the sensor is connected, or leave it out'
+            )
+    recording = _Recording(
         time=time,
-        temperature=_columns(table, sensors) * factor + offset,
+        temperature=temperature,
         displacement=_columns(table, [channel.column for channel in mapping.channels])
         * np.array([channel.scale for channel in mapping.channels]),
         speed=_columns(table, speed) * SPEED_UNITS[mapping.spindle_speed_unit],
     )
+    return recording, tuple(unread), tuple(unsure)
 
 
 def _columns(table: Table, names: list[str]) -> NDArray[np.float64]:

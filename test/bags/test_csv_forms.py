@@ -618,17 +618,48 @@ def test_temperatures_beyond_every_shop_name_the_option(complaint):
 
 
 def test_single_values_are_named_with_line_and_column(importing):
-    text = table(change=both(cell(50, 1, '85'), cell(80, 3, '-90'), cell(90, 2, '')))
+    text = table(change=both(cell(50, 1, '83'), cell(80, 3, '-90'), cell(90, 2, '')))
     doubts = importing(text).doubts
     assert len(doubts) == 2
-    assert "line 51, column 'a': 85 degC stands alone between 30." in doubts[0]
+    assert "line 51, column 'a': 83 degC stands alone between 30." in doubts[0]
     assert "line 81, column 'ch': -90 um stands alone between 2" in doubts[1]
     assert all(doubt.endswith('empty the cell') for doubt in doubts)
 
 
 def test_many_single_values_are_counted(importing):
-    text = table(change=both(*(cell(row, 1, '85') for row in range(10, 60, 10))))
+    text = table(change=both(*(cell(row, 1, '83') for row in range(10, 60, 10))))
     assert importing(text).doubts[-1].endswith('2 more values in degC stand alone like these')
+
+
+@pytest.mark.parametrize(
+    ('value', 'rows', 'meaning'),
+    [
+        ('85.000', (1,), 'what a DS18B20 says at power-on, before it has measured'),
+        ('0.000', (1, 2, 3, 4), 'what inputs say without a sensor'),
+        ('-127', (30,), 'what drivers of the DS18B20 say of a sensor that does not answer'),
+    ],
+)
+def test_a_value_that_is_no_reading_is_missing_and_said(importing, tmp_path, value, rows, meaning):
+    def change(cells):
+        for row in rows:
+            cells[row][1] = value
+
+    report = importing(table(change=change))
+    assert (report.missing, report.doubts) == (len(rows), ())
+    (remark,) = report.remarks
+    assert remark.endswith(f"column 'a': {float(value):g} is {meaning}; taken as missing")
+    read = np.isfinite(read_run(tmp_path / 'bag').temperature)
+    assert np.flatnonzero(~read[:, 0]).tolist() == [row - 1 for row in rows]
+    assert read[:, 1].all()
+
+
+def test_a_sensor_that_reads_nothing_else_is_doubted_where_nothing_else_tells(importing):
+    def change(cells):
+        for row in cells[1:]:
+            row[1] = '0'
+
+    (doubt,) = importing(table(change=change), temperatures=['a']).doubts
+    assert "column 'a': 0 throughout is what inputs say without a sensor; see whether" in doubt
 
 
 def test_dates_tell_their_own_unit(importing):

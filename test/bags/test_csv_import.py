@@ -67,7 +67,7 @@ def edited(place, text, count=20):
         (edited((5, 0), '20'), r"line 6, column 't': expected a time after 45 but found 20"),
         (edited((20, 0), '300'), r'line 21, .*a step of 30 s; import with --resample 15'),
         (edited((3, 0), '35'), r'line 4, .*even steps of 15 s but found a step of 20'),
-        (edited((5, 1), '400'), r"line 6, column 'a': expected -20 to 120 degC but found 400"),
+        (edited((5, 1), '390'), r"line 6, column 'a': expected -20 to 120 degC but found 390"),
         (edited((5, 3), '700'), r"line 6, column 'ch': .*up to 500 um but found 700 um; in nm"),
         ([*rows(), ['1', '2']], r'line 22: expected 4 columns as in the header but found 2'),
         ('t,a,b,ch\n"1' + '0' * 200_000 + '"', r'line 2: expected CSV but found field larger'),
