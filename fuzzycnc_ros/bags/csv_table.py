@@ -582,11 +582,19 @@ def _read_text(path: Path, encoding: str) -> str:
         raise CsvError(
             f'{path}: expected a CSV file but found a workbook; save its sheet as CSV (UTF-8)'
         )
-    if (data.startswith(_UTF16_MARKS) or b'\0' in data) and not codec.startswith(_WIDE):
-        raise CsvError(
-            f'{path}: expected text in {encoding} but found what looks like UTF-16; import with '
-            '--encoding utf-16'
-        )
+    if not codec.startswith(_WIDE):
+        if _looks_wide(data):
+            raise CsvError(
+                f'{path}: expected text in {encoding} but found what looks like UTF-16; import '
+                'with --encoding utf-16'
+            )
+        place = data.find(b'\0')
+        if place >= 0:
+            line = data.count(b'\n', 0, place) + 1
+            raise CsvError(
+                f'{path}, line {line}: expected text but found {data.count(0)} zero bytes, the '
+                f'first one as byte {place}, as a torn write leaves them; delete what is damaged'
+            )
     if not codec.startswith('utf') and not data.isascii() and _is_utf8(data):
         raise CsvError(
             f'{path}: expected text in {encoding} but it is UTF-8; import without --encoding'
@@ -605,6 +613,12 @@ def _read_text(path: Path, encoding: str) -> str:
     except UnicodeError as error:
         raise CsvError(f'{path}: expected text in {encoding} but found {error}') from error
     return text.removeprefix('\ufeff')
+
+
+def _looks_wide(data: bytes) -> bool:
+    """Return whether every other byte is zero, as of plain text in UTF-16."""
+    zeros = sorted((data[::2].count(0), data[1::2].count(0)))
+    return data.startswith(_UTF16_MARKS) or (zeros[1] > len(data) // 4 and zeros[0] < zeros[1] / 4)
 
 
 def _is_utf8(data: bytes) -> bool:

@@ -118,6 +118,17 @@ def test_a_wrong_byte_is_placed(complaint):
     assert '--encoding latin-1, or else utf-16' in text
 
 
+@pytest.mark.parametrize('count', [1, 2, 5000])
+def test_zero_bytes_of_a_torn_write_are_placed(complaint, count):
+    text = table().encode()
+    place = text.index(b'\n', 400) + 3
+    line = text.count(b'\n', 0, place) + 1
+    found = complaint(text[:place] + bytes(count) + text[place:])
+    assert f'line {line}: expected text but found {count} zero bytes' in found
+    assert f'as byte {place}, as a torn write leaves them; delete what is damaged' in found
+    assert complaint(text + bytes(count)).endswith('delete what is damaged')
+
+
 def test_text_that_is_utf8_is_not_read_as_another_encoding(importing, complaint):
     text = complaint(german(), **GERMAN, encoding='cp1252')
     assert text.endswith('expected text in cp1252 but it is UTF-8; import without --encoding')
