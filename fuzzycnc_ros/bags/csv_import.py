@@ -28,9 +28,12 @@ from fuzzycnc_ros.core.thermal.no_reading import values_without_reading
 from fuzzycnc_ros.core.thermal.plausibility import (
     DISPLACEMENT_STEP,
     TEMPERATURE_STEP,
+    WARMING_MAX,
+    WARMING_MIN,
     Lone,
-    half_rise_time,
     lone_values,
+    odd_pace,
+    offset_channels,
 )
 from fuzzycnc_ros.core.thermal.run import (
     DISPLACEMENT_MAX,
@@ -39,7 +42,7 @@ from fuzzycnc_ros.core.thermal.run import (
     TEMPERATURE_MAX,
     TEMPERATURE_MIN,
 )
-from fuzzycnc_ros.core.thermal.spacing import block_means, sample_interval
+from fuzzycnc_ros.core.thermal.spacing import block_means, reference_rows, sample_interval
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import MachineMode, Status
 from fuzzycnc_ros.runtime.records import (
@@ -49,9 +52,6 @@ from fuzzycnc_ros.runtime.records import (
     Temperatures,
     ThermalReference,
 )
-
-REFERENCE_INTERVAL = 60.0
-"""Faster readings are averaged to samples of this interval for the reference [s]."""
 
 DISPLACEMENT_MIN = 0.5e-6
 """A machine that warms by `WARM` moves by more than this on some channel [m]."""
@@ -64,9 +64,6 @@ GRID_MAX = 10_000_000
 
 COLD_MIN, COLD_MAX = 5.0, 45.0
 """Temperatures between which a machine is started [degC]."""
-
-WARMING_MIN, WARMING_MAX = 180.0, 3.0 * 86400.0
-"""Times between which a machine gains half of its rise [s]."""
 
 EMPTY_SHARE = 0.1
 """Share of samples without a reading from which an interval is doubted [-]."""
@@ -252,11 +249,13 @@ def _doubts(
         if not clock:
             true = temperature.copy()
             true[[item.row for item in lone], [item.column for item in lone]] = np.nan
-            doubts += _time_line(mapping, recording.time, true)
+            doubts += _time_line(mapping, recording, true)
     columns = [channel.column for channel in mapping.channels]
     doubts += _lone_lines(table, sensors, lone, 1.0, 'degC')
     jumps = lone_values(recording.displacement, DISPLACEMENT_STEP)
     doubts += _lone_lines(table, columns, jumps, 1e6, 'um')
+    if not mapping.zero:
+        doubts += _offset_line(columns, recording)
     return tuple(f'{table.path}{doubt}' for doubt in doubts)
 
 
@@ -305,19 +304,25 @@ def _temperature_line(mapping: CsvMapping, temperature: NDArray[np.float64]) -> 
 
 
 def _time_line(
-    mapping: CsvMapping, time: NDArray[np.float64], temperature: NDArray[np.float64]
+    mapping: CsvMapping, recording: _Recording, temperature: NDArray[np.float64]
 ) -> list[str]:
     """Return whether another unit would make the machine warm up as fast as machines do."""
-    taken = half_rise_time(time, temperature)
-    if np.isnan(taken) or WARMING_MIN <= taken <= WARMING_MAX:
+    pace = odd_pace(recording.time, temperature, recording.displacement)
+    if pace is None:
         return []
     factor = TIME_UNITS[mapping.time_unit]
     for unit in ('s', 'min', 'ms', 'h', 'd'):
-        other = taken / factor * TIME_UNITS[unit]
+        other = pace.time / factor * TIME_UNITS[unit]
         if WARMING_MIN <= other <= WARMING_MAX:
+            sure = (
+                f'{pace.agreeing} of {pace.witnesses} sensors and probes agree'
+                if pace.witnesses > 1
+                else 'one sensor alone says so, which may be a fast one'
+            )
             return [
-                f': half of the warming takes {_duration(taken)}, which no machine does; if the '
-                f'times are in {unit}, it takes {_duration(other)}: import with --time-unit {unit}'
+                f': half of the warming takes {_duration(pace.time)}, which no machine does '
+                f'({sure}); if the times are in {unit}, it takes {_duration(other)}: import with '
+                f'--time-unit {unit}'
             ]
     return []
 
@@ -329,6 +334,21 @@ def _duration(seconds: float) -> str:
     return f'{seconds:.3g} s'
 
 
+def _offset_line(columns: Sequence[str], recording: _Recording) -> list[str]:
+    """Return which displacements do not begin at zero, though temperatures are meant so."""
+    found = offset_channels(recording.displacement, reference_rows(recording.time))
+    if not found:
+        return []
+    said = ', '.join(
+        f'{columns[column]!r} at {first * 1e6:.3g} um of a range of {span * 1e6:.3g} um'
+        for column, first, span in found
+    )
+    return [
+        f': displacements begin at {said}, while temperatures count from their first minutes; if '
+        'the machine was cold then, import with --zero'
+    ]
+
+
 def _lone_lines(
     table: Table, columns: Sequence[str], lone: Iterable[Lone], scale: float, unit: str
 ) -> list[str]:
@@ -336,8 +356,8 @@ def _lone_lines(
     found = sorted(lone)
     lines = [
         f', line {table.lines[item.row]}, column {columns[item.column]!r}: '
-        f'{item.value * scale:.4g} {unit} stands alone between {item.before * scale:.4g} and '
-        f'{item.behind * scale:.4g}; if nothing of the kind happened, empty the cell'
+        f'{item.value * scale:.4g} {unit} stands alone {item.neighbours(scale)}; if nothing of '
+        'the kind happened, empty the cell'
         for item in found[:LINES_MAX]
     ]
     if len(found) > LINES_MAX:
@@ -480,16 +500,8 @@ def _span(values: NDArray[np.float64]) -> float:
     return float((np.nanmax(held, axis=0) - np.nanmin(held, axis=0)).max())
 
 
-def _reference_rows(time: NDArray[np.float64]) -> int:
-    """Return how many first rows make the first three samples of at least one minute."""
-    interval = max(float(np.median(np.diff(time))), REFERENCE_INTERVAL)
-    # Half a row of slack, so that noise in the times does not add one.
-    slack = 0.5 * float(np.median(np.diff(time)))
-    return max(REFERENCE_SAMPLES, int(np.sum(time < REFERENCE_SAMPLES * interval - slack)))
-
-
 def _zeroed(recording: _Recording) -> _Recording:
-    first = recording.displacement[: _reference_rows(recording.time)]
+    first = recording.displacement[: reference_rows(recording.time)]
     count = np.isfinite(first).sum(axis=0)
     total = np.nansum(first, axis=0)
     zero = np.divide(total, count, out=np.zeros_like(total), where=count > 0)
@@ -554,7 +566,7 @@ def _write(
 ) -> None:
     machine = mapping.machine
     cold_since = int(stamps[0])
-    reference_rows = _reference_rows(recording.time)
+    first_rows = reference_rows(recording.time)
     with BagWriter(out, flush_interval=None, custom=facts) as writer:
 
         def write(topic: str, record: Record) -> None:
@@ -596,7 +608,7 @@ def _write(
                         includes_compensation=False,
                     ),
                 )
-            if k == reference_rows - 1:
+            if k == first_rows - 1:
                 write(
                     'thermal_reference',
                     ThermalReference(
@@ -606,8 +618,8 @@ def _write(
                         set_by='recording',
                         sensor=tuple(sensors),
                         # NaN for a sensor that lacks one of the first samples.
-                        temperature=recording.temperature[:reference_rows].mean(axis=0),
-                        samples=min(reference_rows, 2**16 - 1),
+                        temperature=recording.temperature[:first_rows].mean(axis=0),
+                        samples=min(first_rows, 2**16 - 1),
                     ),
                 )
 

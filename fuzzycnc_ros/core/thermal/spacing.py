@@ -5,11 +5,22 @@
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.run import GAP_MAX
+from fuzzycnc_ros.core.thermal.run import GAP_MAX, REFERENCE_SAMPLES
 
 BRIDGED_MAX = 3.0
 """Longest step over the usual one across which readings are interpolated [-]; a longer one is a
 gap, in which nothing was measured."""
+
+REFERENCE_INTERVAL = 60.0
+"""Faster readings are averaged to samples of this interval for the reference [s]."""
+
+
+def reference_rows(time: Array) -> int:
+    """Return how many first rows make the first three samples of at least one minute."""
+    step = float(np.median(np.diff(time)))
+    # Half a row of slack, so that noise in the times does not add one.
+    inside = time - time[0] < REFERENCE_SAMPLES * max(step, REFERENCE_INTERVAL) - 0.5 * step
+    return max(REFERENCE_SAMPLES, int(np.sum(inside)))
 
 
 def usual_step(time: Array, longest: float) -> float:
