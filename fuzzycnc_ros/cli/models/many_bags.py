@@ -126,14 +126,15 @@ def runs_of(
     def usable(bag: NamedBag, _: object) -> 'ThermalRun':
         return read_usable(bag.path, interval, name=bag.name, **options)
 
+    runs: list[ThermalRun] = []
     found: list[ThermalRun | BadBag] = []
     for done, bag in enumerate(bags):
         tell(f'reading {bag.name}', done, len(bags))
         if skip:
             found.append(_attempt(usable, bag, _nobody))
         else:
-            found.append(read_run(bag.path, name=bag.name, **options))
-    return without_odd(bags, found) if skip else Sorted(tuple(found), ())
+            runs.append(read_run(bag.path, name=bag.name, **options))
+    return without_odd(bags, found) if skip else Sorted(tuple(runs), ())
 
 
 def without_odd(

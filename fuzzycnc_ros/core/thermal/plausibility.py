@@ -149,7 +149,7 @@ def _half_change(time: Array, values: Array, least: float) -> float:
 
 def _noise(readings: Array) -> float:
     """Return the standard deviation of the noise of readings, by their second differences."""
-    return float(np.median(np.abs(np.diff(readings, 2)))) / (0.6745 * np.sqrt(6.0))
+    return float(np.median(np.abs(np.diff(readings, 2))) / (0.6745 * np.sqrt(6.0)))
 
 
 class Pace(NamedTuple):

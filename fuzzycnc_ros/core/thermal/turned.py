@@ -30,10 +30,11 @@ UNEXPLAINED_MAX = 0.35
 """Share of the motion that the right signs may leave unexplained [-]: of a machine whose sensors
 tell little of its motion, no sign can be told."""
 
-WORSE = 1.3
-"""What the recorded signs leave unexplained, over what the right ones leave, at least [-]."""
+WORSE, WORSE_BY = 1.5, 0.03
+"""What the recorded signs leave unexplained, over what the right ones leave, at least, and by how
+much more [-]: a run that shares little with the others fits with either sign."""
 
-AGAINST = -0.5
+AGAINST = -0.8
 """Correlation with what the other runs predict below which a run goes against it [-]."""
 
 
@@ -102,7 +103,7 @@ def _turned(runs: Sequence[ThermalRun], channels: tuple[str, ...]) -> list[Turne
     count = len(names)
     unexplained = 1.0 - float(agreement.sum()) / count
     left = 1.0 - float(sign @ agreement @ sign) / count
-    if left > UNEXPLAINED_MAX or unexplained < WORSE * left:
+    if left > UNEXPLAINED_MAX or unexplained < max(WORSE * left, left + WORSE_BY):
         return []
     against = {}
     for row in np.flatnonzero(sign < 0.0).tolist():
