@@ -139,6 +139,11 @@ def read_run(
             f'to {time[-1]:.6g} s'
         )
     if not np.isfinite(joined[inside]).any():
+        if not np.isfinite(moved.values).any():
+            raise RunError(
+                f'{source}: expected displacements but found {len(moved.stamp)} messages of '
+                f'{other} whose values all are missing; record or import the run anew'
+            )
         raise RunError(
             f'{source}: expected displacements during the temperatures but found none: '
             f'{topic} has stamps from {_seconds(measured.stamp[0])} to '

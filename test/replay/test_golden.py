@@ -75,6 +75,15 @@ def test_lost_sensors_are_seen_and_substituted():
     assert last.valid
 
 
+def test_the_examples_hold_the_same_bag_and_no_link():
+    example = BAGS.parent / 'examples' / 'mill_warm_up'
+    files = sorted(path.name for path in (BAGS / 'mill_warm_up').iterdir())
+    assert sorted(path.name for path in example.iterdir()) == files
+    for name in files:
+        assert (example / name).read_bytes() == (BAGS / 'mill_warm_up' / name).read_bytes()
+    assert not [path for path in example.parent.rglob('*') if path.is_symlink()]
+
+
 @pytest.mark.replay
 def test_lost_sensors_cost_little():
     """Substitution keeps the offsets within a few micrometres of the healthy run's."""

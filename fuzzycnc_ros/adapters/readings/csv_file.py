@@ -26,7 +26,8 @@ class CsvFile(Source):
     At the rate of 1 on the wall clock the first row is read now, so that the nodes beside this one
     take the readings for fresh.  At another rate, or where time is simulated, readings carry the
     times of the file, moved so that the first is at least 1 s.  An empty cell is a missing
-    reading.  The whole file is read and checked at once.
+    reading.  Dates that name no zone are of the zone of this computer, which the environment
+    variable TZ changes.  The whole file is read and checked at once.
 
     Raises
     ------
@@ -40,9 +41,11 @@ class CsvFile(Source):
         self._node = node
         self._path = Path(config.csv_file).expanduser()
         try:
-            sensors, seconds, self._values = _read(self._path, config.csv_time)
+            sensors, seconds, self._values, zone = _read(self._path, config.csv_time)
         except BagError as error:
             raise ParameterError(f'parameter csv_file: {error}') from error
+        if zone:
+            node.get_logger().info(f'{self._path}: times that name no zone read as {zone}')
         self._stamps = np.rint(seconds * SECOND).astype(np.int64)
         simulated = bool(node.get_parameter('use_sim_time').value)
         self.makes_time = simulated or config.csv_rate != 1.0
@@ -82,8 +85,8 @@ class CsvFile(Source):
             self._node.get_logger().info(f'{self._path}: end of file after {self._row} rows')
 
 
-def _read(path: Path, time_column: str) -> tuple[list[str], Floats, Floats]:
-    """Return sensor names, times [s] and temperatures [degC] of a file."""
+def _read(path: Path, time_column: str) -> tuple[list[str], Floats, Floats, str]:
+    """Return sensor names, times [s] and temperatures [degC] of a file, and its zone if needed."""
     from fuzzycnc_ros.bags.csv_table import read_table  # costs a second of start-up
 
     table = read_table(path)
@@ -94,4 +97,4 @@ def _read(path: Path, time_column: str) -> tuple[list[str], Floats, Floats]:
     times = table.time(time_column, 's')
     start = times.date or 0.0 if times.form else float(table.column(time_column)[0])
     values = np.stack([table.column(name) for name in sensors], axis=1)
-    return sensors, start + times.seconds, values
+    return sensors, start + times.seconds, values, times.zone.name if times.zone else ''

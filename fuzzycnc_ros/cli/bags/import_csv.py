@@ -41,6 +41,14 @@ def import_csv(
             'dd.mm.yyyy hh:mm:ss [default: usual ones are recognised].',
         ),
     ] = None,
+    time_zone: Annotated[
+        OptionalText,
+        given(
+            'Zone of dates that name none, such as Europe/Berlin, UTC or +01:00 [default: that '
+            'of this computer].',
+            metavar='ZONE',
+        ),
+    ] = None,
     temperature: Annotated[
         Texts,
         typer.Option(
@@ -140,9 +148,9 @@ def import_csv(
     mapping: Annotated[
         OptionalPath,
         given(
-            'File with these settings: keys time, time_unit, time_format, temperatures, '
-            'temperature_unit, displacements, spindle_speed, spindle_speed_unit, rename, '
-            'encoding, header, delimiter, decimal, rows, zero, resample, machine, epoch. '
+            'File with these settings: keys time, time_unit, time_format, time_zone, '
+            'temperatures, temperature_unit, displacements, spindle_speed, spindle_speed_unit, '
+            'rename, encoding, header, delimiter, decimal, rows, zero, resample, machine, epoch. '
             'Options overrule it.',
             metavar='FILE.yaml',
         ),
@@ -172,6 +180,7 @@ def import_csv(
         'time': time,
         'time_unit': time_unit,
         'time_format': time_format,
+        'time_zone': time_zone,
         'temperatures': list(words(temperature)) if temperature else None,
         'temperature_unit': temperature_unit,
         'displacements': list(words(displacement)) if displacement else None,

@@ -28,6 +28,7 @@ from fuzzycnc_ros.cli.models.many_bags import (
     jobs_of,
     say_bad,
     with_each,
+    without_odd,
 )
 from fuzzycnc_ros.cli.models.recorded_runs import (
     bridged_gaps,
@@ -54,7 +55,7 @@ from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
 from fuzzycnc_ros.papers.names import COMPARED
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from fuzzycnc_ros.cli.workers import Progress
     from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut, Split
@@ -170,7 +171,10 @@ def compare(
     work = partial(usable_run, interval=interval, start=start, stop=end, sensors=wanted)
     with progress_bar('reading') as tell:
         read = with_each(work, find_bags(bags), processes, tell)
-    runs = read.results
+    unread = {item.bag.name for item in read.bad}
+    named = [bag for bag in find_bags(bags) if bag.name not in unread]
+    alike = without_odd(named, read.results)
+    runs = alike.results
     no_speed = '--no-speed' if not speed else speed_missing(runs, interval)
     if no_speed:
         names = _without_speed(names, no_speed)
@@ -195,15 +199,15 @@ def compare(
     lines += [f'warning: {line}' for line in doubts]
     for line in lines:
         say(line)
-    bad = (*read.bad, *failed)
+    bad = (*read.bad, *alike.bad, *failed)
     say_bad(bad)
     if report is not None:
         from fuzzycnc_ros.studies.page.recorded import recording_facts
         from fuzzycnc_ros.studies.thermal.comparison_page import comparison_page
 
-        unread = {item.bag.name for item in read.bad}
+        used = {run.name for run in runs}
         facts = {
-            **recording_facts([b.path for b in find_bags(bags) if b.name not in unread]),
+            **recording_facts([bag.path for bag in named if bag.name in used]),
             'Runs': ', '.join(run.name for run in runs),
             'Sampling interval': f'{interval:g} s',
             'Spindle speed': f'not used, {no_speed}' if no_speed else 'used where named',
@@ -225,30 +229,6 @@ def compare(
     )
     if bad:
         raise typer.Exit(1)
-
-
-def read_runs(
-    bags: 'Sequence[Path]',
-    start: float | None = None,
-    stop: float | None = None,
-    sensors: 'Callable[[str], bool] | None' = None,
-) -> 'list[ThermalRun]':
-    """Read runs, each with a name of its own; `start`, `stop`, `sensors` as in `read_run`.
-
-    Raises
-    ------
-    ValueError
-        If a bag is named twice, or one cannot be used.
-    """
-    from fuzzycnc_ros.bags.runs import read_run
-
-    runs = []
-    with progress_bar('reading') as tell:
-        for done, bag in enumerate(named := find_bags(bags)):
-            tell(f'reading {bag.name}', done, len(named))
-            run = read_run(bag.path, start=start, stop=stop, name=bag.name, sensors=sensors)
-            runs.append(run)
-    return runs
 
 
 def usable_run(

@@ -27,7 +27,7 @@ from fuzzycnc_ros.cli.models.many_bags import (
     say_bad,
     with_each,
 )
-from fuzzycnc_ros.cli.models.recorded_runs import gap_lines
+from fuzzycnc_ros.cli.models.recorded_runs import gap_lines, offset_lines
 from fuzzycnc_ros.cli.options import End, OptionalText, Report, Start, given
 from fuzzycnc_ros.cli.quantities import DURATIONS, quantity
 from fuzzycnc_ros.studies.thermal.missing_readings import Bridged
@@ -51,6 +51,7 @@ class Judged(NamedTuple):
     bridged: tuple[Bridged, ...]
     page: 'CompensationRun | None' = None
     probed: 'ProbedEvaluation | None' = None
+    doubts: tuple[str, ...] = ()
 
 
 def evaluate(
@@ -121,6 +122,8 @@ def evaluate(
     for item in found.results:
         for text in gap_lines(item.evaluation.run, item.bridged, trained.interval):
             say(text)
+    for text in (line for item in found.results for line in item.doubts):
+        say(f'warning: {text}')
     probed = [item.probed for item in found.results if item.probed is not None]
     _show_probed(probed)
     say_bad(found.bad)
@@ -170,7 +173,8 @@ def judge_bag(
         from fuzzycnc_ros.studies.thermal.probed import evaluate_probed
 
         probed = evaluate_probed(trained, run, result, probe_every)
-    return Judged(result, bridged, _page(trained, run, result) if page else None, probed)
+    shown = _page(trained, run, result) if page else None
+    return Judged(result, bridged, shown, probed, tuple(offset_lines([recorded])))
 
 
 def _show(judged: 'list[Evaluation]', model: 'ThermalModel') -> None:
@@ -243,6 +247,7 @@ def _document(
         'in_domain': {result.run: result.in_domain for result in judged},
         'bridged': {item.evaluation.run: item.bridged for item in found.results},
         'probed': probed_document(probed) if probed else None,
+        'warnings': [line for item in found.results for line in item.doubts],
         'left_out': {item.bag.name: item.reason for item in found.bad},
     }
 

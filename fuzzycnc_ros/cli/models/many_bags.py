@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Generic, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 
 import typer
 
@@ -18,6 +18,7 @@ from fuzzycnc_ros.cli.options import OptionalWhole, given
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.workers import Progress
+    from fuzzycnc_ros.core.thermal.run import ThermalRun
 
 Result = TypeVar('Result')
 
@@ -32,6 +33,12 @@ ManyBags = Annotated[
 Jobs = Annotated[
     OptionalWhole,
     given('Processes that work side by side; as many as there are cores if left out.'),
+]
+
+
+SkipBad = Annotated[
+    bool,
+    typer.Option('--skip-bad', help='Leave out bags that cannot be used, and say which and why.'),
 ]
 
 
@@ -89,6 +96,68 @@ def with_each(
     good = tuple(item for item in found if not isinstance(item, BadBag))
     check_some_left(len(good), bad)
     return Sorted(good, bad)
+
+
+def runs_of(
+    bags: Sequence[NamedBag], interval: float, tell: Tell, *, skip: bool, **options: Any
+) -> 'Sorted[ThermalRun]':
+    """Read the runs of all bags; options are those of `read_run`.
+
+    Parameters
+    ----------
+    bags : sequence of NamedBag
+        The bags.
+    interval : float
+        Interval that they are to be used at [s].
+    tell : callable
+        Shows the progress.
+    skip : bool
+        Whether a bag that cannot be used, or has other sensors or channels than most, is left
+        out.
+
+    Raises
+    ------
+    ValueError
+        If a bag cannot be read and none is left out, or none is left.
+    """
+    from fuzzycnc_ros.bags.runs import read_run
+    from fuzzycnc_ros.studies.thermal.missing_readings import read_usable
+
+    def usable(bag: NamedBag, _: object) -> 'ThermalRun':
+        return read_usable(bag.path, interval, name=bag.name, **options)
+
+    runs: list[ThermalRun] = []
+    found: list[ThermalRun | BadBag] = []
+    for done, bag in enumerate(bags):
+        tell(f'reading {bag.name}', done, len(bags))
+        if skip:
+            found.append(_attempt(usable, bag, _nobody))
+        else:
+            runs.append(read_run(bag.path, name=bag.name, **options))
+    return without_odd(bags, found) if skip else Sorted(tuple(runs), ())
+
+
+def without_odd(
+    bags: Sequence[NamedBag], found: 'Sequence[ThermalRun | BadBag]'
+) -> 'Sorted[ThermalRun]':
+    """Return the runs that have the sensors and channels of most of them, and what is left out.
+
+    Raises
+    ------
+    ValueError
+        If none is left.
+    """
+    from fuzzycnc_ros.core.thermal.fit.training_runs import unlike_most
+
+    named = [
+        (bag, run) for bag, run in zip(bags, found, strict=True) if not isinstance(run, BadBag)
+    ]
+    odd = unlike_most([run for _, run in named])
+    bad = [item for item in found if isinstance(item, BadBag)]
+    bad += [BadBag(named[place][0], reason) for place, reason in odd.items()]
+    good = tuple(run for place, (_, run) in enumerate(named) if place not in odd)
+    check_some_left(len(good), bad)
+    return Sorted(good, tuple(bad))
 
 
 def check_some_left(good: int, bad: Sequence[BadBag]) -> None:

@@ -87,14 +87,16 @@ def read_usable(path: 'str | os.PathLike[str]', interval: float, **options: Any)
     BagError
         If it cannot be read.
     ThermalDataError
-        If it is too slow, or lacks readings for longer than is bridged.
+        If it is too slow, lacks readings for longer than is bridged, or warms faster than metal.
     """
     from fuzzycnc_ros.bags.runs import read_run
     from fuzzycnc_ros.core.thermal.fit.training import at_interval
-    from fuzzycnc_ros.core.thermal.fit.training_runs import check_gaps
+    from fuzzycnc_ros.core.thermal.fit.training_runs import check_gaps, check_rise
 
     run = read_run(path, **options)
-    check_gaps([at_interval(run, interval)])
+    even = at_interval(run, interval)
+    check_gaps([even])
+    check_rise(even)
     return run
 
 

@@ -168,12 +168,37 @@ def test_a_turned_run_and_a_single_value_are_named(fuzzycnc, here, table):
         lone, turned = read_json('figures.json')['warnings']
         assert re.match(r'c: t3 is 29\.\d+ degC at 3000 s, alone between 22\.\d+ and 22\.', lone)
         assert re.match(
-            r'b: dz moves against the temperatures \(-[01]\.\d\d\), but with them in a, c '
-            r'\(\+[01]\.\d\d\); .* import b anew with the other sign of the axis',
+            r'b: dz moves against what the other runs predict \(correlation -[01]\.\d\d\); with '
+            r'the other sign the temperatures explain (99|100) % of the motion of all runs, as '
+            r'recorded [1-5]\d %; .* import b anew with the other sign of the axis',
             turned,
         )
         assert f'warning: {lone}\n' in outcome.out
         assert f'warning: {turned}\n' in outcome.out
+
+
+def test_displacements_that_do_not_begin_at_zero_are_named(fuzzycnc, here, table):
+    for name, rows, begin in (('a', 120, 0.0), ('b', 100, 9.0), ('c', 110, -7.0)):
+        columns = warm_up(rows)
+        columns['dz'] += begin
+        outcome = fuzzycnc('import-csv', table(f'{name}.csv', columns), '--out', name, *IMPORT)
+        said = "displacements begin at 'dz' at" in outcome.out
+        assert said == (begin != 0.0), outcome
+        assert ('import with --zero' in outcome.out) == said
+    words = 'displacements do not begin at zero in b (dz at 9'
+    for command in (('train', '--out', 'm.json', 'a', 'b', 'c'), ('compare', 'a', 'b', 'c')):
+        outcome = fuzzycnc(*command, *QUICK, '--json', 'f.json')
+        (line,) = (text for text in read_json('f.json')['warnings'] if words in text)
+        assert ', c (dz at -' in line
+        assert line.endswith('import anew with fuzzycnc import-csv --zero')
+        assert f'warning: {line}\n' in outcome.out
+    outcome = fuzzycnc('evaluate', 'a', 'b', '--model', 'm.json', '--json', 'e.json')
+    (line,) = read_json('e.json')['warnings']
+    assert words in line
+    assert f'warning: {line}\n' in outcome.out
+    options = (*IMPORT, '--zero')
+    outcome = fuzzycnc('import-csv', 'c.csv', '--out', 'zeroed', *options)
+    assert 'warning' not in outcome.out
 
 
 # evaluate

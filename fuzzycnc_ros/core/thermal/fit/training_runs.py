@@ -56,7 +56,7 @@ def check_training_runs(runs: Sequence[ThermalRun]) -> None:
         _check_same(first, run)
     check_gaps(runs)
     for run in runs:
-        _check_rise(run)
+        check_rise(run)
     if max(float(np.ptp(run.temperature, axis=0).max()) for run in runs) < RISE_MIN:
         raise ThermalDataError(
             f'runs: expected a sensor that warms by {RISE_MIN} K, but found none; '
@@ -123,7 +123,7 @@ def _window_between(gaps: Sequence[Gap], runs: Sequence[ThermalRun]) -> str:
     return ' '.join(options)
 
 
-def _check_same(first: ThermalRun, run: ThermalRun) -> None:
+def _check_names(first: ThermalRun, run: ThermalRun) -> None:
     for field in ('sensor', 'channel', 'axis'):
         expected, found = getattr(first, field), getattr(run, field)
         if expected != found:
@@ -131,6 +131,10 @@ def _check_same(first: ThermalRun, run: ThermalRun) -> None:
                 f'run {run.name!r}: expected {field} {", ".join(expected)} as in run '
                 f'{first.name!r}, but found {", ".join(found)}'
             )
+
+
+def _check_same(first: ThermalRun, run: ThermalRun) -> None:
+    _check_names(first, run)
     if abs(run.interval - first.interval) > JITTER_MAX * first.interval:
         raise ThermalDataError(
             f'run {run.name!r}: expected the interval {first.interval:.6g} s of run '
@@ -138,7 +142,29 @@ def _check_same(first: ThermalRun, run: ThermalRun) -> None:
         )
 
 
-def _check_rise(run: ThermalRun) -> None:
+def unlike_most(runs: Sequence[ThermalRun]) -> dict[int, str]:
+    """Return the runs with other sensors, channels or axes than over half of them, and why so."""
+    layouts = [(run.sensor, run.channel, run.axis) for run in runs]
+    usual = max(layouts, key=layouts.count, default=None)
+    if usual is None or 2 * layouts.count(usual) <= len(runs):
+        return {}
+    odd = {}
+    for place, run in enumerate(runs):
+        try:
+            _check_names(runs[layouts.index(usual)], run)
+        except ThermalDataError as error:
+            odd[place] = str(error)
+    return odd
+
+
+def check_rise(run: ThermalRun) -> None:
+    """Refuse a run in which a temperature changes by over 10 K in a minute.
+
+    Raises
+    ------
+    ThermalDataError
+        It names the sensor and the sample.
+    """
     minute = max(1, round(60.0 / run.interval))
     if minute >= len(run.time):
         return
