@@ -5,12 +5,13 @@
 import datetime
 import hashlib
 import ipaddress
-import os
 import re
 import secrets
 import socket
 import ssl
 from pathlib import Path
+
+from fuzzycnc_ros.bags.atomic import SECRET_FILE, write_text
 
 TOKEN_LEAST = 16
 """Characters that a token must have; its own ones have 43."""
@@ -117,14 +118,9 @@ def check_pair(certificate: Path, key: Path) -> None:
 
 def _write(file: Path, content: bytes) -> None:
     """Write a file that nobody else reads, whole or not at all."""
-    temporary = file.with_suffix('.new')
     try:
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        temporary.unlink(missing_ok=True)
-        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with open(handle, 'wb') as opened:
-            opened.write(content)
-        os.replace(temporary, file)
+        write_text(file, content, SECRET_FILE)
     except OSError as error:
         raise KeyFileError(
             f'{file}: {error.strerror}; name a writable directory with state_directory'

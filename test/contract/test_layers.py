@@ -214,6 +214,22 @@ def test_ros_stays_outside(path):
     assert not found
 
 
+EXCHANGES = {('os', 'replace'), ('os', 'rename'), ('shutil', 'move')}
+
+
+def test_files_are_exchanged_in_one_place():
+    """It alone knows a link, a pipe or a device, in whose place no file may come."""
+    found = {
+        str(path.relative_to(PACKAGE))
+        for path in MODULES
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and (node.value.id, node.attr) in EXCHANGES
+    }
+    assert found == {'bags/atomic.py'}
+
+
 def test_no_node_imports_another():
     nodes = sorted(path.stem for path in (ROOT / 'params').glob('*.yaml'))
     assert nodes

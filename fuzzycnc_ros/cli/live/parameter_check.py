@@ -14,7 +14,7 @@ from yaml.nodes import MappingNode
 from yaml.nodes import Node as YamlNode
 
 from fuzzycnc_ros.bags.yaml_file import compose
-from fuzzycnc_ros.cli.console import check_new
+from fuzzycnc_ros.cli.console import check_new_folder
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.arguments import understood
@@ -115,7 +115,7 @@ def _check(name: str, arguments: list[str], context: rclpy.Context) -> None:
         if name == 'recorder':
             (recorder,) = declare(node, RecorderConfig)
             check_keeping(recorder)
-            check_new(Path(recorder.output))
+            check_new_folder(Path(recorder.output))
             return
         host, config = declare(node, HostConfig, COMPONENTS[name].CONFIG)
         component = COMPONENTS[name](config)

@@ -6,16 +6,16 @@ from __future__ import annotations
 
 import os
 import re
-import secrets
 import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from io import TextIOWrapper
 from pathlib import Path
 from typing import IO
 
-from fuzzycnc_ros.bags.os_errors import about
+from fuzzycnc_ros.bags.atomic import whole_file
 from fuzzycnc_ros.cli.console import check_folder
 
 STREAM = '-'
@@ -100,14 +100,7 @@ def new_program(out: Path) -> Iterator[IO[str]]:
             shutil.copyfileobj(file.buffer, sys.stdout.buffer)
             sys.stdout.buffer.flush()
         return
-    part = out.with_name(f'.{out.name}.{secrets.token_hex(4)}')
-    try:
-        with open(part, 'x', encoding='utf-8', errors='surrogateescape', newline='') as file:
-            yield file
-        os.replace(part, out)
-    except BaseException as error:
-        with suppress(OSError):
-            part.unlink()
-        if isinstance(error, OSError) and error.filename in (None, str(part)):
-            about(error, out)
-        raise
+    with whole_file(out) as draft:
+        text = TextIOWrapper(draft, encoding='utf-8', errors='surrogateescape', newline='')
+        yield text
+        text.detach()  # which writes what it holds
