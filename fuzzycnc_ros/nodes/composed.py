@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.bring_up import TOOLS
 from fuzzycnc_ros.ros.processes import end
 from fuzzycnc_ros.ros.run import tell_error
 
@@ -29,8 +30,7 @@ def run_composed(names: Sequence[str], ros_arguments: Sequence[str]) -> int:
         # Loaded on use: it brings all components, and with them 18 MiB, into every process.
         from fuzzycnc_ros.registry import COMPONENTS
 
-        tools = ('recorder', 'player', 'mqtt_publisher', 'mtconnect_adapter', 'opcua_server')
-        known = ', '.join((*COMPONENTS, *tools))
+        known = ', '.join((*COMPONENTS, *TOOLS))
         raise ValueError(f'expected nodes among {known} but found {", ".join(unknown) or "none"}')
     return run.run([make for make in makers.values() if make], ['composed', *ros_arguments])
 

@@ -303,6 +303,10 @@ class OpcuaServerConfig(ExecutorConfig):
     )
 
 
+OWN_FOLDER = '~/.fuzzycnc/dashboard'
+"""Where the live page keeps its own token and certificate."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class DashboardConfig(ExecutorConfig):
     """Parameters of `dashboard`."""

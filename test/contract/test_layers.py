@@ -55,6 +55,7 @@ RINGS = {
     'cli': {
         'uninterrupted',
         'nodes',
+        'web',
         'adapters',
         'ros',
         'registry',
