@@ -67,6 +67,8 @@ REFUSED = 2
 """What a node ends with that does not take its parameters: to start it again would be in vain."""
 ONE_WISH = 1.0
 """Wall time [s] within which signals are one wish: some senders signal a process and its group."""
+HANGS = 3.0
+"""Wall time [s] after which a wish that was put off is raised all the same."""
 EXITING = 3
 """Wall time [s] that the interpreter and libraries have for what they do at the process' exit."""
 AGAIN = 0.01
@@ -152,6 +154,23 @@ class Wish:
         self.number = 0
         self._heard_at = -ONE_WISH
         self._repeating = self._lost = False
+        self._put_off = False
+        self._reminder: threading.Timer | None = None
+
+    @contextmanager
+    def put_off(self) -> Iterator[None]:
+        """Raise no wish in the block, which looks at `number` itself, unless it hangs.
+
+        Middleware calls into Python, to make a message for instance, where an exception ends up as
+        another one, or as none.
+        """
+        self._put_off = True
+        try:
+            yield
+        finally:
+            self._put_off = False
+            if self._reminder is not None:
+                self._reminder.cancel()
 
     def hear(self, number: int, frame: FrameType | None) -> None:
         """Take a signal."""
@@ -161,8 +180,15 @@ class Wish:
         now = time.monotonic()
         again = now - self._heard_at < ONE_WISH
         self.number, self._heard_at = self.number or number, now
-        if not again:
+        if again:
+            return
+        if not self._put_off:
             interrupt()
+            return
+        self._put_off = False
+        self._reminder = threading.Timer(HANGS, os.kill, (os.getpid(), number))
+        self._reminder.daemon = True
+        self._reminder.start()
 
     def hear_again(self, lost: 'sys.UnraisableHookArgs') -> bool:
         """Repeat a wish whose exception was lost where none can be raised, as in a finaliser."""
