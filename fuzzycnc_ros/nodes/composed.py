@@ -10,6 +10,7 @@ from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.bring_up import TOOLS
 from fuzzycnc_ros.ros.processes import end
 from fuzzycnc_ros.ros.run import tell_error
+from fuzzycnc_ros.ros.streams import steady_streams
 
 _MACHINE = 'simulated_machine'
 
@@ -51,6 +52,7 @@ def _maker(name: str) -> run.HostFactory | None:
 
 def main() -> None:
     """Run the nodes that the command line names."""
+    steady_streams(output_matters=False)
     split = sys.argv.index('--ros-args') if '--ros-args' in sys.argv else len(sys.argv)
     try:
         code = run_composed(sys.argv[1:split], sys.argv[split:])

@@ -17,6 +17,7 @@ from typing import IO
 
 from fuzzycnc_ros.bags.atomic import whole_file
 from fuzzycnc_ros.cli.console import check_folder
+from fuzzycnc_ros.ros.streams import is_dropped
 
 STREAM = '-'
 """Name of the standard streams."""
@@ -76,6 +77,8 @@ def check_output(program: Path, out: Path, in_place: bool) -> None:
         If it cannot be written, or is the program itself and nobody said so.
     """
     if str(out) == STREAM:
+        if is_dropped(sys.stdout):
+            raise ValueError('--out -: expected an open standard output but it is closed')
         return
     check_folder(out)
     if not os.access(out if out.exists() else out.absolute().parent, os.W_OK):
