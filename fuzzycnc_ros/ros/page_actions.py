@@ -16,7 +16,7 @@ from collections.abc import Callable, Coroutine, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from itertools import chain, count
-from math import isfinite, nan
+from math import nan
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -38,7 +38,7 @@ from fuzzycnc_ros.ros.recording import is_recorded, recorder_command
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher
 from fuzzycnc_ros.runtime.component import HISTORY, STREAM
 from fuzzycnc_ros.runtime.convert import encode
-from fuzzycnc_ros.runtime.host import NodeEvent
+from fuzzycnc_ros.runtime.host import FINALIZED, WAS_FINALIZED, NodeEvent
 from fuzzycnc_ros.runtime.provenance import machine_event
 
 T = TypeVar('T')
@@ -286,6 +286,8 @@ class Actions:
         state = await self._lifecycle(view, node)
         if state == 'active':
             return f'{node} is active already'
+        if state == FINALIZED:
+            raise GraphError(f'{node} {WAS_FINALIZED}')
         if state == 'unconfigured':
             await self._transition(view, node, 'configure')
         if view.machine in self._off:
@@ -517,7 +519,7 @@ def _trouble(process: 'subprocess.Popen[bytes]', bag: Path) -> str:
 
 def _is_length(value: Any) -> bool:
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return number and isfinite(value) and abs(value) <= LENGTH_MAX
+    return number and abs(value) <= LENGTH_MAX  # what is not finite is not below it
 
 
 def _displacements(values: Any) -> dict[str, float]:

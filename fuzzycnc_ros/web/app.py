@@ -250,6 +250,7 @@ async def _body(request: Request) -> dict[str, Any]:
     found = json.loads(text or b'{}')
     if not isinstance(found, dict):
         raise ValueError('found another value')
+    json.dumps(found, ensure_ascii=False).encode()  # a lone surrogate is no text
     return found
 
 

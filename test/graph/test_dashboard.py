@@ -378,7 +378,7 @@ def test_a_page_beside_a_graph_keeps_to_its_file(beside, tmp_path):
     """Its port, its token and its folder of bags; a token that is ignored lets everybody act."""
     text = '/**/dashboard:\n  ros__parameters: {port: 0, token_file: tok, bags: bags}\n'
     (tmp_path / 'tok').write_text(16 * 'x')
-    with pytest.raises(GraphError, match=r'token tok: .* mode 644; say chmod 600 tok'):
+    with pytest.raises(GraphError, match=r'token tok: .* mode 644; run chmod 600 tok'):
         beside(text)
     (tmp_path / 'tok').chmod(0o600)
     greeting, page, spec = beside(text)

@@ -19,6 +19,7 @@ from processes import HANG, wait_for
 from fuzzycnc_ros.ros import page_actions
 from fuzzycnc_ros.ros.page_actions import Actions
 from fuzzycnc_ros.ros.presence import GraphError
+from fuzzycnc_ros.runtime.host import FINALIZED
 
 pytestmark = pytest.mark.ros
 
@@ -326,3 +327,14 @@ def test_an_activation_does_not_come_behind_a_deactivation(record, monkeypatch):
 
     actions.join('mill')
     asyncio.run(scenario())
+
+
+def test_a_node_that_was_shut_down_cannot_be_activated(record, monkeypatch):
+    actions = record()
+    node = Compensator()
+    node.state = FINALIZED
+    monkeypatch.setattr(actions, '_lifecycle', node.lifecycle)
+    monkeypatch.setattr(actions, '_transition', node.transition)
+    with pytest.raises(GraphError, match='compensator was shut down for good; end its process'):
+        asyncio.run(actions.act(MILL, 'activate', {}))
+    assert node.heard == []

@@ -220,8 +220,8 @@ export function showActions(container, view, {writable, recordable}) {
   for (const [name] of ACTS) button(name).disabled = !view;
   container.querySelector('#no-recording').hidden = recordable;
   if (!view) return;
-  button('activate').disabled = node?.lifecycle === 'active';
-  button('deactivate').disabled = node?.lifecycle === 'inactive';
+  button('activate').disabled = ['active', 'finalized'].includes(node?.lifecycle);
+  button('deactivate').disabled = ['inactive', 'finalized'].includes(node?.lifecycle);
   button('record').disabled = !(recordable || view.recording?.active);
   button('record').textContent = view.recording?.active ? 'Stop recording…' : 'Start recording…';
 }
