@@ -5,7 +5,6 @@
 import time
 from contextlib import ExitStack, closing
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated, Optional
 
 import typer
@@ -35,6 +34,7 @@ from fuzzycnc_ros.ros.bring_up import (
     machine_name,
     node_specs,
 )
+from fuzzycnc_ros.ros.leftovers import TemporaryFolder
 from fuzzycnc_ros.ros.parameter_files import parameter_files, sections, unread
 from fuzzycnc_ros.ros.presence import MACHINE, GraphError, Presence
 from fuzzycnc_ros.ros.processes import open_to_network
@@ -199,8 +199,8 @@ def up(
     with ExitStack() as stack:
         files = own_files
         if machine_file is not None:
-            folder = stack.enter_context(TemporaryDirectory(prefix='fuzzycnc-'))
-            files = [_of_machine(machine_file, Path(folder)), *own_files]
+            folder = stack.enter_context(TemporaryFolder())
+            files = [_of_machine(machine_file, folder), *own_files]
         # It listens while the parameters are checked.
         monitor = stack.enter_context(closing(Monitor(machines)))
         graphs = []

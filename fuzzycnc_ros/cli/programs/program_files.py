@@ -17,6 +17,7 @@ from typing import IO
 
 from fuzzycnc_ros.bags.atomic import whole_file
 from fuzzycnc_ros.cli.console import check_folder
+from fuzzycnc_ros.ros.leftovers import TemporaryFolder
 from fuzzycnc_ros.ros.streams import is_dropped
 
 STREAM = '-'
@@ -41,10 +42,11 @@ def program_lines(path: Path) -> Iterator[Path]:
             raise ValueError(f'{path}: expected a part program but nothing is there')
         yield path
         return
-    with tempfile.NamedTemporaryFile(prefix='fuzzycnc-', suffix='.ngc') as copy:
-        shutil.copyfileobj(sys.stdin.buffer, copy)
-        copy.flush()
-        yield Path(copy.name)
+    with TemporaryFolder() as folder:
+        copy = folder / 'part.ngc'
+        with copy.open('wb') as file:
+            shutil.copyfileobj(sys.stdin.buffer, file)
+        yield copy
 
 
 def open_program(path: Path) -> IO[str]:
