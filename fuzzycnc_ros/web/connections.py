@@ -6,11 +6,13 @@ import asyncio
 import re
 from typing import Any
 
-import h11
 from uvicorn.config import Config
+from uvicorn.protocols.http import h11_impl
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
+h11: Any = h11_impl.h11
+"""The parser of HTTP that uvicorn brings along."""
 HEADERS_MAX = 16384
 """Largest head of a request [bytes]."""
 SOCKETS_MAX = 400
