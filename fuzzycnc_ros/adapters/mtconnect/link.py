@@ -232,10 +232,12 @@ class MtconnectLink(Link):
             raise LinkError('closed')
 
     def _take(self, document: Document) -> None:
-        ahead = _ahead(document.created)
+        ahead, told = _ahead(document.created), document.observations
         with self._lock:
             self._heard = time.monotonic()
-            self._values.update(document.observations)
+            # No others: an agent that tells of ever new ones would fill the memory.
+            wanted = [item.identifier for item in self._found if isinstance(item, DataItem)]
+            self._values.update((name, told[name]) for name in wanted if name in told)
             self._ahead = ahead
 
     def _document(self, request: str, kind: str) -> Document:

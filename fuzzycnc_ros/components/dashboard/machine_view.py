@@ -33,7 +33,7 @@ from fuzzycnc_ros.runtime.enums import (
     SpeedStatus,
     Status,
 )
-from fuzzycnc_ros.runtime.host import NodeConfiguration
+from fuzzycnc_ros.runtime.host import FINALIZED, WAS_FINALIZED, NodeConfiguration
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,
@@ -474,6 +474,8 @@ class MachineView:
             known = states.get(said, CompensationState.INACTIVE) if told is None else told.state
             state = word(CompensationState, known)
             why = visible(reason) if reason and said == state else _STATE_WORDS.get(known, state)
+            if report.lifecycle == FINALIZED:
+                why = f'the compensator {WAS_FINALIZED}'
             if known in _IN_FORCE:
                 state, why = self._in_force(state, why)
         applied = self._newest.get('compensation_applied')

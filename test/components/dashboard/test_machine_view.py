@@ -627,3 +627,11 @@ def test_recordings_of_here_and_of_elsewhere_are_told():
     assert document(view)['recording'] is None
     view.set_recording('own')
     assert document(view)['recording'] == {'active': True, 'bag': 'own'}
+
+
+def test_a_compensator_that_was_shut_down_for_good_is_told_so():
+    view = running()
+    view.take_configuration(configuration(lifecycle_state='finalized'))
+    shown = document(view)
+    assert 'was shut down for good; end its process' in shown['state']['why']
+    assert shown['nodes'][0]['lifecycle'] == 'finalized'
