@@ -224,8 +224,12 @@ def _gate_line(network: 'TSFuzzyNetwork') -> str:
     """Return what the model lets pass, in words."""
     gate = network.model_.gate
     low, high = gate.low, gate.high
+    directions = (
+        'all directions' if gate.all_round else
+        f'directions {low[0]:g} to {high[0]:g}° and their opposites'
+    )  # fmt: skip
     return (
-        f'the model is for directions {low[0]:g} to {high[0]:g}° and their opposites, steps '
+        f'the model is for {directions}, steps '
         f'{low[3]:g} to {high[3]:g} mm, thicknesses {low[4]:g} to {high[4]:g} mm, depths '
         f'{gate.ratio_low:.2f} to {gate.ratio_high:.2f} of the thickness'
     )

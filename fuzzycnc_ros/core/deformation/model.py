@@ -6,17 +6,23 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import floor
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.deformation.features import (
+    COVERED_GAP,
     FEATURE_SETS,
+    HALF_TURN,
     PROCESS_VALUES,
     FeatureSet,
     check_process_values,
+    direction_range,
     feature_set,
+    folded,
+    half_turns,
     load,
 )
 from fuzzycnc_ros.core.document import Node, parse_document
@@ -211,7 +217,7 @@ class Gate:
     Parameters
     ----------
     low, high : ndarray, shape (5,)
-        Least and largest process values.
+        Least and largest process values; directions are those between, and their opposites.
     ratio_low, ratio_high : float
         Least and largest depth over thickness [-].
     support_min : float
@@ -228,17 +234,34 @@ class Gate:
     def of_training(x: Array, support: Array, quantile: float = SUPPORT_QUANTILE) -> 'Gate':
         """Return the gate of training samples (k, 5) and the logarithm of their support (k,)."""
         ratio = x[:, 1] / x[:, 4]
+        low, high = x.min(axis=0), x.max(axis=0)
+        low[0], high[0] = direction_range(x[:, 0])
         return Gate(
-            x.min(axis=0),
-            x.max(axis=0),
+            low,
+            high,
             float(ratio.min()),
             float(ratio.max()),
             float(np.quantile(support, quantile)),
         )
 
+    @property
+    def fold_from(self) -> float:
+        """Where the half turn begins that has the directions of the samples amid [deg]."""
+        return 0.5 * float(self.low[0] + self.high[0] - HALF_TURN)
+
+    @property
+    def all_round(self) -> bool:
+        """Whether the samples cover all directions."""
+        return bool(self.high[0] - self.low[0] >= HALF_TURN - COVERED_GAP)
+
     def inside(self, x: Array) -> NDArray[np.bool_]:
         """Return whether rows of process values (k, 5) lie in the box; NaN does not."""
-        within = ((x >= self.low - _TOLERANCE) & (x <= self.high + _TOLERANCE)).all(axis=1)
+        rows = x[:, 1:]
+        in_box = (rows >= self.low[1:] - _TOLERANCE) & (rows <= self.high[1:] + _TOLERANCE)
+        with np.errstate(invalid='ignore'):  # an infinite direction has no place, as NaN
+            beyond = np.mod(x[:, 0] - self.low[0] + _TOLERANCE, HALF_TURN)
+        span = HALF_TURN if self.all_round else self.high[0] - self.low[0]
+        within = in_box.all(axis=1) & (beyond <= span + 2.0 * _TOLERANCE)
         depth, kind, thickness = x[:, 1], x[:, 2], x[:, 4]
         within &= (kind == 1.0) | (kind == 2.0)
         # Products, not ratios: a thickness of 0 is refused without a division.
@@ -251,8 +274,15 @@ class Gate:
         return np.asarray(self.inside(x) & (support >= self.support_min))
 
     def clip(self, x: Array) -> Array:
-        """Return the rows with each value, and depth over thickness, cut at the box."""
-        cut = np.clip(x, self.low, self.high)
+        """Return the rows with each value, and depth over thickness, cut at the box.
+
+        A direction is cut at the nearer end, and stays in its half of the full turn.
+        """
+        turned = HALF_TURN * half_turns(x[:, 0], self.fold_from)
+        cut = x.copy()
+        cut[:, 0] -= turned
+        cut = np.clip(cut, self.low, self.high)
+        cut[:, 0] += turned
         cut[:, 1] = np.clip(cut[:, 1], self.ratio_low * cut[:, 4], self.ratio_high * cut[:, 4])
         return np.asarray(cut)
 
@@ -353,16 +383,19 @@ class DeformationModel:
     def predict(self, x: ArrayLike) -> Array:
         """Return compensations, shape (k, r) [mm per 50 mm], of process values (k, 5).
 
+        Directions may be any: opposite ones have opposite compensations.
+
         Raises
         ------
         ValueError
             If a row is none of a primitive, see `check_process_values`.
         """
-        return self._values(check_process_values(x)) * self.gain.value
+        rows, sign = self._folded(x)
+        return self._values(rows) * sign[:, np.newaxis] * self.gain.value
 
     def support(self, x: ArrayLike) -> Array:
         """Return the logarithm of the rules' support, shape (k,), of process values (k, 5)."""
-        rows = check_process_values(x)
+        rows, _ = self._folded(x)
         result = np.empty(len(rows))
         for part in _chunks(len(rows)):
             result[part] = self.network.antecedent.support(self._inputs(rows[part]))
@@ -392,14 +425,15 @@ class DeformationModel:
             Process values, not checked: ask `accepts` first.
         """
         features = self._features
-        inputs = features.one(x)
+        turns = floor((x[0] - self.gate.fold_from) / HALF_TURN)
+        inputs = features.one((x[0] - HALF_TURN * turns, *x[1:]))
         if len(self.columns) < len(features.names):
             inputs = [inputs[at] for at in self.columns]
         values, support = self.network.one(inputs)
         values *= self.gain.value
         if features.loaded:
             values *= load(x[1], x[3], x[4])
-        return values, support
+        return (-values if turns % 2 else values), support
 
     def adapted(self, x: ArrayLike, measured: ArrayLike) -> 'DeformationModel':
         """Return the model with gains that take in measured compensations.
@@ -417,7 +451,8 @@ class DeformationModel:
             If a value is not finite or of no primitive, or the rows do not match.
         """
         gain = self.gain
-        predicted = self._values(check_process_values(x))
+        rows, sign = self._folded(x)
+        predicted = self._values(rows) * sign[:, np.newaxis]
         needed = np.asarray(measured, dtype=np.float64)
         if needed.shape != predicted.shape:
             raise ValueError(
@@ -434,6 +469,10 @@ class DeformationModel:
     @cached_property
     def _features(self) -> FeatureSet:
         return feature_set(self.features)
+
+    def _folded(self, x: ArrayLike) -> tuple[Array, Array]:
+        """Return checked process values in the half turn of the samples, and their signs."""
+        return folded(check_process_values(x), self.gate.fold_from)
 
     def _inputs(self, rows: Array) -> Array:
         return self._features.rows(rows)[:, self.columns]

@@ -203,7 +203,8 @@ def fit_gains(model: DeformationModel, samples: Samples) -> GainFit:
     ValueError
         If the model is for none of the samples.
     """
-    # The foot of a compensated side goes a few degrees beside the direction of the pattern.
+    # The foot of a compensated side goes a few degrees beside the direction of the pattern.  It
+    # is cut in its half of the full turn, so that the sign of its compensation stays.
     cut = model.clip(samples.x)
     turned = np.abs(cut[:, 0] - samples.x[:, 0]) <= TURN_MAX
     known = turned & np.isclose(cut[:, 1:], samples.x[:, 1:]).all(axis=1) & model.accepts(cut)

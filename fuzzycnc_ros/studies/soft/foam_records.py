@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fuzzycnc_ros.core.deformation.features import check_process_values
+from fuzzycnc_ros.core.deformation.features import check_process_values, folded_samples
 from fuzzycnc_ros.core.deformation.samples import RecordedPath, joined_groups, samples_of_paths
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, LINE, SheetMaterial
 from fuzzycnc_ros.core.deformation.training import equal_rows
@@ -224,13 +224,14 @@ def _read_csv(path: Path) -> Samples:
         except ValueError as error:
             reason = str(error).removeprefix('x, row 0: ')
             raise ValueError(f'{path}: line {number}: {reason}') from error
+    x, s = folded_samples(table[:, :5], table[:, 5:])
     if found.labels is None:
-        groups, how = equal_rows(table[:, :5]), 'equal process'
+        groups, how = equal_rows(x), 'equal process'
     else:
         _, groups = np.unique(found.labels, return_inverse=True)
         how = 'one sheet'
     said = f'{path}: {len(table)} samples in {len(np.unique(groups))} groups of {how}'
-    return Samples(table[:, :5], table[:, 5:], groups, (said, *_doubts(table[:, 5:])))
+    return Samples(x, s, groups, (said, *_doubts(s)))
 
 
 def _check_units(path: Path, table: Array) -> None:
@@ -278,7 +279,8 @@ def _read_bags(bags: Sequence[Path]) -> Samples:
             f'{bags[0]}: expected primitives that give samples but found none: '
             f'{", ".join(left_out)}'
         )
-    groups = joined_groups(equal_rows(found.x), found.path)
+    x, s = folded_samples(found.x, found.s)
+    groups = joined_groups(equal_rows(x), found.path)
     fresh = len(found.x) - found.relaxed
     lines = [
         f'{len(recordings.paths)} recorded paths: {fresh} samples from fresh starts, '
@@ -286,4 +288,4 @@ def _read_bags(bags: Sequence[Path]) -> Samples:
         'path or equal process'
     ]
     lines += [f'left out: {count} {reason}' for reason, count in sorted(left_out.items())]
-    return Samples(found.x, found.s, groups, tuple(lines))
+    return Samples(x, s, groups, tuple(lines))
