@@ -108,11 +108,33 @@ def _logarithmic_one(x: Sequence[float]) -> Sequence[float]:
     return cos(turn), sin(turn), x[1] / x[4], log(x[4]), x[2], log(x[3])
 
 
+def _directions(x: Array) -> Array:
+    inputs = _logarithmic(x)
+    values = np.column_stack([np.ones(len(x)), inputs[:, 2:]])
+    return np.concatenate([inputs[:, :1] * values, inputs[:, 1:2] * values], axis=1)
+
+
+def _directions_one(x: Sequence[float]) -> Sequence[float]:
+    along, across, *others = _logarithmic_one(x)
+    values = (1.0, *others)
+    return [*(along * value for value in values), *(across * value for value in values)]
+
+
 FEATURE_SETS = {
     'load': FeatureSet(
         ('cos', 'sin', 'depth_ratio', 'log_thickness', 'kind', 'log_step'),
         _logarithmic,
         _logarithmic_one,
+        True,
+    ),
+    'directions': FeatureSet(
+        tuple(
+            f'{turn}{value}'
+            for turn in ('cos', 'sin')
+            for value in ('', '_depth_ratio', '_log_thickness', '_kind', '_log_step')
+        ),
+        _directions,
+        _directions_one,
         True,
     ),
     'physical': FeatureSet(
@@ -124,7 +146,11 @@ FEATURE_SETS = {
     'thickness': FeatureSet(PROCESS_VALUES, lambda x: x, lambda x: x, False),
     'paper': FeatureSet(PROCESS_VALUES[:4], lambda x: x[:, :4], lambda x: x[:4], False),
 }
-"""Feature sets: 'paper' has the four published inputs, 'thickness' adds the thickness."""
+"""Feature sets: 'paper' has the four published inputs, 'thickness' adds the thickness.
+
+'directions' are products of the direction and the values of 'load', of which opposite primitives
+have the negatives.
+"""
 
 
 def feature_set(name: str) -> FeatureSet:
@@ -287,6 +313,16 @@ def lapped(x: Array) -> tuple[NDArray[np.int64], Array, Array]:
 
 
 _ROUNDING = 1e-6  # of directions [deg]
+
+
+def direction_doubts(x: Array, s: Array) -> tuple[str, ...]:
+    """Return what is strange about the directions of samples, though it can be."""
+    if not looks_like_radians(x, s):
+        return ()
+    return (
+        'the compensations follow the directions as radians; they are taken as degrees: '
+        'multiply them by 57.29578 if they are radians',
+    )
 
 
 def looks_like_radians(x: Array, s: Array) -> bool:

@@ -121,6 +121,9 @@ class RuleNetwork:
         extended inputs in the place of the hidden nodes.
     offset : ndarray, shape (r,)
         Mean output, which is added.
+    normalised : bool
+        Whether the fitness of the rules is normalised over them.  A Gaussian process has a rule
+        for each sample, whose fitness is the kernel; its consequents are constants, m = 1.
 
     Notes
     -----
@@ -132,15 +135,18 @@ class RuleNetwork:
     inner: Array | None
     outer: Array
     offset: Array
+    normalised: bool = True
 
     def values(self, inputs: Array) -> Array:
         """Return the outputs, shape (k, r), of inputs (k, n)."""
         # Samples are in the last place, where loops over them are long and fast.
         columns = np.ascontiguousarray(inputs.T)
-        fitness = normalised_firing(self.antecedent.log_fitness(inputs).T, axis=0)
+        logarithm = self.antecedent.log_fitness(inputs).T
+        fitness = normalised_firing(logarithm, axis=0) if self.normalised else np.exp(logarithm)
         pull = (self._outer @ fitness).reshape(len(self.offset), -1, len(inputs))
         if self.inner is None:
-            pull[:, 1:] *= columns
+            if self.normalised:
+                pull[:, 1:] *= columns
         else:
             nodes = self._slopes @ columns
             nodes += self._biases[:, np.newaxis]
@@ -159,6 +165,9 @@ class RuleNetwork:
         fitness = np.exp(least - fitness)
         total = fitness.sum()
         pull = (self._outer @ fitness).reshape(len(self.offset), -1)
+        if not self.normalised:
+            total = total * np.exp(-least)
+            return pull[:, 0] * np.exp(-least) + self.offset, float(np.log(total))
         if self.inner is None:
             pull *= np.concatenate([_ONE, row])
         else:
@@ -467,6 +476,11 @@ class DeformationModel:
         return replace(self, gain=AxisGain.unit(len(self.network.offset)))
 
     @cached_property
+    def corrects(self) -> bool:
+        """Whether it compensates anything: 'none' may be what did best on held-out samples."""
+        return bool(self.network.outer.any() or self.network.offset.any())
+
+    @cached_property
     def _features(self) -> FeatureSet:
         return feature_set(self.features)
 
@@ -494,8 +508,8 @@ def _chunks(count: int) -> Iterator[slice]:
 _SCHEMA = 'fuzzycnc/deformation-model'
 """What a model file says it is."""
 
-_SCHEMA_VERSION = 1
-"""Version of the layout."""
+_SCHEMA_VERSIONS = (1, 2)
+"""Versions of the layout; 2 has rules whose fitness is not normalised, those of a process."""
 
 MODEL_SIZE_MAX = 4 * 1024 * 1024
 """Largest document that is read [characters]; a default model takes 0.03 million."""
@@ -508,7 +522,7 @@ def write_model(model: DeformationModel) -> str:
     names = FEATURE_SETS[model.features].names
     document = {
         'schema': _SCHEMA,
-        'schema_version': _SCHEMA_VERSION,
+        'schema_version': 1 if network.normalised else 2,
         'units': {'direction': 'deg', 'length': 'mm', 'compensation': 'mm per 50 mm'},
         'features': model.features,
         'inputs': [names[at] for at in model.columns],
@@ -546,13 +560,14 @@ def read_model(text: str) -> DeformationModel:
     if root.get('schema').text() != _SCHEMA:
         root.get('schema').refuse(f'the schema {_SCHEMA!r}')
     version = root.get('schema_version')
-    if type(version.value) is not int or version.value != _SCHEMA_VERSION:
-        version.refuse(f'schema version {_SCHEMA_VERSION}; train the model anew')
+    if type(version.value) is not int or version.value not in _SCHEMA_VERSIONS:
+        known = ' or '.join(map(str, _SCHEMA_VERSIONS))
+        version.refuse(f'schema version {known}; train the model anew')
     features = root.get('features').text()
     if features not in FEATURE_SETS:
         root.get('features').refuse(f'one of {", ".join(FEATURE_SETS)}')
     columns = _columns(root.get('inputs'), FEATURE_SETS[features].names)
-    network = _network(root, len(columns))
+    network = _network(root, len(columns), normalised=version.value == 1)
     gate = root.get('gate')
     low = _vector(gate.get('low'), len(PROCESS_VALUES))
     return DeformationModel(
@@ -578,7 +593,7 @@ def _columns(node: Node, names: tuple[str, ...]) -> tuple[int, ...]:
     return columns
 
 
-def _network(root: Node, inputs: int) -> RuleNetwork:
+def _network(root: Node, inputs: int, *, normalised: bool) -> RuleNetwork:
     rules = root.get('rules')
     center = rules.get('center').matrix(inputs)
     width = rules.get('width').matrix(inputs)
@@ -594,12 +609,14 @@ def _network(root: Node, inputs: int) -> RuleNetwork:
         root.get('offset').refuse('two numbers, X and Y')
     inner = root.get('inner')
     weights = None if inner.value is None else _cube(inner, len(offset), inputs + 1)
+    if not normalised and weights is not None:
+        inner.refuse('none in version 2')
     outer = _cube(root.get('outer'), len(offset), len(center))
-    if outer.shape[1] != (inputs + 1 if weights is None else weights.shape[1]):
+    linear = inputs + 1 if normalised else 1
+    if outer.shape[1] != (linear if weights is None else weights.shape[1]):
         root.get('outer').refuse('as many rows as there are hidden nodes')
-    return RuleNetwork(
-        Antecedent(center, width, decay.number(), int(power.number())), weights, outer, offset
-    )
+    antecedent = Antecedent(center, width, decay.number(), int(power.number()))
+    return RuleNetwork(antecedent, weights, outer, offset, normalised)
 
 
 def _cube(node: Node, first: int, last: int) -> Array:

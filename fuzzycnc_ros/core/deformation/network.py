@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from fuzzycnc_ros.core.arrays import Array, Seed, check_matrix
 from fuzzycnc_ros.core.deformation.features import (
     check_process_values,
+    direction_doubts,
     feature_set,
     folded_samples,
     lapped,
     load,
-    looks_like_radians,
 )
 from fuzzycnc_ros.core.deformation.model import (
     SUPPORT_QUANTILE,
@@ -432,12 +432,7 @@ class TSFuzzyNetwork(RegressionEstimator):
                 f's, groups: expected one per row of x ({len(rows)}), but found {len(target)} '
                 f'and {group.shape}'
             )
-        problems = []
-        if looks_like_radians(rows, target):
-            problems.append(
-                'the compensations follow the directions as radians; they are taken as degrees: '
-                'multiply them by 57.29578 if they are radians'
-            )
+        problems = list(direction_doubts(rows, target))
         given, (taken, rows, sign) = len(rows), lapped(rows)
         group, target = group[taken], target[taken] * sign[:, np.newaxis]
         features = feature_set(self.features)

@@ -185,12 +185,15 @@ class Samples:
         Samples that must not be torn apart between training and judgement.
     lines : tuple of str
         Where they are from, and what was left out.
+    where : tuple of str
+        Where each one is from.
     """
 
     x: Array
     s: Array
     groups: NDArray[np.int64]
     lines: tuple[str, ...]
+    where: tuple[str, ...]
 
 
 def read_samples(sources: Sequence[Path]) -> Samples:
@@ -231,7 +234,8 @@ def _read_csv(path: Path) -> Samples:
         _, groups = np.unique(found.labels, return_inverse=True)
         how = 'one sheet'
     said = f'{path}: {len(table)} samples in {len(np.unique(groups))} groups of {how}'
-    return Samples(x, s, groups, (said, *_doubts(s)))
+    where = tuple(f'line {number}' for number in found.lines)
+    return Samples(x, s, groups, (said, *_doubts(s)), where)
 
 
 def _check_units(path: Path, table: Array) -> None:
@@ -288,4 +292,5 @@ def _read_bags(bags: Sequence[Path]) -> Samples:
         'path or equal process'
     ]
     lines += [f'left out: {count} {reason}' for reason, count in sorted(left_out.items())]
-    return Samples(x, s, groups, tuple(lines))
+    where = tuple(recordings.paths[number].source for number in found.path)
+    return Samples(x, s, groups, tuple(lines), where)

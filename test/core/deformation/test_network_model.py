@@ -135,7 +135,8 @@ def changed(document, path, value):
     ('path', 'value', 'message'),
     [
         (('schema',), 'fuzzycnc/thermal-model', 'expected the schema'),
-        (('schema_version',), 2, 'expected schema version 1'),
+        (('schema_version',), 3, 'expected schema version 1 or 2'),
+        (('schema_version',), 2, 'expected none in version 2'),
         (('features',), 'all', 'expected one of load'),
         (('inputs',), ['sin', 'cos'], 'in this order'),
         (('inputs',), ['cos'], 'expected 1 numbers'),
