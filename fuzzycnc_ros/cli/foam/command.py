@@ -34,7 +34,7 @@ HELP = """Compensate patterns on soft material: show, train, compensate, learn.
         --step 3mm --out quilt_compensated.ngc
     fuzzycnc foam learn monday --out offsets.json
 
-`deformation_compensator` uses both files on a machine.
+`foam compensate` and `deformation_compensator` take both kinds of files.
 """
 
 FEATURES = ('load', 'physical', 'thickness', 'paper')
@@ -221,11 +221,16 @@ def _train(
 
 def _adapt(samples: 'Samples', source: Path, out: Path, json_file: Path | None) -> None:
     """Fit the gains of a model to samples, and write it."""
-    from fuzzycnc_ros.core.deformation.model import write_model
+    from fuzzycnc_ros.core.deformation.model import DeformationModel, write_model
     from fuzzycnc_ros.core.names import text_hash
     from fuzzycnc_ros.studies.soft.foam_learning import fit_gains
 
     model = read_model_file(source)
+    if not isinstance(model, DeformationModel):
+        raise ValueError(
+            f'{source}: expected a model of `foam train` but found offsets of one track, which '
+            'have no gains'
+        )
     for line in samples.lines:
         say(line)
     try:

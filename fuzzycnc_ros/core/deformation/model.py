@@ -556,7 +556,13 @@ def read_model(text: str) -> DeformationModel:
         If the text is too large, no JSON, of another schema or version, or holds a value of
         another type, shape or range.
     """
-    root = parse_document(text, 'model file', MODEL_SIZE_MAX)
+    return model_of(text, parse_document(text, 'model file', MODEL_SIZE_MAX))
+
+
+def model_of(text: str, root: Node) -> DeformationModel:
+    """Return the model of a document and its parsed content; errors as `read_model`."""
+    if len(text) > MODEL_SIZE_MAX:
+        root.refuse(f'at most {MODEL_SIZE_MAX} characters')
     if root.get('schema').text() != _SCHEMA:
         root.get('schema').refuse(f'the schema {_SCHEMA!r}')
     version = root.get('schema_version')
