@@ -176,7 +176,7 @@ def tune_machine_axis(
         remark(line)
     winner = found.winner
     axes = dict(machine.axes)
-    axes[name] = replace(data, controller=winner.name, settings=winner.settings)
+    axes[name] = found.tuned(data)
     about = (
         f'controller of {name}: tuned, seed {effort.seed}, {winner.trials} trials for each of '
         f'{len(controllers)} kinds'

@@ -66,6 +66,18 @@ class Learnt:
             f'{1e3 * self.max_deviation:.3f} mm at most; largest new offset '
             f'{1e3 * self.largest:.3f} mm'
         ]
+        lines += self.doubts()
+        if self.believed.corrects and self.believed.reach:
+            lines.append(
+                f'smoothed over {self.believed.reach} stitches to either side, which leaves '
+                f'{1e3 * self.believed.error:.3f} mm of held-out ones instead of '
+                f'{1e3 * self.believed.error_none:.3f} mm'
+            )
+        return lines
+
+    def doubts(self) -> list[str]:
+        """Return what of it may surprise."""
+        lines = []
         error, none = 1e3 * self.believed.error, 1e3 * self.believed.error_none
         if self.outliers:
             more = len(self.outliers) - NAMED
@@ -78,11 +90,6 @@ class Learnt:
                 'no correction: held-out stitches show no deformation beyond chance '
                 f'({error:.3f} mm off with one, {none:.3f} mm without); the offsets stay as they '
                 'were'
-            )
-        elif self.believed.reach:
-            lines.append(
-                f'smoothed over {self.believed.reach} stitches to either side, which leaves '
-                f'{error:.3f} mm of held-out ones instead of {none:.3f} mm'
             )
         if self.limited:
             lines.append(f'note: {self.limited} steps are limited; the track is not learnt there')

@@ -161,6 +161,8 @@ class TrainedModel:
         Samples that were left out, where they are from.
     lines : tuple of str
         What is to be said.
+    notes : tuple of str
+        What of it is a doubt.
     """
 
     model: DeformationModel
@@ -168,6 +170,7 @@ class TrainedModel:
     judged: FoamTraining
     outliers: tuple[str, ...]
     lines: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 @single_threaded
@@ -215,14 +218,20 @@ def train_model(
         'gaussian_process': gaussian_process,
     }
     named = METHODS | {'network': CONSEQUENTS[settings.get('consequent', 'nts')]}
-    rivals = [Rival(named[key], _fitted(make)) for key, make in trainers.items()]
-    rivals += [network(named['network'], **settings), *others]
+    compared = list(METHODS) if method == AUTO else list(dict.fromkeys(('none', method)))
+    rivals = [
+        Rival(named[key], _fitted(trainers[key]))
+        if key in trainers
+        else network(named[key], **settings)
+        for key in compared
+    ]
+    rivals += others
     judged = judge_training(
         x, s, groups, rivals, seed=int(settings.get('random_state', 0)), progress=progress
     )
-    chosen = _chosen(judged, s, groups) if method == AUTO else list(METHODS).index(method)
+    chosen = _chosen(judged, s, groups) if method == AUTO else compared.index(method)
     judged = replace(judged, used=chosen)
-    name = list(METHODS)[chosen]
+    name = compared[chosen]
     notes: tuple[str, ...]
     if name == 'network':
         fitted = TSFuzzyNetwork(**settings).fit(x, s, groups)
@@ -232,10 +241,11 @@ def train_model(
     lines = [*_outlier_lines(samples, out), *(f'note: {note}' for note in notes)]
     if method == AUTO:
         lines.append(_choice_line(judged, name))
+    doubts = tuple(lines[:-1] if method == AUTO and name != 'none' else lines)
     if model.corrects:
         lines.append(_gate_line(model))
     places = tuple(samples.where[at] for at in np.flatnonzero(out))
-    return TrainedModel(model, name, judged, places, tuple(lines))
+    return TrainedModel(model, name, judged, places, tuple(lines), doubts)
 
 
 def _fitted(make: Callable[[Array, Array], DeformationModel]) -> Trainer:
