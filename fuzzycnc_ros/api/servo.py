@@ -32,12 +32,12 @@ from fuzzycnc_ros.machine_file.reader import read_machine_file
 from fuzzycnc_ros.machine_file.writer import machine_text
 from fuzzycnc_ros.simulation.servo.axes import simulated_axis
 from fuzzycnc_ros.simulation.servo.axis_tuning import AxisTuning, axis_cases, tune_controller
-from fuzzycnc_ros.simulation.servo.positioning import Plant, position
+from fuzzycnc_ros.simulation.servo.positioning import DrivenAxis, position
 
 __all__ = [
     'AXIS_CONTROLLERS',
     'AxisData',
-    'Plant',
+    'DrivenAxis',
     'VariableUniverseController',
     'controller',
     'identify',

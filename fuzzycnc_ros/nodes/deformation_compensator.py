@@ -88,7 +88,7 @@ def use_files(component: DeformationCompensator, request: Request | None = None)
 def _load(name: str, file: str, request: Request) -> str:
     """Put a file to use, none if its name is empty; return what is wrong with it."""
     try:
-        text = file_text(file, soft_model.SIZE_MAX) if file else ''
+        text = file_text(file, soft_model.SOFT_FILE_MAX) if file else ''
     except ValueError as error:
         return f'{file}: {error}'
     answer = request(f'use_{name}', {name: text})

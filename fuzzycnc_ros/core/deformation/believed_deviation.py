@@ -20,13 +20,13 @@ AS_MEASURED = 0
 REACHES = (AS_MEASURED, 2, 4, 8, 16, 32, 64)
 """Reaches that are tried, to either side [stitches]."""
 
-OUTLIER = 6.0
+STRAY = 6.0
 """Distance from the neighbours, in robust standard deviations, that is an outlier [-]."""
 
-OUTLIER_MIN = 0.25e-3
+STRAY_MIN = 0.25e-3
 """Least such distance [m]: a sheet bends by as much at a corner, without any noise."""
 
-OUTLIERS_MAX = 0.2
+STRAY_SHARE_MAX = 0.2
 """Largest share of outliers [-]; beyond it they are taken for the noise."""
 
 CHANCE = 0.01
@@ -148,7 +148,7 @@ def _outliers(deviation: Array, way: Array, side: NDArray[np.int64]) -> NDArray[
         if (now == out).all():
             break
         out = now
-    return out if out.mean() <= OUTLIERS_MAX else np.zeros(len(way), bool)
+    return out if out.mean() <= STRAY_SHARE_MAX else np.zeros(len(way), bool)
 
 
 def _far(distance: Array, out: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -156,7 +156,7 @@ def _far(distance: Array, out: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if out.all():
         return out
     scale = float(np.median(distance[~out])) / _RAYLEIGH_MEDIAN
-    return np.asarray(distance > max(OUTLIER * scale, OUTLIER_MIN))
+    return np.asarray(distance > max(STRAY * scale, STRAY_MIN))
 
 
 def _held_out(outlier: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:

@@ -34,14 +34,14 @@ PROCESS_MAX = 1000
 SEARCH_MAX = 150
 """Samples from which the scales of a Gaussian process are found; with 400 it is no better."""
 
-OUTLIER = 6.0
+CONTRADICTING = 6.0
 """Distance from what the others say, in robust standard deviations, that is an outlier [-].
 
 On the simulated sheet (265 samples, data seeds 100 to 111) it names 0.2 % of honest samples, and
 of 5 % that were moved by 3 to 10 mm it finds 96 %; of 20 samples it finds every second one.
 """
 
-OUTLIERS_MAX = 0.2
+CONTRADICTING_MAX = 0.2
 """Largest share of outliers [-]; beyond it the samples contradict one another."""
 
 _ROUNDS = 6
@@ -269,7 +269,7 @@ def outlying(x: Array, s: Array) -> NDArray[np.bool_]:
     """Return which samples contradict all others, shape (k,).
 
     A Gaussian process says of each sample what the others make of it; what lies more than
-    `OUTLIER` robust standard deviations off, as compensation and as compensation per load, is
+    `CONTRADICTING` robust standard deviations off, as compensation and per load, is
     left out of the next round, until nothing changes.
 
     Parameters
@@ -293,8 +293,8 @@ def outlying(x: Array, s: Array) -> NDArray[np.bool_]:
             left[out] = gaussian_process(x[~out], s[~out]).predict(x[out]) - s[out]
         distance = np.hypot(*left.T)
         score = np.min([_scaled(distance, out), _scaled(distance / weight, out)], axis=0)
-        now = score > OUTLIER
-        if now.mean() > OUTLIERS_MAX:
+        now = score > CONTRADICTING
+        if now.mean() > CONTRADICTING_MAX:
             return np.zeros(len(x), bool)
         if (now == out).all():
             break

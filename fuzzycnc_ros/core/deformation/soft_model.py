@@ -26,7 +26,7 @@ from fuzzycnc_ros.core.document import parse_document
 SoftModel = DeformationModel | StitchOffsets
 """What compensates a path: a model, or the learnt offsets of one track."""
 
-SIZE_MAX = OFFSETS_SIZE_MAX
+SOFT_FILE_MAX = OFFSETS_SIZE_MAX
 """Largest document that is read [characters]."""
 
 
@@ -38,7 +38,7 @@ def read_soft_model(text: str) -> SoftModel:
     ModelFileError
         If it is neither.
     """
-    root = parse_document(text, 'model file', SIZE_MAX)
+    root = parse_document(text, 'model file', SOFT_FILE_MAX)
     if isinstance(root.value, dict) and 'format' in root.value:
         return offsets_of(root)
     return model_of(text, root)

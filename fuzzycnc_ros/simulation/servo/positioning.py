@@ -84,7 +84,7 @@ def settle_times(time: Array, error: Array, tolerance: float) -> Array:
     return np.asarray(np.where(far.any(axis=-1), after, time[0]))
 
 
-class Plant(Protocol):
+class DrivenAxis(Protocol):
     """A driven axis of your own: a control period is `measure`, then `drive`."""
 
     @property
@@ -108,7 +108,7 @@ NEEDED = {
     'measure': 'a method that returns the measured position [m]',
     'drive': 'a method that holds a duty, -1 to 1, for one period',
 }
-"""Attributes of a `Plant`, and what they give."""
+"""Attributes of a `DrivenAxis`, and what they give."""
 
 
 def check_plant(plant: object) -> None:
@@ -141,7 +141,7 @@ def check_plant(plant: object) -> None:
 
 def position(
     controller: AxisController,
-    plant: Plant,
+    plant: DrivenAxis,
     reference: float | Reference,
     duration: float | None = None,
 ) -> PositioningRun:
@@ -153,7 +153,7 @@ def position(
     ----------
     controller : AxisController
         Controller with the plant's period.
-    plant : Plant
+    plant : DrivenAxis
         Axis, simulated or your own; it keeps its state, so that moves can follow each other.
     reference : float or Reference
         Target of a step [m], or positions, velocities and accelerations over time.
