@@ -44,6 +44,7 @@ __all__ = [
     'plot_run',
     'read_run',
     'residual',
+    'save_model',
     'to_dataframe',
     'train',
 ]
@@ -98,6 +99,17 @@ def read_run(path: str | os.PathLike[str], **options: Any) -> ThermalRun:
         bag = Path(folder) / 'run'
         import_csv(source, bag, CsvMapping(**options))
         return read_bag(bag, name=source.stem)
+
+
+def save_model(model: ThermalModel, path: str | os.PathLike[str]) -> None:
+    """Write a model as a file, as `fuzzycnc train` does, for nodes, commands and `load_model`.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    Path(path).write_text(model.to_json(), encoding='utf-8')
 
 
 def to_dataframe(run: ThermalRun) -> DataFrame:

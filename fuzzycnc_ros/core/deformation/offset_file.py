@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.document import parse_document
+from fuzzycnc_ros.core.document import Node, parse_document
 
 FORMAT = 'fuzzycnc stitch offsets'
 """What the file says it is."""
@@ -58,6 +58,10 @@ class StitchOffsets:
             return f'offsets of the pattern {self.path_id!r}, not of {path_id!r}'
         if material != self.material:
             return f'offsets for the material {self.material!r}, not for {material!r}'
+        return self.other_points(nominal)
+
+    def other_points(self, nominal: Array) -> str:
+        """Return how nominal points, shape (k + 1, 2) [m], differ; nothing if they do not."""
         if nominal.shape != self.nominal.shape:
             return f'offsets of {len(self.nominal)} points, not of {len(nominal)}'
         apart = np.hypot(*(nominal - self.nominal).T)
@@ -92,7 +96,11 @@ def read_offsets(text: str) -> StitchOffsets:
         If the text is too large, no JSON, of another format or version, or holds points that are
         not finite or not parallel.
     """
-    root = parse_document(text, 'offsets file', OFFSETS_SIZE_MAX)
+    return offsets_of(parse_document(text, 'offsets file', OFFSETS_SIZE_MAX))
+
+
+def offsets_of(root: Node) -> StitchOffsets:
+    """Return the offsets of a parsed document; errors as `read_offsets`."""
     if root.get('format').text() != FORMAT:
         root.get('format').refuse(f'the format {FORMAT!r}')
     version = root.get('version')
