@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import LENGTH_MIN, NUMBER_MAX, Array
 from fuzzycnc_ros.core.deformation.features import (
     FEATURE_SETS,
     PROCESS_VALUES,
@@ -515,17 +515,17 @@ def read_model(text: str) -> DeformationModel:
     columns = _columns(root.get('inputs'), FEATURE_SETS[features].names)
     network = _network(root, len(columns))
     gate = root.get('gate')
-    low = _vector(gate.get('low'), len(PROCESS_VALUES))
+    low = _vector(gate.get('low'), len(PROCESS_VALUES), -NUMBER_MAX)
     return DeformationModel(
         features,
         columns,
         network,
         Gate(
             low,
-            _at_least(gate.get('high'), _vector(gate.get('high'), len(low)), low),
-            gate.get('ratio_low').number(),
-            gate.get('ratio_high').number(),
-            gate.get('support_min').number(),
+            _at_least(gate.get('high'), _vector(gate.get('high'), len(low), -NUMBER_MAX), low),
+            gate.get('ratio_low').number(0.0, NUMBER_MAX),
+            gate.get('ratio_high').number(0.0, NUMBER_MAX),
+            gate.get('support_min').number(-NUMBER_MAX, NUMBER_MAX),
         ),
         _gain(root.get('gain'), len(network.offset)),
     )
@@ -541,39 +541,35 @@ def _columns(node: Node, names: tuple[str, ...]) -> tuple[int, ...]:
 
 def _network(root: Node, inputs: int) -> RuleNetwork:
     rules = root.get('rules')
-    center = rules.get('center').matrix(inputs)
-    width = rules.get('width').matrix(inputs)
-    if not len(center) or len(width) != len(center) or not (width > 0.0).all():
-        rules.get('width').refuse(f'positive widths of {len(center)} rules, at least one')
-    decay, power = rules.get('decay'), rules.get('power')
-    if not decay.number() > 0.0:
-        decay.refuse('more than 0')
+    center = rules.get('center').matrix(inputs, -NUMBER_MAX, NUMBER_MAX)
+    width = rules.get('width').matrix(inputs, LENGTH_MIN, NUMBER_MAX)
+    if not len(center) or len(width) != len(center):
+        rules.get('width').refuse(f'widths of {len(center)} rules, at least one')
+    decay, power = rules.get('decay').number(LENGTH_MIN, NUMBER_MAX), rules.get('power')
     if power.value not in (1, 2):
         power.refuse('1 or 2')
-    offset = root.get('offset').vector()
-    if len(offset) != 2:
-        root.get('offset').refuse('two numbers, X and Y')
+    offset = _vector(root.get('offset'), 2, -NUMBER_MAX)
     inner = root.get('inner')
     weights = None if inner.value is None else _cube(inner, len(offset), inputs + 1)
     outer = _cube(root.get('outer'), len(offset), len(center))
     if outer.shape[1] != (inputs + 1 if weights is None else weights.shape[1]):
         root.get('outer').refuse('as many rows as there are hidden nodes')
     return RuleNetwork(
-        Antecedent(center, width, decay.number(), int(power.number())), weights, outer, offset
+        Antecedent(center, width, decay, int(power.number())), weights, outer, offset
     )
 
 
 def _cube(node: Node, first: int, last: int) -> Array:
     """Return `first` matrices of equal numbers of rows and `last` columns."""
-    matrices = [item.matrix(last) for item in node.list()]
+    matrices = [item.matrix(last, -NUMBER_MAX, NUMBER_MAX) for item in node.list()]
     sizes = {len(item) for item in matrices}
     if len(matrices) != first or len(sizes) != 1 or 0 in sizes:
         node.refuse(f'{first} matrices of equal size')
     return np.stack(matrices)
 
 
-def _vector(node: Node, size: int) -> Array:
-    values = node.vector()
+def _vector(node: Node, size: int, low: float, high: float = NUMBER_MAX) -> Array:
+    values = node.vector(low, high)
     if len(values) != size:
         node.refuse(f'{size} numbers')
     return values
@@ -586,9 +582,7 @@ def _at_least(node: Node, values: Array, low: Array) -> Array:
 
 
 def _gain(node: Node, size: int) -> AxisGain:
-    value, variance = _vector(node.get('value'), size), _vector(node.get('variance'), size)
-    if not ((value >= GAIN_MIN) & (value <= GAIN_MAX)).all():
-        node.get('value').refuse(f'gains from {GAIN_MIN:g} to {GAIN_MAX:g}')
-    if not (variance >= 0.0).all():
-        node.get('variance').refuse('no negative variance')
-    return AxisGain(value, variance)
+    return AxisGain(
+        _vector(node.get('value'), size, GAIN_MIN, GAIN_MAX),
+        _vector(node.get('variance'), size, 0.0),
+    )
