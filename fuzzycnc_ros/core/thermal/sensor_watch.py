@@ -109,8 +109,11 @@ def moment_of(rise: Array) -> Array:
     return np.asarray(rise.T @ rise)
 
 
-MOMENT_MIN = 1e-18
+MOMENT_MIN = 1e-9
 """Least mean square of a sensor that rose at all [K^2]."""
+
+MOMENT_ROUNDING = 1e-6
+"""Excess that moments have from being rounded in a file [K^2]."""
 
 
 def _is_moment(moment: Array) -> bool:
@@ -120,7 +123,8 @@ def _is_moment(moment: Array) -> bool:
         return False
     scale = _scale_of(moment)
     alike = moment / np.outer(scale, scale)
-    return bool(np.linalg.eigvalsh(alike).min(initial=0.0) > -0.5 * MATE_RIDGE)
+    rounding = len(moment) * MOMENT_ROUNDING / float((scale**2).min(initial=1.0))
+    return bool(np.linalg.eigvalsh(alike).min(initial=0.0) > -0.5 * MATE_RIDGE - rounding)
 
 
 def _scale_of(moment: Array) -> Array:

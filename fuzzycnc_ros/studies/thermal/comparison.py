@@ -273,7 +273,8 @@ def judged_document(judged: 'Evaluation') -> dict[str, Any]:
     Returns
     -------
     dict
-        `window_s`: first and last time; `samples`, `covered`, `half_width_um`: by channel;
+        `window_s`: first and last time; `samples`, `covered`, `half_width_um` and the number of
+        `independent` residuals: by channel; `false_band`: channels whose band holds far less;
         `in_domain`; `warm_K`: sensor -> difference to a cold start; `trained_on`: training run ->
         share of the judged samples; `worse_than_none`: channels in which the default leaves more
         than no compensation.
@@ -287,6 +288,8 @@ def judged_document(judged: 'Evaluation') -> dict[str, Any]:
         'trained_on': dict(judged.trained_on),
         'covered': dict(zip(names, judged.covered, strict=True)),
         'half_width_um': dict(zip(names, 1e6 * judged.half_width, strict=True)),
+        'independent': dict(zip(names, judged.independent, strict=True)),
+        'false_band': list(judged.false_band()),
         'worse_than_none': worse_than_none(names, judged.rms),
     }
 

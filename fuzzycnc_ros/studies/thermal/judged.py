@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core.thermal.band import is_false_band
 from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.fit.evaluation import pooled_coverage
 from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
 
@@ -19,12 +21,20 @@ if TYPE_CHECKING:
     Figures = Mapping[str, NDArray[np.float64]]
 
 
-def remarks_on(judged: 'Evaluation') -> list[Remark]:
-    """Return what a reader of a judged run has to know: window, start, domain, band, losses."""
+def remarks_on(judged: 'Evaluation', runs: int = 1) -> list[Remark]:
+    """Return what a reader of a judged run has to know: window, start, domain, band, losses.
+
+    Parameters
+    ----------
+    judged : Evaluation
+        The run.
+    runs : int
+        Number of runs that are judged, each by itself.
+    """
     remarks = [Remark(window_text(judged))]
     if judged.warm:
         remarks.append(Remark(warm_text(judged.run, judged.warm), True))
-    remarks.append(Remark(band_text(judged)))
+    remarks.append(_band_of(judged, runs))
     return remarks + loss_remarks(judged.run, judged.channel, judged.rms)
 
 
@@ -102,16 +112,67 @@ def kelvins(warm: Mapping[str, float]) -> str:
     return ', '.join(f'{name} {kelvin:+.1f} K' for name, kelvin in warm.items())
 
 
-def band_text(judged: 'Evaluation') -> str:
-    """Return how much of what is left the band of the default holds, and how wide it is."""
+def band_remark(
+    run: str,
+    channel: Sequence[str],
+    covered: NDArray[np.float64],
+    half_width: NDArray[np.float64],
+    independent: NDArray[np.float64],
+    runs: int = 1,
+) -> Remark:
+    """Return how much of what is left the band holds, how wide it is, and whether it is false.
+
+    Parameters
+    ----------
+    run : str
+        Name of the run.
+    channel : sequence of str, length c
+        Channels.
+    covered, half_width, independent : ndarray, shape (c,)
+        As in `Evaluation`.
+    runs : int
+        Number of runs that are judged, each by itself.
+    """
     each = [
         f'{100.0 * share:.0f} % of {name} (\u00b1{micrometres(width)} \u00b5m)'
-        for name, share, width in zip(
-            judged.channel, judged.covered, judged.half_width, strict=True
-        )
+        for name, share, width in zip(channel, covered, half_width, strict=True)
         if np.isfinite(share)
     ]
-    return f'{judged.run}: the band of two standard deviations holds {", ".join(each)}'
+    text = f'{run}: the band of two standard deviations holds {", ".join(each)}'
+    figures = zip(channel, covered, independent, strict=True)
+    false = {name: count for name, share, count in figures if is_false_band(share, count, runs)}
+    if not false:
+        return Remark(text)
+    counts = '/'.join(dict.fromkeys(f'{count:.0f}' for count in false.values()))
+    return Remark(
+        f'{text}; it promises 95 %, and chance does not explain so few of {", ".join(false)} '
+        f'(as good as {counts} independent samples): {_ADVICE}',
+        True,
+    )
+
+
+_ADVICE = 'do not rely on it, and train on runs like this as well'
+
+
+def _band_of(judged: 'Evaluation', runs: int = 1) -> Remark:
+    figures = judged.covered, judged.half_width, judged.independent
+    return band_remark(judged.run, judged.channel, *figures, runs=runs)
+
+
+def false_band_remarks(judged: 'Sequence[Evaluation]') -> list[Remark]:
+    """Return in which runs, and over all of them, the band holds far less than it promises."""
+    each = [_band_of(item, len(judged)) for item in judged]
+    remarks = [remark for remark in each if remark.warning]
+    shares, numbers = pooled_coverage(judged)
+    false = [
+        f'{100.0 * share:.0f} % of {name}'
+        for name, share, number in zip(judged[0].channel, shares, numbers, strict=True)
+        if is_false_band(share, number)
+    ]
+    if false and len(judged) > 1:
+        text = f'over {len(judged)} runs the band holds {", ".join(false)}; it promises 95 %'
+        remarks.append(Remark(f'{text}: {_ADVICE}', True))
+    return remarks
 
 
 def worse_than_none(channel: Sequence[str], rms: 'Figures', name: str = DEFAULT) -> list[str]:
