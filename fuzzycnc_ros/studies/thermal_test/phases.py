@@ -135,7 +135,9 @@ def find_phases(
             phases.append(replace(item, kind=(kinds or {})[item.name]))
         else:
             phases += _as_measured(item, recording, cut=not given)
-    return replace(found, phases=tuple(phases))
+    same = [item.name for item in phases] == [item.name for item in found.phases]
+    source = found.source if same else f'{found.source}; where the spindle did otherwise, by that'
+    return PhaseList(tuple(phases), source)
 
 
 def _as_measured(phase: Phase, recording: TestRecording, *, cut: bool) -> list[Phase]:

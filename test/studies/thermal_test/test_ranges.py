@@ -274,7 +274,9 @@ def late(at):
 
 def test_marked_phases_are_cut_and_named_by_what_the_spindle_did(tmp_path):
     bag = write_test(tmp_path / 'test', speed=late)
-    found = [(i.phase.name, i.phase.kind, i.phase.start, i.phase.end) for i in judged(bag).phases]
+    test = judged(bag)
+    assert test.source == 'marked in the bag; where the spindle did otherwise, by that'
+    found = [(i.phase.name, i.phase.kind, i.phase.start, i.phase.end) for i in test.phases]
     assert found == [
         ('environment', 'environment', 0.0, 2 * HOUR),
         ('spindle 6000: spindle at rest', 'environment', 2 * HOUR, 3 * HOUR),
