@@ -3,6 +3,7 @@
 """Node `temperature_acquisition`: drivers bring readings, the component checks and averages."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from rclpy.node import Node
@@ -37,6 +38,9 @@ class TemperatureAcquisitionNode(ComponentNode):
             )
         self._named: dict[str, Any] = {}
         self._source = open_source(node, config, self.component.frame('machine'))
+        if own := self._source.sensor_limits:
+            limits = (*own, *config.sensor_limits)
+            self.component.reconfigure(replace(config, sensor_limits=limits))
         node.create_service(SetThermalReference, 'set_thermal_reference', self._on_reference)
 
     def stop(self) -> None:

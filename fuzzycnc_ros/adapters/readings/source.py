@@ -19,6 +19,11 @@ READINGS = 'sensor_readings'
 class Source:
     """A driver; this one brings nothing: readings come on the topic by themselves."""
 
+    @property
+    def sensor_limits(self) -> tuple[str, ...]:
+        """Limits of single sensors that what is read states, as the parameter of this name."""
+        return ()
+
     def health(self) -> list[Health]:
         """Report on what the readings come from."""
         return []
