@@ -106,6 +106,9 @@ class CsvMapping:
         Spindle-speed column.
     spindle_speed_unit : {'rpm', 'rad/s'}
         Its unit.
+    sensor_limits : sequence of str
+        Limits of sensors that are not those of a machine's metal, such as `bed:range_high:250`;
+        the names are those of the columns.
     rename : mapping
         Column name to the name of the sensor or channel in the bag.
     encoding : str
@@ -135,6 +138,7 @@ class CsvMapping:
     time_format: str | None = None
     temperatures: Sequence[str] = ()
     temperature_unit: str = 'degC'
+    sensor_limits: Sequence[str] = ()
     displacements: Sequence[Channel | str] = ()
     spindle_speed: str | None = None
     spindle_speed_unit: str = 'rpm'

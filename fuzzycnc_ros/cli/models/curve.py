@@ -26,7 +26,16 @@ from fuzzycnc_ros.cli.models.recorded_runs import (
     gap_lines,
     sensors_but,
 )
-from fuzzycnc_ros.cli.options import Bags, DropSensor, End, Interval, Report, Seed, Start
+from fuzzycnc_ros.cli.options import (
+    Bags,
+    DropSensor,
+    End,
+    Interval,
+    Report,
+    Seed,
+    SensorLimits,
+    Start,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,8 +53,9 @@ def curve(
     counts: Annotated[
         list[str], typer.Option(metavar='N,...', help='Numbers of sensors to try.')
     ] = ['1,2,3,5,8,10,15'],  # noqa: B006 - typer copies it
-    interval: Interval = 60.0,
+    interval: Interval = None,
     drop_sensor: DropSensor = None,
+    sensor_limits: SensorLimits = None,
     start: Start = None,
     end: End = None,
     seed: Seed = 0,
@@ -63,7 +73,7 @@ def curve(
         fuzzycnc curve shift --counts 1,2,4,8 --report sensors.html
     """
     from fuzzycnc_ros.core.thermal.fit.comparison import splits
-    from fuzzycnc_ros.core.thermal.fit.training import at_interval
+    from fuzzycnc_ros.core.thermal.fit.training import at_interval, training_interval
     from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
     from fuzzycnc_ros.studies.thermal.sensor_curve import (
         SensorCurves,
@@ -75,7 +85,8 @@ def curve(
     check_at_least('--seed', seed, 0)
     numbers = _numbers(counts)
     check_folder(report, json_file)
-    read = read_runs(bags, start, end, sensors_but(drop_sensor, bags))
+    read = read_runs(bags, start, end, sensors_but(drop_sensor, bags), sensor_limits or ())
+    interval = training_interval(read, interval)
     runs = [at_interval(run, interval) for run in read]
     check_training_runs(runs)
     held_out = splits(runs, interval=interval)

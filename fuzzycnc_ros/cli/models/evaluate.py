@@ -28,7 +28,14 @@ from fuzzycnc_ros.cli.models.many_bags import (
     with_each,
 )
 from fuzzycnc_ros.cli.models.recorded_runs import gap_lines
-from fuzzycnc_ros.cli.options import End, OptionalText, Report, Start, given
+from fuzzycnc_ros.cli.options import (
+    End,
+    OptionalText,
+    Report,
+    SensorLimits,
+    Start,
+    given,
+)
 from fuzzycnc_ros.cli.quantities import DURATIONS, quantity
 from fuzzycnc_ros.studies.thermal.missing_readings import Bridged
 
@@ -58,6 +65,7 @@ def evaluate(
     model: Annotated[
         Path, typer.Option(metavar='MODEL', help='Model file made by `fuzzycnc train`.')
     ],
+    sensor_limits: SensorLimits = None,
     start: Start = None,
     end: End = None,
     probe_every: Annotated[
@@ -79,10 +87,10 @@ def evaluate(
     Rows that the model was trained on prove nothing; what of them was judged is named.
 
     The band of a model promises to hold 95 % of what is left. Where it holds so little that chance
-    does not explain it, the first lines and the page say so, and the exit code is 1: less than
-    90 %, and with a probability of 5 % or less as many outside of as many independent samples as
-    the run is worth (`independent` in the figures of --json). `false_band` there lists the
-    channels.
+    does not explain it, the first lines and the page say so, and the exit code is 1: it holds less
+    than 90 %, and with a probability of 5 % or less so many of as many independent samples as the
+    run is worth (`independent` in the figures of --json) would be outside, or so large.
+    `false_band` there lists the channels.
 
     A channel in which the default leaves more than there was without compensation is marked and
     named. That alone leaves the exit code at 0: scripts test `worse_than_none` in the figures of
@@ -115,6 +123,7 @@ def evaluate(
     work = partial(
         judge_bag,
         model_text=document,
+        sensor_limits=sensor_limits or (),
         start=start,
         end=end,
         probe_every=every,
@@ -159,6 +168,7 @@ def judge_bag(
     progress: 'Progress',
     *,
     model_text: str,
+    sensor_limits: 'Sequence[str]' = (),
     start: float | None,
     end: float | None,
     probe_every: float | None,
@@ -177,7 +187,7 @@ def judge_bag(
 
     progress('evaluating', bag.name, 0, 1)
     trained = load_model(model_text)
-    recorded = read_run(bag.path, stop=end, name=bag.name)
+    recorded = read_run(bag.path, stop=end, name=bag.name, sensor_limits=sensor_limits)
     result, run, bridged = judge_recorded(trained, recorded, start=start, stop=end)
     probed = None
     if probe_every is not None:

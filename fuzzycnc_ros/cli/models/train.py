@@ -35,6 +35,7 @@ from fuzzycnc_ros.cli.options import (
     End,
     Interval,
     Seed,
+    SensorLimits,
     Sensors,
     Speed,
     Start,
@@ -71,10 +72,11 @@ def train(
             autocompletion=some_of((ALL, *CANDIDATES)),
         ),
     ] = None,
-    interval: Interval = 60.0,
+    interval: Interval = None,
     sensors: Sensors = 'auto',
     clusters: Clusters = 5,
     drop_sensor: DropSensor = None,
+    sensor_limits: SensorLimits = None,
     speed: Speed = True,
     start: Start = None,
     end: End = None,
@@ -126,7 +128,11 @@ def train(
         runs = []
         for done, bag in enumerate(bags):
             tell(f'reading {bag.name}', done, len(bags))
-            runs.append(read_run(bag, start=start, stop=end, sensors=wanted))
+            runs.append(
+                read_run(
+                    bag, start=start, stop=end, sensors=wanted, sensor_limits=sensor_limits or ()
+                )
+            )
         trained = train_model(
             runs,
             model=model,
@@ -146,9 +152,9 @@ def train(
     for name, found in holed.items():
         if found:
             say(f'{name}: {found}, filled by straight lines; record it anew for a better model')
-    bridged = {run.name: bridged_gaps(run, interval) for run in runs}
+    bridged = {run.name: bridged_gaps(run, trained.interval) for run in runs}
     for name, gaps in bridged.items():
-        for line in gap_lines(name, gaps, interval):
+        for line in gap_lines(name, gaps, trained.interval):
             say(line)
     doubts = doubt_lines(runs)
     for line in doubts:

@@ -312,17 +312,31 @@ CHANCE = 0.05
 """Probability of so many residuals outside of a true band, up to which it counts as false [-]."""
 
 
-def is_false_band(covered: float, independent: float, runs: int = 1) -> bool:
+def band_ratio(residual: Array, deviation: Array) -> Array:
+    """Return the root mean square of residuals over their predicted deviation, (c,) [-].
+
+    Parameters
+    ----------
+    residual, deviation : ndarray, shape (n, c)
+        As in `independent_residuals`.
+    """
+    floor = np.maximum(deviation, RESIDUAL_MIN)
+    return np.asarray(np.sqrt(mean_of_square(np.clip(residual / floor, -1e3, 1e3))))
+
+
+def is_false_band(covered: float, ratio: float, independent: float, runs: int = 1) -> bool:
     """Return whether a band holds so little that chance does not explain it.
 
-    So it is where less than 90 % of the residuals lie inside, and a band of 95 % would leave as
-    many of the independent ones outside with a probability of at most 5 % (binomial), shared among
-    the runs that are looked at (Bonferroni).
+    So it is where less than 90 % of the residuals lie inside, and as many of the independent ones
+    would be outside of a band of 95 % (binomial), or as large (chi-squared), with a probability of
+    at most 5 %, shared among the runs that are looked at (Bonferroni).
 
     Parameters
     ----------
     covered : float
         Share of the residuals inside the band [-]; NaN if there are none.
+    ratio : float
+        Root mean square of the residuals over the deviation [-], see `band_ratio`.
     independent : float
         How many independent residuals they are as good as [-].
     runs : int
@@ -330,18 +344,19 @@ def is_false_band(covered: float, independent: float, runs: int = 1) -> bool:
 
     Examples
     --------
-    >>> is_false_band(0.14, 3.0), is_false_band(0.14, 1.0), is_false_band(0.88, 20.0)
+    >>> is_false_band(0.14, 2.1, 3.0), is_false_band(0.6, 3.0, 1.0), is_false_band(0.88, 1.1, 20.0)
     (True, True, False)
     """
     if not covered < COVERED_LEAST:
         return False
     # Here, since what only predicts does without: a node starts sooner.
-    from scipy.special import bdtrc
+    from scipy.special import bdtrc, chdtrc
 
     count = max(1, round(independent))
     outside = round(count * (1.0 - covered))
-    chance = float(bdtrc(outside - 1, count, 1.0 - COVERED)) if outside else 1.0
-    return chance * runs <= CHANCE * (1.0 + 1e-9)
+    number = float(bdtrc(outside - 1, count, 1.0 - COVERED)) if outside else 1.0
+    size = float(chdtrc(independent, independent * ratio**2))
+    return min(number, size) * runs <= CHANCE * (1.0 + 1e-9)
 
 
 def coverage(residual: Array, deviation: Array) -> Array:

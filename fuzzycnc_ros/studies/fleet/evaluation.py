@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from math import sqrt
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote, unquote
@@ -55,8 +56,8 @@ class FleetSummary:
     problems : list of Problem
         Bags and models that could not be used, in the order of the table.
     bands : dict
-        Machine, model and channel -> number of independent residuals, and how many of them were
-        inside the band.
+        Machine, model and channel -> number of independent residuals, how many of them were
+        inside the band, and the sum of their squares over those of the deviation.
     """
 
     bags: int = 0
@@ -64,15 +65,15 @@ class FleetSummary:
     judged: int = 0
     from_cache: int = 0
     problems: list[Problem] = field(default_factory=list)
-    bands: dict[tuple[str, str, str], tuple[float, float]] = field(default_factory=dict)
+    bands: dict[tuple[str, str, str], tuple[float, float, float]] = field(default_factory=dict)
 
     def false_bands(self) -> list[str]:
         """Return whose band holds far less than it promises, in words; see `is_false_band`."""
         return [
             f'{machine}, model {model}: the band holds {100.0 * inside / number:.0f} % of '
             f'{channel} over all bags; it promises 95 %'
-            for (machine, model, channel), (number, inside) in self.bands.items()
-            if number and is_false_band(inside / number, number)
+            for (machine, model, channel), (number, inside, square) in self.bands.items()
+            if number and is_false_band(inside / number, sqrt(square / number), number)
         ]
 
 
@@ -119,7 +120,7 @@ def read_models(places: Sequence[Path]) -> tuple[tuple[FleetModel, ...], list[Pr
         models.append(model)
     if not models:
         reasons = '; '.join(problem.reason for problem in problems)
-        raise ValueError(reasons or 'expected a model but found none; name one with --model')
+        raise ValueError(reasons or 'model: expected one but found none; name one')
     return tuple(models), problems
 
 
@@ -320,11 +321,12 @@ class _Fleet:
 
     def _note_band(self, key: tuple[str, str, str], figures: Document) -> None:
         """Add the independent residuals of a bag to those of the other bags."""
-        number, inside = self.summary.bands.get(key, (0.0, 0.0))
+        number, inside, square = self.summary.bands.get(key, (0.0, 0.0, 0.0))
         if figures['samples']:
             number += figures['independent']
             inside += figures['independent'] * figures['covered']
-        self.summary.bands[key] = number, inside
+            square += figures['independent'] * figures['band_ratio'] ** 2
+        self.summary.bands[key] = number, inside, square
 
     def _say(self, done: int) -> None:
         self._tell(f'{len(self._bags)} bags', done, len(self._bags))

@@ -271,6 +271,7 @@ def _figures(model: ThermalModel, recorded: ThermalRun) -> Document:
                 'covered': float(judged.covered[c]),
                 'band_um': 1e6 * float(judged.half_width[c]),
                 'independent': float(judged.independent[c]),
+                'band_ratio': float(judged.band_ratio[c]),
             }
             for c, name in enumerate(judged.channel)
         ],

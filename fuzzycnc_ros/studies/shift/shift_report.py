@@ -9,6 +9,7 @@ import numpy as np
 from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.band import (
     WIDTH,
+    band_ratio,
     coverage,
     independent_residuals,
     mean_of_square,
@@ -18,6 +19,7 @@ from fuzzycnc_ros.core.thermal.fingerprint import recognised_in
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.run import ThermalRun
+from fuzzycnc_ros.core.thermal.sensor_limits import JUDGED
 from fuzzycnc_ros.studies.page.html import Remark, Section
 from fuzzycnc_ros.studies.thermal.comparison import by_channel
 from fuzzycnc_ros.studies.thermal.judged import (
@@ -137,12 +139,14 @@ def _false_band(run: CompensationRun) -> list[Remark]:
         return []
     residual = run.measured - run.prediction()
     deviation = np.where(np.isfinite(residual), run.standard_deviation, np.nan)
+    residual = np.where(np.isfinite(deviation), residual, np.nan)
     found = band_remark(
         run.name,
         run.channel,
-        coverage(np.where(np.isfinite(deviation), residual, np.nan), deviation),
+        coverage(residual, deviation),
         WIDTH * np.sqrt(mean_of_square(deviation)),
-        independent_residuals(np.where(np.isfinite(deviation), residual, np.nan), deviation),
+        band_ratio(residual, deviation),
+        independent_residuals(residual, deviation),
     )
     return [found] if found.warning else []
 
@@ -161,6 +165,7 @@ def _recorded(run: CompensationRun, axis: Sequence[str]) -> ThermalRun:
         axis=tuple(axis),
         displacement=run.measured,
         spindle_speed=run.spindle_speed,
+        limits=JUDGED,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.band import (
     WIDTH,
+    band_ratio,
     coverage,
     independent_residuals,
     is_false_band,
@@ -53,6 +54,8 @@ class Evaluation:
         Root mean square of the half width of the band where it was judged [m].
     independent : ndarray, shape (c,)
         How many independent residuals those of 'default' are as good as [-].
+    band_ratio : ndarray, shape (c,)
+        Root mean square of the residuals of 'default' over the predicted deviation [-].
     time : ndarray, shape (n,)
         Time of each judged sample [s].
     measured : ndarray, shape (n, c)
@@ -77,6 +80,7 @@ class Evaluation:
     covered: Array
     half_width: Array
     independent: Array
+    band_ratio: Array
     time: Array
     measured: Array
     predicted: Mapping[str, Array]
@@ -90,8 +94,12 @@ class Evaluation:
         runs : int
             Number of runs that are judged, each by itself.
         """
-        figures = zip(self.channel, self.covered, self.independent, strict=True)
-        return tuple(name for name, share, count in figures if is_false_band(share, count, runs))
+        figures = zip(self.channel, self.covered, self.band_ratio, self.independent, strict=True)
+        return tuple(
+            name
+            for name, share, ratio, count in figures
+            if is_false_band(share, ratio, count, runs)
+        )
 
 
 def evaluate(
@@ -180,6 +188,7 @@ def evaluate(
         covered=coverage(residual, deviation),
         half_width=np.sqrt(mean_of_square(np.where(judged, WIDTH * deviation, np.nan))),
         independent=independent_residuals(residual, deviation),
+        band_ratio=band_ratio(residual, deviation),
         time=even.time[inside],
         measured=measured,
         predicted={name: predicted[inside] for name, predicted in predictions.items()},
@@ -187,27 +196,25 @@ def evaluate(
     )
 
 
-def pooled_coverage(judged: Sequence[Evaluation]) -> tuple[Array, Array]:
-    """Return the share of all residuals inside their bands, and their independent number, (c,).
+def pooled_coverage(judged: Sequence[Evaluation]) -> tuple[Array, Array, Array]:
+    """Return `covered`, `band_ratio` and `independent` of all runs together, (c,) each.
 
     Each run counts with as many residuals as it has independent ones.
     """
     number = np.array([item.independent for item in judged])
     covered = np.array([np.nan_to_num(item.covered) for item in judged])
+    square = np.array([np.nan_to_num(item.band_ratio) ** 2 for item in judged])
     total = number.sum(axis=0)
-    share = (number * covered).sum(axis=0) / np.where(total > 0.0, total, np.nan)
-    return np.asarray(share), np.asarray(total)
+    known = np.where(total > 0.0, total, np.nan)
+    ratio = np.sqrt((number * square).sum(axis=0) / known)
+    return (number * covered).sum(axis=0) / known, ratio, np.asarray(total)
 
 
 def false_bands(judged: Sequence[Evaluation]) -> list[str]:
     """Return the channels whose band is false in a run, or over all runs."""
     found = {name for item in judged for name in item.false_band(len(judged))}
-    shares, numbers = pooled_coverage(judged)
-    return [
-        name
-        for name, share, number in zip(judged[0].channel, shares, numbers, strict=True)
-        if name in found or is_false_band(share, number)
-    ]
+    figures = zip(judged[0].channel, *pooled_coverage(judged), strict=True)
+    return [name for name, *each in figures if name in found or is_false_band(*each)]
 
 
 def pooled_rms(judged: Sequence[Evaluation]) -> dict[str, Array]:
