@@ -47,7 +47,7 @@ from fuzzycnc_ros.adapters.yaml_model import (
     read_file,
     wrong,
 )
-from fuzzycnc_ros.core.thermal.sensor_limits import BOUNDS
+from fuzzycnc_ros.core.thermal.sensor_limits import LIMIT_BOUNDS
 
 ORDERS = ('big', 'little')
 SPEED_UNITS = {'rpm': 2.0 * math.pi / 60.0, 'rad/s': 1.0}
@@ -79,7 +79,7 @@ class _Scaling(Fields):
     )
 
 
-_Limit = {name: Number(*bounds) for name, bounds in BOUNDS.items()}
+_Limit = {name: Number(*bounds) for name, bounds in LIMIT_BOUNDS.items()}
 
 
 class _Limits(Fields):
@@ -101,7 +101,7 @@ class _Limits(Fields):
 
     def limits(self) -> tuple[tuple[str, float], ...]:
         """Return those that are stated."""
-        found = ((name, getattr(self, name)) for name in BOUNDS)
+        found = ((name, getattr(self, name)) for name in LIMIT_BOUNDS)
         return tuple((name, value) for name, value in found if not math.isnan(value))
 
 

@@ -19,7 +19,7 @@ VERSION = 1
 OFFSETS_SIZE_MAX = 64 * 1024 * 1024
 """Largest document that is read [characters]; a stitch takes about 80."""
 
-COORDINATE_MAX = 100.0
+SHEET_MAX = 100.0
 """Largest coordinate, and largest offset, of a stitch [m]: no sheet is larger."""
 
 SAME_POINT = 1e-6
@@ -105,7 +105,7 @@ def read_offsets(text: str) -> StitchOffsets:
     if not path_id.text():
         path_id.refuse('the name of a pattern')
     nominal, offset = (
-        root.get(name).matrix(2, -COORDINATE_MAX, COORDINATE_MAX) for name in ('nominal', 'offset')
+        root.get(name).matrix(2, -SHEET_MAX, SHEET_MAX) for name in ('nominal', 'offset')
     )
     if len(nominal) < 2:
         root.get('nominal').refuse('two points or more')

@@ -578,7 +578,7 @@ GROWTH_MAX = 100.0
 GAIN_MAX = 1e4
 """Largest rise of a sensor in rises of the one that stands in for it [-]."""
 
-ROUNDING = 1e-6
+SCORE_ROUNDING = 1e-6
 """Excess over their range that scores and correlations have from rounding [-]."""
 
 SIZE_MAX = 16 * 1024 * 1024
@@ -857,7 +857,7 @@ def _read_selection(node: Node) -> SensorSelection:
     return SensorSelection(
         method=node.get('method').text(),
         clusters=tuple(_read_cluster(item) for item in node.get('clusters').list()),
-        partition_coefficient=node.get('partition_coefficient').number(0.0, 1.0 + ROUNDING),
+        partition_coefficient=node.get('partition_coefficient').number(0.0, 1.0 + SCORE_ROUNDING),
         xie_beni=float('nan') if index.value is None else index.number(0.0),
         dropped=node.get('dropped').texts(),
         calibration=node.get('calibration').texts(),
@@ -867,11 +867,11 @@ def _read_selection(node: Node) -> SensorSelection:
 def _read_cluster(node: Node) -> SensorCluster:
     cluster = SensorCluster(
         member=node.get('member').texts(),
-        score=node.get('score').numbers(-ROUNDING, 1.0 + ROUNDING),
+        score=node.get('score').numbers(-SCORE_ROUNDING, 1.0 + SCORE_ROUNDING),
         chosen=node.get('chosen').text(),
         substitute=node.get('substitute').texts(),
         gain=node.get('gain').numbers(-GAIN_MAX, GAIN_MAX),
-        correlation=node.get('correlation').numbers(-1.0 - ROUNDING, 1.0 + ROUNDING),
+        correlation=node.get('correlation').numbers(-1.0 - SCORE_ROUNDING, 1.0 + SCORE_ROUNDING),
     )
     lengths: Mapping[str, tuple[int, int]] = {
         'score': (len(cluster.score), len(cluster.member)),

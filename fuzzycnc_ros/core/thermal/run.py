@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.remedies import RemediedError, Remedy
-from fuzzycnc_ros.core.thermal.sensor_limits import BOUNDS, USUAL, SensorLimits
+from fuzzycnc_ros.core.thermal.sensor_limits import LIMIT_BOUNDS, USUAL, SensorLimits
 
 
 def _even_blocks(
@@ -600,7 +600,7 @@ def temperature_range(limits: SensorLimits, sensors: Sequence[str]) -> tuple[Arr
 
 def within_range(sensor: str, value: float, *, too_hot: bool) -> list[Remedy]:
     """Return the remedy to take a temperature [degC] of a sensor for plausible, if it can be."""
-    low, high = BOUNDS['range_high']
+    low, high = LIMIT_BOUNDS['range_high']
     if not low <= value <= high:
         return []
     limit = 'range_high' if too_hot else 'range_low'

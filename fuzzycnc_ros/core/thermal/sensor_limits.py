@@ -12,7 +12,7 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 
-BOUNDS = MappingProxyType(
+LIMIT_BOUNDS = MappingProxyType(
     {
         'range_low': (-273.15, 2000.0),
         'range_high': (-273.15, 2000.0),
@@ -54,13 +54,15 @@ class SensorLimits:
         for text in texts:
             # A name may hold colons.
             *_, sensor, limit, value = ['', '', '', *text.rsplit(':', 2)]
-            low, high = BOUNDS.get(limit, (inf, -inf))
+            low, high = LIMIT_BOUNDS.get(limit, (inf, -inf))
             try:
                 number = float(value)
             except ValueError:
                 number = np.nan
             if not sensor or not low <= number <= high:
-                bounds = ', '.join(f'{key} from {a:g} to {b:g}' for key, (a, b) in BOUNDS.items())
+                bounds = ', '.join(
+                    f'{key} from {a:g} to {b:g}' for key, (a, b) in LIMIT_BOUNDS.items()
+                )
                 raise ValueError(
                     f'{name}: expected SENSOR:LIMIT:VALUE such as bed:rate_max:0.7, of the limits '
                     f'{bounds} (degC, K/s, K), but found {text!r}'
