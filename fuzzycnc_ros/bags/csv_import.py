@@ -409,7 +409,7 @@ def _check_temperatures(
         if fits
         else 'leave the sensor out, or empty the cell where it failed'
     )
-    remedy += '; a heated bed or nozzle has limits of its own: --sensor-limits'
+    remedy = f'a heated bed has limits of its own (--sensor-limits); {remedy}'
     raise CsvError(
         f'{table.place(row, sensors[column])}: expected {low[column]:g} to {high[column]:g} degC '
         f'but found {values[row, column]:.6g} degC; {remedy}'
