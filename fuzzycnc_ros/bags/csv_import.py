@@ -41,7 +41,9 @@ from fuzzycnc_ros.core.thermal.run import (
     SAMPLES_MIN,
     TEMPERATURE_MAX,
     TEMPERATURE_MIN,
+    temperature_range,
 )
+from fuzzycnc_ros.core.thermal.sensor_limits import SensorLimits
 from fuzzycnc_ros.core.thermal.spacing import block_means, reference_rows, sample_interval
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import MachineMode, Status
@@ -438,7 +440,8 @@ def _check_temperatures(
     table: Table, mapping: CsvMapping, sensors: list[str], values: NDArray[np.float64]
 ) -> None:
     """Refuse temperatures that no machine has, and name the unit that would fit."""
-    outside = np.argwhere((values < TEMPERATURE_MIN) | (values > TEMPERATURE_MAX))
+    low, high = temperature_range(SensorLimits.of(mapping.sensor_limits), sensors)
+    outside = np.argwhere((values < low) | (values > high))
     if not len(outside):
         return
     row, column = (int(index) for index in outside[0])
@@ -454,9 +457,10 @@ def _check_temperatures(
         if fits
         else 'leave the sensor out, or empty the cell where it failed'
     )
+    remedy = f'a heated bed has limits of its own (--sensor-limits); {remedy}'
     raise CsvError(
-        f'{table.place(row, sensors[column])}: expected {TEMPERATURE_MIN:g} to '
-        f'{TEMPERATURE_MAX:g} degC but found {values[row, column]:.6g} degC; {remedy}'
+        f'{table.place(row, sensors[column])}: expected {low[column]:g} to {high[column]:g} degC '
+        f'but found {values[row, column]:.6g} degC; {remedy}'
     )
 
 

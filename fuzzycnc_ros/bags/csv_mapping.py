@@ -110,6 +110,9 @@ class CsvMapping:
         Spindle-speed column.
     spindle_speed_unit : {'rpm', 'rad/s'}
         Its unit.
+    sensor_limits : sequence of str
+        Limits of sensors that are not those of a machine's metal, such as `bed:range_high:250`;
+        the names are those of the columns.
     rename : mapping
         Column name to the name of the sensor or channel in the bag.
     encoding : str
@@ -140,6 +143,7 @@ class CsvMapping:
     time_zone: str | None = None
     temperatures: Sequence[str] = ()
     temperature_unit: str = 'degC'
+    sensor_limits: Sequence[str] = ()
     displacements: Sequence[Channel | str] = ()
     spindle_speed: str | None = None
     spindle_speed_unit: str = 'rpm'

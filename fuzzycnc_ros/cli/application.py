@@ -22,7 +22,9 @@ from fuzzycnc_ros.cli.background_output import background_output
 from fuzzycnc_ros.cli.completion import join_bash_words
 from fuzzycnc_ros.cli.console import complain, flush, say
 from fuzzycnc_ros.cli.quantities import with_their_units
+from fuzzycnc_ros.cli.remedies import command_with, sentence
 from fuzzycnc_ros.core.names import visible
+from fuzzycnc_ros.core.remedies import remedied
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import Wish, interruptible
 from fuzzycnc_ros.ros.streams import steady_streams
@@ -257,6 +259,20 @@ def _drop_unwritten() -> None:
         os.close(nowhere)
 
 
+class _Command(TyperCommand):
+    """A command that says what helps in its own options."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        with command_with([option for item in self.params for option in item.opts]):
+            try:
+                return super().invoke(ctx)
+            except ValueError as error:
+                if remedied(error) is None:
+                    raise
+                raise ValueError(sentence(error)) from error
+
+
 def _add(to: typer.Typer, commands: Mapping[str, Callable[..., Any] | CommandGroup]) -> None:
     """Make commands and groups of them known."""
     for name, command in commands.items():
@@ -268,7 +284,7 @@ def _add(to: typer.Typer, commands: Mapping[str, Callable[..., Any] | CommandGro
             _add(group, command.commands)
             to.add_typer(group, name=name, help=text, short_help=short)
         else:
-            to.command(name, help=text, short_help=short)(command)
+            to.command(name, cls=_Command, help=text, short_help=short)(command)
 
 
 def _common(

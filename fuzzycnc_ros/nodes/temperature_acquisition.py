@@ -3,6 +3,7 @@
 """Node `temperature_acquisition`: drivers bring readings, the component checks and averages."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from rclpy.node import Node
@@ -41,6 +42,9 @@ class TemperatureAcquisitionNode(ComponentNode):
         self._source = open_source(node, config, self.component.frame('machine'))
         if self._source.makes_time:
             self._ahead_max = 0  # the next row of a file may be hours on
+        if own := self._source.sensor_limits:
+            limits = (*own, *config.sensor_limits)
+            self.component.reconfigure(replace(config, sensor_limits=limits))
         node.create_service(SetThermalReference, 'set_thermal_reference', self._on_reference)
 
     def now(self) -> int:

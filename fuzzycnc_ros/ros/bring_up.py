@@ -140,7 +140,7 @@ def node_specs(
             NodeSpec('recorder', dict(common, output=str(record), **(recorder_parameters or {})))
         )
     elif 'recorder' in wanted:
-        raise GraphError('nodes: recorder needs a bag to write; name it with --record')
+        raise GraphError('nodes: recorder needs a bag to write; name it (`fuzzycnc up --record`)')
     if BODY in wanted:
         specs.append(NodeSpec(BODY, {'nodes': [spec.name for spec in specs]}))
     if simulated:

@@ -17,7 +17,7 @@ from datetime import datetime, timezone
 from functools import partial
 from urllib.parse import quote
 
-from fuzzycnc_ros.adapters.modbus.registers import scaled
+from fuzzycnc_ros.adapters.modbus.registers import no_temperature, scaled
 from fuzzycnc_ros.adapters.mtconnect.documents import DataItem, Document, parse
 from fuzzycnc_ros.adapters.readings.devices import Item, MtconnectDevice, Quantity
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
@@ -334,7 +334,12 @@ def reading_of(channel: Item, item: DataItem, text: str) -> Reading:
             return f'{place}: expected one of {", ".join(units)} but found {found}'
         factor, offset = units[item.units]
         raw = (factor * raw + offset) / channel.unit
-    return scaled(channel.scale, channel.offset, raw)
+    value = scaled(channel.scale, channel.offset, raw)
+    if channel.quantity is not Quantity.TEMPERATURE:
+        return value
+    if trouble := no_temperature(float(text), value):
+        return f'{place}: {trouble}; is it the right data item, and the right scale?'
+    return value
 
 
 def _checked(document: Document, kind: str) -> Document:

@@ -27,6 +27,11 @@ class Source:
 
     makes_time = False
 
+    @property
+    def sensor_limits(self) -> tuple[str, ...]:
+        """Limits of single sensors that what is read states, as the parameter of this name."""
+        return ()
+
     def health(self) -> list[Health]:
         """Report on what the readings come from."""
         return []

@@ -15,6 +15,7 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     DEFAULT,
     Axis,
     check_axis,
+    check_controller,
     made_with,
     make_controller,
     signed,
@@ -284,7 +285,9 @@ def _controller(
     known: KnownAxis, name: str, plant: 'AxisPlant', params: Path | None
 ) -> 'AxisController':
     if not known.machine:
-        return make_controller(name, known.name, plant, _settings(params))
+        settings = _settings(params)
+        check_controller(name, known.name, settings)
+        return make_controller(name, known.name, plant, settings)
     from fuzzycnc_ros.cli.axes.servo_machine import machine_controller
 
     return machine_controller(known.data, known.name, name, params)

@@ -44,6 +44,7 @@ from fuzzycnc_ros.cli.options import (
     Interval,
     OptionalText,
     Report,
+    SensorLimits,
     Sensors,
     Speed,
     Start,
@@ -51,7 +52,7 @@ from fuzzycnc_ros.cli.options import (
     names_of,
 )
 from fuzzycnc_ros.cli.quantities import TIMES, number_in
-from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
+from fuzzycnc_ros.core.thermal.candidate import COMPARED_ONLY, SPEED_SUFFIX
 from fuzzycnc_ros.papers.names import COMPARED
 
 if TYPE_CHECKING:
@@ -74,6 +75,7 @@ NOT_WITH_MACHINE = (
     'sensors',
     'clusters',
     'drop_sensor',
+    'sensor_limits',
     'speed',
     'start',
     'end',
@@ -109,10 +111,11 @@ def compare(
             autocompletion=some_of((ALL, *COMPARED)),
         ),
     ] = [ALL],  # noqa: B006 - typer copies it
-    interval: Interval = 60.0,
+    interval: Interval = None,
     sensors: Sensors = 'auto',
     clusters: Clusters = 5,
     drop_sensor: DropSensor = None,
+    sensor_limits: SensorLimits = None,
     speed: Speed = True,
     start: Start = None,
     end: End = None,
@@ -139,6 +142,10 @@ def compare(
     later part is predicted from what came before. The row `default` is what `fuzzycnc train`
     would have chosen by itself, without the held-out run. What is not to be trusted is marked.
 
+    Some models are only compared: no model file holds them, and no machine runs them. They stand
+    behind the others, with a mark, and never are the best; where one leaves less, a line says so,
+    and so it does where the default leaves much more than plain least squares.
+
     No compensation competes too: the best candidate is none where nothing beats the machine as it
     is. A channel in which the default leaves more than that is marked and named. The exit code is
     0 all the same: scripts test `worse_than_none` in the figures of --json, a list of channels.
@@ -156,6 +163,8 @@ def compare(
         fuzzycnc compare shift --hold-out 57600:86400 --report comparison.html
         fuzzycnc compare --machine grinder --report grinder.html
     """
+    from fuzzycnc_ros.core.thermal.fit.training import training_interval
+
     processes = jobs_of(jobs)
     check_at_least('--seed', seed, 0)
     check_folder(report, json_file)
@@ -168,13 +177,21 @@ def compare(
     names = names_of('--models', models, COMPARED)
     windows = [_window(text) for text in hold_out or []]
     wanted = sensors_but(drop_sensor, [bag.path for bag in find_bags(bags)])
-    work = partial(usable_run, interval=interval, start=start, stop=end, sensors=wanted)
+    work = partial(
+        usable_run,
+        interval=interval,
+        start=start,
+        stop=end,
+        sensors=wanted,
+        sensor_limits=sensor_limits or (),
+    )
     with progress_bar('reading') as tell:
         read = with_each(work, find_bags(bags), processes, tell)
     unread = {item.bag.name for item in read.bad}
     named = [bag for bag in find_bags(bags) if bag.name not in unread]
     alike = without_odd(named, read.results)
     runs = alike.results
+    interval = training_interval(runs, interval)
     no_speed = '--no-speed' if not speed else speed_missing(runs, interval)
     if no_speed:
         names = _without_speed(names, no_speed)
@@ -232,7 +249,7 @@ def compare(
 
 
 def usable_run(
-    bag: NamedBag, progress: 'Progress', *, interval: float, **options: Any
+    bag: NamedBag, progress: 'Progress', *, interval: float | None, **options: Any
 ) -> 'ThermalRun':
     """Read the run of a bag under the name that tells it from the others.
 
@@ -336,7 +353,9 @@ def _show(comparison: 'Comparison') -> list[str]:
             say(text)
         for line in shown.pooled_remarks(comparison):
             remark(line)
-    return [f'best candidate: {shown.by_channel(shown.best_candidates(comparison))}']
+    if any(name in COMPARED_ONLY for name in comparison.names):
+        say(shown.COMPARED_LINE)
+    return shown.best_lines(comparison)
 
 
 def _compare_on_grinder(

@@ -27,7 +27,16 @@ from fuzzycnc_ros.cli.models.recorded_runs import (
     gap_lines,
     sensors_but,
 )
-from fuzzycnc_ros.cli.options import Bags, DropSensor, End, Interval, Report, Seed, Start
+from fuzzycnc_ros.cli.options import (
+    Bags,
+    DropSensor,
+    End,
+    Interval,
+    Report,
+    Seed,
+    SensorLimits,
+    Start,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,8 +54,9 @@ def curve(
     counts: Annotated[
         list[str], typer.Option(metavar='N,...', help='Numbers of sensors to try.')
     ] = ['1,2,3,5,8,10,15'],  # noqa: B006 - typer copies it
-    interval: Interval = 60.0,
+    interval: Interval = None,
     drop_sensor: DropSensor = None,
+    sensor_limits: SensorLimits = None,
     start: Start = None,
     end: End = None,
     seed: Seed = 0,
@@ -65,7 +75,7 @@ def curve(
         fuzzycnc curve shift --counts 1,2,4,8 --report sensors.html
     """
     from fuzzycnc_ros.core.thermal.fit.comparison import splits
-    from fuzzycnc_ros.core.thermal.fit.training import at_interval
+    from fuzzycnc_ros.core.thermal.fit.training import at_interval, training_interval
     from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
     from fuzzycnc_ros.studies.thermal.sensor_curve import (
         SensorCurves,
@@ -86,8 +96,10 @@ def curve(
             start=start,
             stop=end,
             sensors=sensors_but(drop_sensor, bags),
+            sensor_limits=sensor_limits or (),
         )
     read = found.results
+    interval = training_interval(read, interval)
     runs = [at_interval(run, interval) for run in read]
     check_training_runs(runs)
     held_out = splits(runs, interval=interval)

@@ -15,6 +15,8 @@ from fuzzycnc_ros.bags.finding import NamedBag
 from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.cli.console import Tell, say
 from fuzzycnc_ros.cli.options import OptionalWhole, given
+from fuzzycnc_ros.cli.remedies import sentence
+from fuzzycnc_ros.core.remedies import RemediedError, remedied
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.workers import Progress
@@ -48,6 +50,14 @@ class BadBag:
 
     bag: NamedBag
     reason: str
+
+
+@dataclass(frozen=True)
+class _Refused:
+    """A bag that could not be used, and what helps, as data."""
+
+    bag: NamedBag
+    error: RemediedError
 
 
 @dataclass(frozen=True)
@@ -92,14 +102,19 @@ def with_each(
     else:
         names = [bag.name for bag in bags]
         found = in_workers(partial(_attempt, work), bags, names, jobs, tell)
-    bad = tuple(item for item in found if isinstance(item, BadBag))
-    good = tuple(item for item in found if not isinstance(item, BadBag))
+    # In a worker nobody knows the options of the command.
+    bad = tuple(
+        item if isinstance(item, BadBag) else BadBag(item.bag, _one_line(sentence(item.error)))
+        for item in found
+        if isinstance(item, (BadBag, _Refused))
+    )
+    good = tuple(item for item in found if not isinstance(item, (BadBag, _Refused)))
     check_some_left(len(good), bad)
     return Sorted(good, bad)
 
 
 def runs_of(
-    bags: Sequence[NamedBag], interval: float, tell: Tell, *, skip: bool, **options: Any
+    bags: Sequence[NamedBag], interval: float | None, tell: Tell, *, skip: bool, **options: Any
 ) -> 'Sorted[ThermalRun]':
     """Read the runs of all bags; options are those of `read_run`.
 
@@ -107,8 +122,8 @@ def runs_of(
     ----------
     bags : sequence of NamedBag
         The bags.
-    interval : float
-        Interval that they are to be used at [s].
+    interval : float, optional
+        Interval that they are to be used at [s]; their own if left out.
     tell : callable
         Shows the progress.
     skip : bool
@@ -203,13 +218,19 @@ def cores() -> int:
 
 def _attempt(
     work: 'Callable[[NamedBag, Progress], Result]', bag: NamedBag, progress: 'Progress'
-) -> Result | BadBag:
+) -> 'Result | BadBag | _Refused':
     """Work on a bag; what is wrong with it becomes a line."""
     try:
         return work(bag, progress)
     except (ValueError, OSError) as error:
+        if (refusal := remedied(error)) is not None:
+            return _Refused(bag, refusal)
         text = os_sentence(error) if isinstance(error, OSError) else str(error)
-        return BadBag(bag, ' '.join(text.split()))
+        return BadBag(bag, _one_line(text))
+
+
+def _one_line(text: str) -> str:
+    return ' '.join(text.split())
 
 
 def _nobody(stage: str, name: str, done: int, total: int) -> None:

@@ -37,6 +37,7 @@ from fuzzycnc_ros.cli.options import (
     End,
     Interval,
     Seed,
+    SensorLimits,
     Sensors,
     Speed,
     Start,
@@ -73,10 +74,11 @@ def train(
             autocompletion=some_of((ALL, *CANDIDATES)),
         ),
     ] = None,
-    interval: Interval = 60.0,
+    interval: Interval = None,
     sensors: Sensors = 'auto',
     clusters: Clusters = 5,
     drop_sensor: DropSensor = None,
+    sensor_limits: SensorLimits = None,
     speed: Speed = True,
     start: Start = None,
     end: End = None,
@@ -127,7 +129,16 @@ def train(
     phrase = FitCounter()
     with progress_bar('training') as tell:
         named = [NamedBag(bag, bag.stem) for bag in bags]
-        read = runs_of(named, interval, tell, skip=skip_bad, start=start, stop=end, sensors=wanted)
+        read = runs_of(
+            named,
+            interval,
+            tell,
+            skip=skip_bad,
+            start=start,
+            stop=end,
+            sensors=wanted,
+            sensor_limits=sensor_limits or (),
+        )
         runs = read.results
         trained = train_model(
             runs,
@@ -149,9 +160,9 @@ def train(
     for name, found in holed.items():
         if found:
             say(f'{name}: {found}, filled by straight lines; record it anew for a better model')
-    bridged = {run.name: bridged_gaps(run, interval) for run in runs}
+    bridged = {run.name: bridged_gaps(run, trained.interval) for run in runs}
     for name, gaps in bridged.items():
-        for line in gap_lines(name, gaps, interval):
+        for line in gap_lines(name, gaps, trained.interval):
             say(line)
     doubts = doubt_lines(runs)
     for line in doubts:

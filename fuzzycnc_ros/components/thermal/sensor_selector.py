@@ -15,6 +15,7 @@ import numpy as np
 
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
+from fuzzycnc_ros.core.thermal.sensor_limits import JUDGED
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorSelection as Selection
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
@@ -159,6 +160,7 @@ class SensorSelector(Component[SensorSelectorConfig]):
             channel=measured.channel,
             axis=measured.axis,
             displacement=np.array([item.displacement for _, item in self._samples]),
+            limits=JUDGED,
         )
 
 

@@ -11,7 +11,7 @@ from math import floor
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import LENGTH_MIN, NUMBER_MAX, Array
 from fuzzycnc_ros.core.deformation.features import (
     COVERED_GAP,
     FEATURE_SETS,
@@ -575,17 +575,17 @@ def model_of(text: str, root: Node) -> DeformationModel:
     columns = _columns(root.get('inputs'), FEATURE_SETS[features].names)
     network = _network(root, len(columns), normalised=version.value == 1)
     gate = root.get('gate')
-    low = _vector(gate.get('low'), len(PROCESS_VALUES))
+    low = _vector(gate.get('low'), len(PROCESS_VALUES), -NUMBER_MAX)
     return DeformationModel(
         features,
         columns,
         network,
         Gate(
             low,
-            _at_least(gate.get('high'), _vector(gate.get('high'), len(low)), low),
-            gate.get('ratio_low').number(),
-            gate.get('ratio_high').number(),
-            gate.get('support_min').number(),
+            _at_least(gate.get('high'), _vector(gate.get('high'), len(low), -NUMBER_MAX), low),
+            gate.get('ratio_low').number(0.0, NUMBER_MAX),
+            gate.get('ratio_high').number(0.0, NUMBER_MAX),
+            gate.get('support_min').number(-NUMBER_MAX, NUMBER_MAX),
         ),
         _gain(root.get('gain'), len(network.offset)),
     )
@@ -601,18 +601,14 @@ def _columns(node: Node, names: tuple[str, ...]) -> tuple[int, ...]:
 
 def _network(root: Node, inputs: int, *, normalised: bool) -> RuleNetwork:
     rules = root.get('rules')
-    center = rules.get('center').matrix(inputs)
-    width = rules.get('width').matrix(inputs)
-    if not len(center) or len(width) != len(center) or not (width > 0.0).all():
-        rules.get('width').refuse(f'positive widths of {len(center)} rules, at least one')
-    decay, power = rules.get('decay'), rules.get('power')
-    if not decay.number() > 0.0:
-        decay.refuse('more than 0')
+    center = rules.get('center').matrix(inputs, -NUMBER_MAX, NUMBER_MAX)
+    width = rules.get('width').matrix(inputs, LENGTH_MIN, NUMBER_MAX)
+    if not len(center) or len(width) != len(center):
+        rules.get('width').refuse(f'widths of {len(center)} rules, at least one')
+    decay, power = rules.get('decay').number(LENGTH_MIN, NUMBER_MAX), rules.get('power')
     if power.value not in (1, 2):
         power.refuse('1 or 2')
-    offset = root.get('offset').vector()
-    if len(offset) != 2:
-        root.get('offset').refuse('two numbers, X and Y')
+    offset = _vector(root.get('offset'), 2, -NUMBER_MAX)
     inner = root.get('inner')
     weights = None if inner.value is None else _cube(inner, len(offset), inputs + 1)
     if not normalised and weights is not None:
@@ -621,21 +617,21 @@ def _network(root: Node, inputs: int, *, normalised: bool) -> RuleNetwork:
     linear = inputs + 1 if normalised else 1
     if outer.shape[1] != (linear if weights is None else weights.shape[1]):
         root.get('outer').refuse('as many rows as there are hidden nodes')
-    antecedent = Antecedent(center, width, decay.number(), int(power.number()))
+    antecedent = Antecedent(center, width, decay, int(power.number()))
     return RuleNetwork(antecedent, weights, outer, offset, normalised)
 
 
 def _cube(node: Node, first: int, last: int) -> Array:
     """Return `first` matrices of equal numbers of rows and `last` columns."""
-    matrices = [item.matrix(last) for item in node.list()]
+    matrices = [item.matrix(last, -NUMBER_MAX, NUMBER_MAX) for item in node.list()]
     sizes = {len(item) for item in matrices}
     if len(matrices) != first or len(sizes) != 1 or 0 in sizes:
         node.refuse(f'{first} matrices of equal size')
     return np.stack(matrices)
 
 
-def _vector(node: Node, size: int) -> Array:
-    values = node.vector()
+def _vector(node: Node, size: int, low: float, high: float = NUMBER_MAX) -> Array:
+    values = node.vector(low, high)
     if len(values) != size:
         node.refuse(f'{size} numbers')
     return values
@@ -648,9 +644,7 @@ def _at_least(node: Node, values: Array, low: Array) -> Array:
 
 
 def _gain(node: Node, size: int) -> AxisGain:
-    value, variance = _vector(node.get('value'), size), _vector(node.get('variance'), size)
-    if not ((value >= GAIN_MIN) & (value <= GAIN_MAX)).all():
-        node.get('value').refuse(f'gains from {GAIN_MIN:g} to {GAIN_MAX:g}')
-    if not (variance >= 0.0).all():
-        node.get('variance').refuse('no negative variance')
-    return AxisGain(value, variance)
+    return AxisGain(
+        _vector(node.get('value'), size, GAIN_MIN, GAIN_MAX),
+        _vector(node.get('variance'), size, 0.0),
+    )

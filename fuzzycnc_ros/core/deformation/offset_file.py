@@ -19,6 +19,9 @@ VERSION = 1
 OFFSETS_SIZE_MAX = 64 * 1024 * 1024
 """Largest document that is read [characters]; a stitch takes about 80."""
 
+SHEET_MAX = 100.0
+"""Largest coordinate, and largest offset, of a stitch [m]: no sheet is larger."""
+
 SAME_POINT = 1e-6
 """Nominal points that differ by no more are the same [m]."""
 
@@ -109,7 +112,9 @@ def offsets_of(root: Node) -> StitchOffsets:
     path_id = root.get('path_id')
     if not path_id.text():
         path_id.refuse('the name of a pattern')
-    nominal, offset = root.get('nominal').matrix(2), root.get('offset').matrix(2)
+    nominal, offset = (
+        root.get(name).matrix(2, -SHEET_MAX, SHEET_MAX) for name in ('nominal', 'offset')
+    )
     if len(nominal) < 2:
         root.get('nominal').refuse('two points or more')
     if len(offset) != len(nominal):

@@ -246,7 +246,7 @@ class StitchedProgram:
             raise ProgramError(
                 block.line,
                 f'expected a block of at least the stitch step of {1e3 * self._step:g} mm but '
-                f'found {1e3 * length:.3f} mm; join short blocks, or give a shorter --step',
+                f'found {1e3 * length:.3f} mm; join short blocks, or take a shorter step',
             )
         points = segment.points(max(round(length / self._step), 1))[:, :2]
         if self._size is not None:

@@ -135,12 +135,12 @@ def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float)
     known = sorted({path.path_id for path in paths})
     if path_id is not None and path_id not in known:
         raise ValueError(
-            f'--path: expected one of the stitched paths {", ".join(known)} but found {path_id!r}'
+            f'path: expected one of the stitched paths {", ".join(known)} but found {path_id!r}'
         )
     if path_id is None and len(known) > 1:
         raise ValueError(
             f'{_other(paths).source}: expected runs of one track but found '
-            f'{", ".join(known)}; choose one by --path'
+            f'{", ".join(known)}; choose one path'
         )
     runs = [path for path in paths if path_id is None or path.path_id == path_id]
     first = runs[0]

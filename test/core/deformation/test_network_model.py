@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from fuzzing.file_mutations import one_of_each, places_of_numbers
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -141,22 +142,41 @@ def changed(document, path, value):
         (('inputs',), ['sin', 'cos'], 'in this order'),
         (('inputs',), ['cos'], 'expected 1 numbers'),
         (('rules', 'center', 0), [1.0], 'expected 6 numbers'),
-        (('rules', 'width', 0, 0), 0.0, 'expected positive widths'),
-        (('rules', 'decay'), -1.0, 'expected more than 0'),
+        (('rules', 'width', 0, 0), 0.0, 'expected a number from 1e-09'),
+        (('rules', 'decay'), -1.0, 'expected a number from 1e-09'),
         (('rules', 'power'), 3, 'expected 1 or 2'),
         (('inner', 0), [[1.0] * 7], 'expected 2 matrices of equal size'),
         (('outer', 0, 0, 0), None, 'expected a number'),
         (('outer',), [[[0.0] * 10]] * 2, 'as many rows as there are hidden nodes'),
-        (('offset',), [0.0], 'expected two numbers'),
+        (('offset',), [0.0], 'expected 2 numbers'),
         (('gate', 'low'), [0.0], 'expected 5 numbers'),
         (('gate', 'high', 0), -99.0, 'expected no value below'),
-        (('gain', 'value', 0), 9.0, 'expected gains from 0.5 to 2'),
-        (('gain', 'variance', 0), -1.0, 'expected no negative variance'),
+        (('gain', 'value', 0), 9.0, 'expected a number from 0.5 to 2'),
+        (('gain', 'variance', 0), -1.0, 'expected a number from 0 to'),
     ],
 )
 def test_a_document_that_is_no_model_is_refused(model, path, value, message):
     with pytest.raises(ModelFileError, match=message):
         read_model(changed(json.loads(write_model(model)), path, value))
+
+
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')
+def test_no_number_makes_a_model_predict_what_is_not_finite(model):
+    document = json.loads(write_model(model))
+    inputs = foam_samples(22).x
+    wrong = []
+    for path in one_of_each(places_of_numbers(document)):
+        for value in (5e-324, 1e-300, -1.0, 0.0, 1e13, -1e13, 1e300, 1e308):
+            try:
+                found = read_model(changed(document, path, value)).predict(inputs)
+            except ModelFileError as error:
+                field = next(key for key in reversed(path) if isinstance(key, str))
+                if field not in str(error):
+                    wrong.append(f'{path} = {value}: {error}')
+            else:
+                if not np.isfinite(found).all():
+                    wrong.append(f'{path} = {value}: {found}')
+    assert not wrong
 
 
 def test_text_that_is_no_document_is_refused(model):
