@@ -219,6 +219,18 @@ class BagReader:
         BagFormatError
             If a chunk is damaged.
         """
+        wanted = self._wanted(topics)
+        decodes = {} if raw else {t: self.decoder.decode(self.connections[t].type) for t in wanted}
+        for found in self._chosen(wanted, start, stop):
+            topic, payload = found.channel.topic, found.payload
+            message = payload if raw else decodes[topic](payload)
+            yield BagMessage(topic, found.channel.type, found.log_time, message)
+
+    def raw_messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Yield undecoded messages with all that the bag says of each, as `messages` does."""
+        yield from self._chosen(self._wanted(topics), None, None)
+
+    def _wanted(self, topics: Collection[str] | None) -> set[str]:
         wanted = set(self.connections if topics is None else topics)
         unknown = wanted - set(self.connections)
         if unknown:
@@ -226,20 +238,24 @@ class BagReader:
                 f'{self.path}: expected the topics {", ".join(sorted(unknown))} but the bag has '
                 f'{_listed(self.connections, "none")}'
             )
-        decodes = {} if raw else {t: self.decoder.decode(self.connections[t].type) for t in wanted}
+        return wanted
+
+    def _chosen(
+        self, wanted: set[str], start: int | None, stop: int | None
+    ) -> Iterator[RawMessage]:
+        """Yield the messages of some topics and a span; count them where the span is all."""
         whole = start is None and stop is None
         yielded: Counter[str] = Counter()
-        for log_time, _, _, channel, payload in self._in_log_order(start, stop):
-            topic = channel.topic
-            if topic not in wanted:
+        for found in self._in_log_order(start, stop):
+            if found.channel.topic not in wanted:
                 continue
             if not whole and not (
-                (start is None or log_time >= start) and (stop is None or log_time < stop)
+                (start is None or found.log_time >= start)
+                and (stop is None or found.log_time < stop)
             ):
                 continue
-            yielded[topic] += 1
-            message = payload if raw else decodes[topic](payload)
-            yield BagMessage(topic, channel.type, log_time, message)
+            yielded[found.channel.topic] += 1
+            yield found
         if whole:
             self._check_yielded(wanted, yielded)
 
