@@ -15,6 +15,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import compress, zip_longest
 from math import inf
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.runtime.arithmetic import apart, arithmetic
 from fuzzycnc_ros.runtime.component import Component, Emission, Input
 from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.runtime.host import (
@@ -133,6 +135,9 @@ class ReplayReport:
     notes: list[str] = field(default_factory=list)
     given: list[GivenTopic] = field(default_factory=list)
 
+    arithmetic: str | None = None
+    """How what the bag was recorded with computes otherwise; empty if not, None if unknown."""
+
     @property
     def identical(self) -> bool:
         """Whether every recorded output was recomputed and came out as it was, byte for byte."""
@@ -140,7 +145,12 @@ class ReplayReport:
 
     @property
     def equivalent(self) -> bool:
-        """Whether every recorded output was recomputed and came out as it was, up to rounding."""
+        """Whether every recorded output was recomputed and came out as it was, up to rounding.
+
+        Where the same arithmetic gives other digits there is no excuse for them.
+        """
+        if self.arithmetic == '':
+            return self.identical
         return self.compared and all(item.equivalent for item in self.topics)
 
     @property
@@ -151,7 +161,8 @@ class ReplayReport:
     @property
     def differing(self) -> bool:
         """Whether anything that was recomputed came out otherwise."""
-        return any(not (item.equivalent or item.not_recomputed) for item in self.topics)
+        alike = attrgetter('equal' if self.arithmetic == '' else 'equivalent')
+        return any(not (alike(item) or item.not_recomputed) for item in self.topics)
 
     @property
     def hash(self) -> str:
@@ -228,7 +239,7 @@ def replay(
         lost, taken = recording.not_recomputed(outputs, given)
         topics += lost
     hashes = topic_hashes(message for messages in outputs.values() for message in messages)
-    return ReplayReport(topics, hashes, notes, taken)
+    return ReplayReport(topics, hashes, notes, taken, recording.arithmetic(wanted))
 
 
 def _seen_to_publish(reader: BagReader) -> dict[str, tuple[str, ...]]:
@@ -394,6 +405,11 @@ class _Recording:
             why = '' if found.identical < len(recorded) and not failure else why
         left_out = bool(messages and self._publishers) and topic not in self._kinds
         return replace(found, not_recomputed=why, left_out=left_out)
+
+    def arithmetic(self, nodes: Iterable[str]) -> str | None:
+        """Say how what some nodes computed with differs from here; None where one is unknown."""
+        told = {item.version.partition(' ')[2] for node in nodes for item in self.nodes[node]}
+        return None if '' in told else apart(told, arithmetic())
 
     def not_recomputed(
         self, outputs: Collection[str], given: Sequence[str]

@@ -36,8 +36,9 @@ def replay(
 
     Every component is set up as its recorded configuration says and gets the recorded inputs in
     the order of machine time. What it gives must be what was recorded; the printed hash is the
-    same for equal runs, live or simulated. A bag from another kind of processor may differ in
-    the last digits, which is said and accepted unless --exact is given.
+    same for equal runs, live or simulated. A bag from another kind of processor, or of
+    other libraries, may differ in the last digits, which is said and accepted unless --exact is
+    given.
 
     Every recorded topic that a node of this package writes is in the table. What machines and
     foreign nodes wrote is taken as it is, and listed so. Ends with 1 if anything else differs, or
@@ -85,6 +86,7 @@ def replay(
         {
             'identical': report.identical,
             'equivalent': report.equivalent,
+            'arithmetic': report.arithmetic,
             'hash': report.hash,
             'topics': {
                 t.topic: {
@@ -135,7 +137,10 @@ def _verdict(report: 'ReplayReport') -> str:
         return 'identical'
     if report.equivalent:
         largest = max(topic.largest_difference for topic in report.topics if not topic.left_out)
-        return f'equal up to rounding ({largest:.0e}; recorded on another kind of processor)'
+        why = 'the bag does not say on what processor it was recorded'
+        if report.arithmetic:
+            why = f'recorded {report.arithmetic}'
+        return f'equal up to rounding ({largest:.0e}; {why})'
     if report.differing:
         return 'DIFFERENT'
     missing = [topic.topic for topic in report.topics if topic.not_recomputed]
