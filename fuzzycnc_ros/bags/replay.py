@@ -336,10 +336,21 @@ class _Recording:
         self.notes: list[str] = []
         self._after_step = ''
         self._counts: Counter[str] = Counter()
+        self.begins_late = reader.missing_parts > 0
+        """Whether the bag begins in the middle of a recording."""
+        if self.begins_late:
+            self.notes.append(
+                f'the bag begins in the middle of a recording, of which {reader.missing_parts} '
+                'parts come before it: its nodes start from what is latched at its head'
+            )
         found: dict[str, list[RawMessage]] = defaultdict(list)
+        heads: dict[str, list[RawMessage]] = defaultdict(list)
         end: _SeriesEnd | None = None
         for message in reader.raw_messages(wanted):
             topic, payload, logged = message.channel.topic, message.payload, message.log_time
+            if message.channel.repeated:
+                heads[topic].append(message)
+                continue
             if end is None and topic.endswith('/node_event') and CLOCK_STEP.encode() in payload:
                 event = decode(NodeEvent, self._decoder.decode(message.channel.type)(payload))
                 if event.name == CLOCK_STEP:
@@ -356,13 +367,16 @@ class _Recording:
             if end is None or logged <= end.logged + LATE + max(end.step, 0):
                 found[topic].append(message)
         self.raw = {topic: self._series(sorted(found[topic], key=_order), end) for topic in found}
+        self._heads = {topic: self._series(heads[topic], None) for topic in heads}
         self.nodes: dict[str, list[NodeConfiguration]] = defaultdict(list)
         """Configurations by namespace and node."""
-        for topic in list(self.raw):
+        for topic in dict.fromkeys((*self._heads, *self.raw)):
             space, _, name = topic.rpartition('/')
             if name != 'node_configuration':
                 continue
-            for record in self.records(topic, NodeConfiguration):
+            configurations = self.head(topic, NodeConfiguration)
+            configurations += self.records(topic, NodeConfiguration)
+            for record in configurations:
                 if record.node in REPLAYABLE:
                     self.nodes[f'{space}/{record.node}'].append(record)
 
@@ -389,13 +403,19 @@ class _Recording:
         """Return the messages of a topic as records; none if it was not recorded."""
         return self._decoded(self.raw.get(topic, []), record_type)
 
+    def head(self, topic: str, record_type: type[Any]) -> list[Any]:
+        """Return what the head of the bag repeats on a topic from the recording before it."""
+        return self._decoded(self._heads.get(topic, []), record_type)
+
     def _decoded(self, raw: list[tuple[str, bytes]], record_type: type[Any]) -> list[Any]:
         return [decode(record_type, self._decoder.decode(kind)(payload)) for kind, payload in raw]
 
     def compared(self, topic: str, messages: list[_Output], failure: str) -> TopicComparison:
         """Compare what was recorded on a topic with what was recomputed."""
         recorded = self.raw.get(topic, [])
-        found = _compare_topic(topic, recorded, messages)
+        found, last = _compare_topic(topic, recorded, messages)
+        if self.begins_late and not failure and not found.equivalent:
+            return replace(found, not_recomputed=self._from_before(topic, messages, last))
         after = self._counts[topic] - len(recorded)
         why = failure if recorded else ''
         if after:
@@ -405,6 +425,33 @@ class _Recording:
             why = '' if found.identical < len(recorded) and not failure else why
         left_out = bool(messages and self._publishers) and topic not in self._kinds
         return replace(found, not_recomputed=why, left_out=left_out)
+
+    def _from_before(self, topic: str, messages: list[_Output], last: int) -> str:
+        """Say how far a difference may come from a state that began before the bag; empty if not.
+
+        Parameters
+        ----------
+        topic : str
+            The topic.
+        messages : list
+            What was recomputed on it.
+        last : int
+            Stamp of the last difference [ns].
+        """
+        space, _, name = topic.rpartition('/')
+        nodes = [
+            node
+            for node in REPLAYABLE
+            if name in {o.name for o in COMPONENTS[node].OUTPUTS}
+            and f'{space}/{node}' in self.nodes
+        ]
+        began = f'the state of {" or ".join(nodes)} began before the bag'
+        after = [stamp for _, _, stamp, _ in messages if stamp > last]
+        if len(after) > len(messages) // 2:
+            return f'{began}; equal from {after[0] / SECOND:.3f} s on, {len(after)} messages'
+        if any(o.persistent for node in nodes for o in COMPONENTS[node].OUTPUTS):
+            return ''
+        return f'{began}, and nothing in it holds that state'
 
     def arithmetic(self, nodes: Iterable[str]) -> str | None:
         """Say how what some nodes computed with differs from here; None where one is unknown."""
@@ -494,9 +541,21 @@ class _ComponentReplay:
         self._points = self._collect_points(configurations)
         told = sum(len(recording.raw.get(topic, ())) for topic in self.outputs)
         self._merger.deadlines_left = DEADLINES_MAX + 10 * (told + len(self._points))
-        first = configurations[0]
-        if isinstance(self._component, ThermalPredictor) and first.model:
-            self._component.use_model(first.model)
+        self._begin(configurations[0])
+        self._joint = self._find_joint()
+
+    def _begin(self, first: NodeConfiguration) -> None:
+        """Give the component what it had when the bag began, as far as the bag says."""
+        component, late = self._component, self._recording.begins_late
+        for item in component.OUTPUTS:
+            for record in self._recording.head(f'{self._space}/{item.name}', item.record):
+                component.restore(item.name, record)
+        if isinstance(component, ThermalPredictor) and first.model:
+            component.use_model(first.model)
+        elif late and first.model:
+            component.on_request('use_model', {'model': first.model}, first.stamp)
+        if late and component.MANAGED and first.lifecycle_state == 'active':
+            component.on_request('activate', {}, first.stamp)
 
     def run(self) -> None:
         """Work through the recording in the order of machine time."""
@@ -504,6 +563,7 @@ class _ComponentReplay:
             for record in records:
                 self._merger.push(name, record)
         for stamp, change in self._points:
+            self._join(stamp)
             if isinstance(change, NodeEvent):
                 self._request(change)
             elif change is not None:
@@ -511,9 +571,42 @@ class _ComponentReplay:
             else:
                 self._keep(self._merger.advance(stamp))
 
+    def _join(self, stamp: int) -> None:
+        """Take up the state that an output told, once machine time comes to it.
+
+        What the component gave before rests on nothing.
+        """
+        if self._joint is not None and stamp >= self._joint[1].stamp:
+            name, record = self._joint
+            self._joint = None
+            self._merger.advance(record.stamp)
+            self._component.restore(name, record)
+            for messages in self.outputs.values():
+                messages.clear()
+
+    def _find_joint(self) -> tuple[str, Record] | None:
+        """Return the output that tells the state of a component whose beginning is missing.
+
+        It is caused by a driving record, since then what it follows from is in the bag, too.  None
+        for components that take up what is latched, or nothing.
+        """
+        kind = type(self._component)
+        persistent = any(item.persistent for item in kind.OUTPUTS)
+        if not self._recording.begins_late or persistent or kind.restore is Component.restore:
+            return None
+        drives = next((item.name for item in kind.INPUTS if item.driving), '')
+        stamps = {record.stamp for record in self._inputs.get(drives, [])[1:]}
+        for item in kind.OUTPUTS:
+            for record in self._recording.records(f'{self._space}/{item.name}', item.record):
+                if record.stamp in stamps:
+                    return item.name, record
+        return None
+
     def _taken(self, source: Input) -> list[Any]:
         """Return the records of an input but for those that the host refused."""
-        records = self._recording.records(f'{self._space}/{source.name}', source.record)
+        topic = f'{self._space}/{source.name}'
+        records = self._recording.head(topic, source.record)
+        records += self._recording.records(topic, source.record)
         return [item for item in records if (source.name, str(item.stamp)) not in self._refused]
 
     def _collect_points(self, configurations: list[NodeConfiguration]) -> list[_Point]:
@@ -610,10 +703,13 @@ def _object(text: str, where: str) -> dict[str, Any]:
 
 def _compare_topic(
     topic: str, recorded: list[tuple[str, bytes]], recomputed: list[_Output]
-) -> TopicComparison:
-    """Compare recorded messages of a topic, type and bytes, with recomputed ones."""
+) -> tuple[TopicComparison, int]:
+    """Compare recorded messages of a topic, type and bytes, with recomputed ones.
+
+    Also returns the stamp of the last difference [ns]; 0 without one.
+    """
     before, after = _by_stamp(recorded), _by_stamp((k, m) for _, k, _, m in recomputed)
-    identical, difference, largest = 0, '', 0.0
+    identical, difference, largest, last = 0, '', 0.0, 0
     for stamp in sorted(before.keys() | after.keys()):
         old, new = Counter(before.get(stamp, ())), Counter(after.get(stamp, ()))
         identical += (old & new).total()
@@ -624,9 +720,10 @@ def _compare_topic(
             else:
                 what = 'differs'
                 apart = relative_difference(*(deserialize(m, kind) for kind, m in (was, now)))
-            largest = max(largest, apart)
+            largest, last = max(largest, apart), stamp
             difference = difference or f'{what}, at machine time {stamp / SECOND:.3f} s'
-    return TopicComparison(topic, len(recorded), len(recomputed), identical, difference, largest)
+    counts = len(recorded), len(recomputed), identical
+    return TopicComparison(topic, *counts, difference, largest), last
 
 
 def _by_stamp(messages: Iterable[tuple[str, Any]]) -> dict[int, list[tuple[str, bytes]]]:

@@ -22,7 +22,7 @@ from fuzzycnc_ros.bags.mcapfile import McapFile
 from fuzzycnc_ros.bags.metadata import Profiles
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
-from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.bags.replay import ReplayReport, TopicComparison, replay
 from fuzzycnc_ros.bags.typestore import deserialize, serialize
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.components.machine.simulated_machine import (
@@ -39,7 +39,6 @@ from fuzzycnc_ros.runtime.arithmetic import arithmetic
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.runtime.host import NodeEvent
 from fuzzycnc_ros.runtime.provenance import configuration_record
-from fuzzycnc_ros.runtime.records import Compensation
 from fuzzycnc_ros.studies.contour.contouring import run_contouring
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.soft.pattern import run_patterns
@@ -280,14 +279,85 @@ def test_a_request_that_cannot_be_repeated_leaves_outputs_that_were_not_recomput
     assert 'no_such_request could not be repeated' in row.not_recomputed
 
 
-def rounded(bag: Bag) -> Bag:
-    """Return a bag with offsets that are apart by what rounding is."""
+def parts(bag: Bag, path: Path, *, split: float, deleted: int) -> Path:
+    """Write a bag in parts, as the recorder does, and delete the oldest ones."""
+    shutil.rmtree(path, ignore_errors=True)
+    with BagWriter(path, flush_interval=None, split_duration=split) as writer:
+        for topic, (kind, profiles) in bag.topics.items():
+            writer.add_topic(topic, kind, profiles)
+        for m in bag.messages:
+            if writer.is_full(m.log_time):
+                writer.split(m.log_time)
+            sender = next((n for n in (*COMPONENTS, '') if configures(m, n)), None)
+            writer.write(
+                m.topic, m.log_time, m.publish_time, m.payload, m.sequence, publisher=sender
+            )
+        for _ in range(deleted):
+            writer.delete_oldest()
+    return path
+
+
+def rows(report: ReplayReport) -> dict[str, TopicComparison]:
+    """Return what was compared, by topic without its namespace."""
+    return {item.topic.rpartition('/')[2]: item for item in report.topics}
+
+
+@pytest.mark.parametrize('how', ['budget', 'part', 'repaired'])
+def test_a_bag_that_begins_in_the_middle_is_replayed_from_its_head(thermal, folder, fuzzycnc, how):
+    bag = parts(thermal, folder / 'parts', split=200.0, deleted=1)
+    if how == 'part':
+        bag = bag / 'parts_2.mcap'
+    if how == 'repaired':
+        shutil.rmtree(folder / 'whole', ignore_errors=True)
+        assert not repair(bag, folder / 'whole').damage
+        bag = folder / 'whole'
+    report = replay(bag)
+    found = rows(report)
+    for name in ('thermal_error', 'predictor_state'):
+        assert found[name].equal, name
+        assert found[name].recorded > 2
+    compensation = found['compensation']
+    assert compensation.recorded > compensation.recomputed == compensation.identical > 2
+    told = 'the state of compensator began before the bag; equal from'
+    assert compensation.not_recomputed.startswith(told)
+    assert found['temperatures'].identical >= found['temperatures'].recorded - 1
+    assert 'begins in the middle of a recording' in report.notes[0]
+    assert not report.differing
+    assert not report.equivalent
+    outcome = fuzzycnc('replay', bag)
+    assert outcome.code == 1
+    assert 'NOT ALL RECOMPUTED: /mill/' in outcome.out
+
+
+def test_an_altered_output_in_the_middle_is_a_difference_all_the_same(thermal, folder):
+    bag = parts(
+        rounded(thermal, '/mill/thermal_error', 1e-3), folder / 'a', split=200.0, deleted=1
+    )
+    report = replay(bag)
+    assert report.differing
+    assert rows(report)['thermal_error'].first_difference.startswith('differs')
+
+
+@pytest.mark.slow
+def test_motion_that_begins_in_the_middle_names_whose_state_is_not_there(motion, folder):
+    bag = parts(motion[0], folder / 'a', split=2.0, deleted=1)
+    report = replay(bag)
+    assert not report.equivalent
+    why = rows(report)['trajectory'].not_recomputed
+    assert why == (
+        'the state of feedrate_scheduler began before the bag, and nothing in it holds that state'
+    )
+
+
+def rounded(bag: Bag, topic: str = '/mill/compensation', share: float = 1e-12) -> Bag:
+    """Return a bag with offsets or errors that are apart by what rounding is, or by more."""
 
     def changed(message: Logged) -> Logged:
-        if message.topic != '/mill/compensation':
+        if message.topic != topic:
             return message
-        found = deserialize(message.payload, Compensation.TYPE)
-        found = replace(found, offset=found.offset * (1.0 + 1e-12))
+        found = deserialize(message.payload, bag.topics[topic][0])
+        name = 'offset' if topic.endswith('compensation') else 'error'
+        found = replace(found, **{name: getattr(found, name) * (1.0 + share)})
         return replace(message, payload=serialize(found))
 
     return replace(bag, messages=tuple(map(changed, bag.messages)))
