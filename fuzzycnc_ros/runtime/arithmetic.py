@@ -7,13 +7,14 @@ C library choose theirs by what the processor has, BLAS by the processor's make.
 """
 
 import ctypes
-import os
+import hashlib
+import math
+import platform
 from collections.abc import Collection
 from functools import cache
-from importlib import import_module
+from importlib import import_module, metadata
 
 import numpy as np
-import scipy
 
 _LIBRARIES = ('numpy=', 'scipy=', 'libc=')
 _CORE_NAMES = tuple(
@@ -30,15 +31,14 @@ def arithmetic() -> str:
     >>> 'numpy=' in arithmetic()
     True
     """
-    tunables = os.environ.get('GLIBC_TUNABLES', '')
     words = [
-        os.uname().machine,
+        platform.machine(),
         *_features(),
-        *([f'kernel={_kernel()}'] if _kernel() else []),
-        *([f'tunables={"".join(tunables.split())}'] if 'hwcaps' in tunables else []),
+        f'kernel={_kernel()}',
+        f'functions={_functions()}',
         f'numpy={np.__version__}',
-        f'scipy={scipy.__version__}',
-        f'libc={"-".join((_libc() or "unknown").split())}',
+        f'scipy={_version_of_scipy()}',
+        f'libc={_version_of_libc()}',
     ]
     return ' '.join(words)
 
@@ -71,7 +71,10 @@ def apart(recorded: Collection[str], here: str) -> str:
     ours = [word for word in own if any(word not in text.split() for text in recorded)]
     if not theirs and not ours:
         return ''
-    libraries = [w for w in (*theirs, *ours) if w.startswith(_LIBRARIES)]
+    # Elementary functions are those of the C library.
+    other = any(word.startswith('libc=') for word in theirs)
+    known = (*_LIBRARIES, 'functions=') if other else _LIBRARIES
+    libraries = [w for w in (*theirs, *ours) if w.startswith(known)]
     what = 'with other libraries'
     if len(libraries) < len(theirs) + len(ours):
         what = 'on another kind of processor'
@@ -91,7 +94,19 @@ def _features() -> list[str]:
     return []
 
 
-@cache
+def _functions() -> str:
+    """Return a hash of what elementary functions of the C library give.
+
+    It has them for several generations of processors, and nothing tells which it has chosen.
+    """
+    # Few arguments in a thousand are rounded otherwise.
+    points = [0.37 + 0.0917 * k for k in range(8000)]
+    found = [function(x) for function in (math.sin, math.cos) for x in points]
+    found += [function(x % 1.0) for function in (math.asin, math.acos) for x in points]
+    found += [math.expm1(-x % 3.0) for x in points] + [x**0.7 for x in points]
+    return hashlib.sha256(np.array(found, '<f8').tobytes()).hexdigest()[:8]
+
+
 def _kernel() -> str:
     """Return the kernel that OpenBLAS uses here; empty for another BLAS."""
     try:
@@ -108,8 +123,18 @@ def _kernel() -> str:
     return ''
 
 
-def _libc() -> str:
+def _version_of_scipy() -> str:
+    """Return it without an import, which would cost every node a third of a second."""
     try:
-        return os.confstr('CS_GNU_LIBC_VERSION') or ''
-    except ValueError:
+        return metadata.version('scipy')
+    except metadata.PackageNotFoundError:
         return ''
+
+
+def _version_of_libc() -> str:
+    try:
+        tell = ctypes.CDLL(None).gnu_get_libc_version
+    except (OSError, AttributeError):
+        return ''
+    tell.restype = ctypes.c_char_p
+    return bytes(tell() or b'').decode(errors='replace')

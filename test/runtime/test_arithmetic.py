@@ -38,7 +38,7 @@ def test_a_configuration_says_what_its_node_computes_with():
     ],
 )
 def test_other_instructions_are_another_kind_of_processor(name, value):
-    if 'kernel=' not in arithmetic() and name.startswith('OPENBLAS'):
+    if 'kernel= ' in arithmetic() and name.startswith('OPENBLAS'):
         pytest.skip('numpy computes with another BLAS here')
     told = elsewhere(**{name: value})
     assert apart([told], arithmetic()).startswith('on another kind of processor (')
