@@ -261,7 +261,11 @@ class Component(Generic[ConfigT]):
         return fresh
 
     def restore(self, output: str, record: Record) -> None:
-        """Take back a persistent record that an earlier life of the component published."""
+        """Take back a record that the component published earlier.
+
+        That is a persistent one of an earlier life, or, in the replay of a bag that begins in the
+        middle of a recording, what it published first there.
+        """
 
     def silence(self, name: str, last: Record) -> str:
         """Say what it means that nothing came after `last`; empty if it is nothing but late."""
