@@ -102,13 +102,9 @@ def with_each(
     else:
         names = [bag.name for bag in bags]
         found = in_workers(partial(_attempt, work), bags, names, jobs, tell)
-    # In a worker nobody knows the options of the command.
-    bad = tuple(
-        item if isinstance(item, BadBag) else BadBag(item.bag, _one_line(sentence(item.error)))
-        for item in found
-        if isinstance(item, (BadBag, _Refused))
-    )
-    good = tuple(item for item in found if not isinstance(item, (BadBag, _Refused)))
+    judged = [_in_words(item) for item in found]
+    bad = tuple(item for item in judged if isinstance(item, BadBag))
+    good = tuple(item for item in judged if not isinstance(item, BadBag))
     check_some_left(len(good), bad)
     return Sorted(good, bad)
 
@@ -146,7 +142,7 @@ def runs_of(
     for done, bag in enumerate(bags):
         tell(f'reading {bag.name}', done, len(bags))
         if skip:
-            found.append(_attempt(usable, bag, _nobody))
+            found.append(_in_words(_attempt(usable, bag, _nobody)))
         else:
             runs.append(read_run(bag.path, name=bag.name, **options))
     return without_odd(bags, found) if skip else Sorted(tuple(runs), ())
@@ -227,6 +223,16 @@ def _attempt(
             return _Refused(bag, refusal)
         text = os_sentence(error) if isinstance(error, OSError) else str(error)
         return BadBag(bag, _one_line(text))
+
+
+def _in_words(item: 'Result | BadBag | _Refused') -> 'Result | BadBag':
+    """Return a result as it is, and a refusal with the options of this command.
+
+    In a worker nobody knows these.
+    """
+    if isinstance(item, _Refused):
+        return BadBag(item.bag, _one_line(sentence(item.error)))
+    return item
 
 
 def _one_line(text: str) -> str:
