@@ -20,6 +20,10 @@ REPLAYABLE = tuple(name for name in COMPONENTS if name not in MACHINES)
 _CONFIGURATION = 'node_configuration'
 
 
+GIVEN_REMEDY = 'name it as given if another node wrote it'
+"""Ends the reasons for which a topic may be one that no replay recomputes."""
+
+
 @dataclass(frozen=True)
 class Origin:
     """Where the messages of a topic come from that were not recomputed."""
@@ -87,7 +91,7 @@ class Origins:
             return Origin(
                 False,
                 'no node in the bag writes a topic of this name; one that was renamed cannot be '
-                f'replayed; if another node wrote it: --given {topic}',
+                f'replayed; {GIVEN_REMEDY}',
             )
         return None
 
@@ -116,7 +120,7 @@ class Origins:
         if not lost:
             return 'under another name than its node has for it, which cannot be replayed'
         text = f'the bag has no node_configuration of {" or ".join(lost)}'
-        return text if sure else f'{text}; if another node wrote it: --given TOPIC'
+        return text if sure else f'{text}; {GIVEN_REMEDY}'
 
 
 def _writers(name: str, kind: str, nodes: Iterable[str]) -> list[str]:

@@ -47,6 +47,7 @@ OWN_WORDS = {
     'fuzzycnc_ros.bags.csv_import',
     'fuzzycnc_ros.bags.csv_mapping',
     'fuzzycnc_ros.bags.csv_table',
+    'fuzzycnc_ros.bags.csv_time',
 }
 """Modules whose texts the doors for Python and the nodes put into their own words."""
 

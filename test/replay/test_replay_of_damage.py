@@ -223,7 +223,7 @@ def test_a_node_of_another_maker_is_believed_where_the_recorder_saw_it(thermal, 
     report = replay(bag.write(folder / 'a'))
     assert {item.topic for item in report.topics if item.not_recomputed} == set(topics)
     assert not report.equivalent
-    assert '--given' in report.topics[-1].not_recomputed
+    assert 'name it as given' in report.topics[-1].not_recomputed
     assert replay(folder / 'a', given=('temperatures', '/mill/thermal_reference')).identical
 
     said = {'topics': {}, 'publishers': {t: ['/mill/my_logger'] for t in topics}}

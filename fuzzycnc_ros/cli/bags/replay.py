@@ -52,6 +52,7 @@ def replay(
         fuzzycnc replay shift --exact --json replay.json
         fuzzycnc replay shift --hash
     """
+    from fuzzycnc_ros.bags.origins import GIVEN_REMEDY
     from fuzzycnc_ros.bags.replay import replay as recompute
     from fuzzycnc_ros.studies.page.table import Column, Table
 
@@ -74,6 +75,8 @@ def replay(
     )
     differing = frozenset(row for row, topic in enumerate(report.topics) if not topic.equivalent)
     show(Table('Messages', columns, rows, highlight=differing))
+    if any(GIVEN_REMEDY in topic.not_recomputed for topic in report.topics):
+        say('note: a topic that another node wrote is named as given by --given TOPIC')
     if report.given:
         origin = Column('Topic', numeric=False), Column('recorded'), Column('', numeric=False)
         taken = tuple((item.topic, str(item.recorded), item.origin) for item in report.given)

@@ -112,8 +112,8 @@ def _greeting(config: 'DashboardConfig', log: Path) -> Iterator[str]:
         yield f'acting there needs the token in {token}'
     if not config.bags:
         yield (
-            'Start recording there needs a folder: name it as bags in dashboard.yaml of --params, '
-            'or record with --record'
+            'Start recording there needs a folder for bags: the parameter bags in the file '
+            'dashboard.yaml of a folder of parameters'
         )
 
 

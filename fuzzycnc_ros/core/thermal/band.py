@@ -308,7 +308,7 @@ COVERED_LEAST = 0.9
 """Share of the residuals below which a band may be far from holding 95 % [-]: twice as many are
 outside as should be."""
 
-CHANCE = 0.05
+FALSE_BAND_CHANCE = 0.05
 """Probability of so many residuals outside of a true band, up to which it counts as false [-]."""
 
 
@@ -356,7 +356,7 @@ def is_false_band(covered: float, ratio: float, independent: float, runs: int = 
     outside = round(count * (1.0 - covered))
     number = float(bdtrc(outside - 1, count, 1.0 - COVERED)) if outside else 1.0
     size = float(chdtrc(independent, independent * ratio**2))
-    return min(number, size) * runs <= CHANCE * (1.0 + 1e-9)
+    return min(number, size) * runs <= FALSE_BAND_CHANCE * (1.0 + 1e-9)
 
 
 def coverage(residual: Array, deviation: Array) -> Array:

@@ -755,8 +755,8 @@ class _GWords:
         self._state.rounding = most * self._state.length_unit if code == 640 and most else None
         if self._state.rounding is None:
             self._say(
-                f'G{code / 10:g} does not say how far corners are rounded off: --blend does, or '
-                'they are stopped at'
+                f'G{code / 10:g} does not say how far corners are rounded off; unless that is '
+                'given, they are stopped at'
             )
 
     def _thread(self, code: int, line: Line) -> None:
