@@ -400,7 +400,7 @@ def test_a_page_beside_a_graph_keeps_to_its_file(beside, tmp_path):
 
 def test_a_page_without_a_folder_says_how_to_record(beside):
     greeting, _, _ = beside('/**/dashboard:\n  ros__parameters: {port: 0}\n')
-    assert 'Start recording there needs a folder for bags: the parameter bags in the file' in greeting
+    assert 'Start recording there needs a folder for bags: the parameter bags' in greeting
 
 
 def test_what_cannot_be_served_is_refused(refusal, graph, observer, tmp_path):
